@@ -57,10 +57,8 @@ def calibrate_command(
         raise ValueError(f"--out writes .json, got {path}")
     if not path.parent.is_dir():
         raise FileNotFoundError(f"there is no folder {path.parent} for --out {path.name}; create it first")
-    if split is None and (data / "zarr.json").exists():
-        split = "train"
     sources = tuple((truth or "").split(",")) if truth else ()
-    dataset = open_dataset(data, axes=parsed_axes(axes), split=split, truth=sources)
+    dataset = open_dataset(data, axes=parsed_axes(axes), split=split, default_split="train", truth=sources)
     with stderr.status("") as status:
         fitted = calibrate(
             dataset[::every],

@@ -44,9 +44,9 @@ def pick_drive(dataset: "Dataset", sequence: str | None, sensor_height: float | 
         dataset = dataset.select(drives[found[0]])
     elif sequence is not None:
         raise ValueError(f"--sequence picks one of several drives, of which {dataset.name} has none")
-    height, layout = dataset[0].mount.sensor_height, dataset.reader.layout
-    if sensor_height is None and layout.mount is None:
-        how = "stated by the data set" if layout.sensor_height else "estimated from up to five scans"
+    height, recording = dataset[0].mount.sensor_height, dataset.recording
+    if sensor_height is None and not recording.known_mount:
+        how = "stated by the data set" if recording.known_height else "estimated from up to five scans"
         out.print(f"sensor height {height:.2f} m, {how}; --sensor-height sets it", soft_wrap=True)
     return dataset
 

@@ -128,8 +128,6 @@ def evaluate(
     names = [*(ism or []), *(more or [])] or ([] if grids else list(MODELS))
     if rules and not names:
         raise ValueError("--fused fuses the scans of models; give --ism NAME too")
-    if rules and split is None and (data / "zarr.json").exists():
-        split = "sequences"
     spec = GridSpec.centered()
     others = "later" if rules else "all"
     log = {"topic": topic or (), "frame": fixed_frame, "sensors": sensor or ()}
@@ -137,6 +135,7 @@ def evaluate(
         data,
         axes=parsed_axes(axes),
         split=split,
+        default_split="sequences" if rules else None,
         truth=tuple(sources),
         others=others,
         spec=spec,

@@ -169,9 +169,7 @@ def fuse(
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit, "topic": topic or ()}
     reading |= {"sensor_height": sensor_height, "sensor_position": sensor_position, "frame": fixed_frame}
     datasets = [
-        open_dataset(
-            paths, sensors=sensor or (), split="sequences" if (paths[0] / "zarr.json").exists() else None, **reading
-        )
+        open_dataset(paths, sensors=sensor or (), default_split="sequences", **reading)
         for paths in ([[path] for path in scans] if each_drive else [scans])
     ]
     if each_drive:

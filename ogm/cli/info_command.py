@@ -23,11 +23,12 @@ def info(
     """Show what a file or a data set holds: of a log also what its scans lack for `ogm fuse`."""
     from ogm.datasets.captures import CAPTURE_ENDINGS
     from ogm.datasets.logs import describe_log, is_log
+    from ogm.datasets.simulated import is_simulated
     from ogm.io import describe, read_any_grid, read_scan_file
 
     if scan.exists() and is_log([scan]):
         facts = describe_log(scan, fixed_frame)
-    elif scan.is_dir() and (scan / "zarr.json").exists():
+    elif scan.is_dir() and is_simulated(scan):
         from ogm.simulation.store import Store
 
         facts = Store.open(scan).describe()

@@ -96,8 +96,7 @@ def serve(
             reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
             placed = {"sensor_height": sensor_height, "sensor_position": sensor_position}
             log = {"topic": topic or (), "frame": fixed_frame}
-            split = "sequences" if (scans[0] / "zarr.json").exists() else None
-            dataset = open_dataset(scans, **reading, **placed, **log, split=split)  # type: ignore[arg-type]
+            dataset = open_dataset(scans, **reading, **placed, **log, default_split="sequences")  # type: ignore[arg-type]
             dataset = with_known_poses(
                 pick_drive(dataset, sequence, sensor_height), poses, calib, odometry, SCAN_RATE, first
             )

@@ -110,7 +110,7 @@ def train_command(
     recipe = replace(PRESETS[model.value], **changes)
     folder = out_folder or Path("runs") / model.value
     parts = {"training": _open(data, "training")}
-    if validation is None and not (data / "zarr.json").exists():
+    if validation is None and "split" not in parts["training"].facts:
         raise ValueError(f"{data} has no validation split: give --validation, data to choose the weights by")
     parts["validation"] = _open(validation or data, "validation")
     if samples is not None:
@@ -181,10 +181,8 @@ def _open(path: Any, split: str) -> "Dataset":
     """Open a split of a simulated data set, or a recording; warn where samples are missing."""
     from ogm.datasets import open_dataset
 
-    if not (path / "zarr.json").exists():
-        return open_dataset(path)
-    dataset = open_dataset(path, split=split)
-    planned = dataset.facts["plan"].get({"training": "samples"}.get(split, split), 0)
+    dataset = open_dataset(path, default_split=split)
+    planned = dataset.facts.get("plan", {}).get({"training": "samples"}.get(split, split), 0)
     if len(dataset) < planned:
         stderr.print(
             f"ogm: {len(dataset)} of {planned} {split} samples are made; `ogm simulate {path} --resume` makes the rest",

@@ -175,8 +175,7 @@ def _open(path: Path, axes: Any, poses: Path | None, calib: Path | None, rate: f
     """Return a data set with its poses."""
     from ogm.datasets import open_dataset, with_poses
 
-    split = "sequences" if (path / "zarr.json").exists() else None
-    dataset = open_dataset(path, axes=axes, split=split)
+    dataset = open_dataset(path, axes=axes, default_split="sequences")
     return dataset if poses is None else with_poses(dataset, poses, calib, rate)
 
 

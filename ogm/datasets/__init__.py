@@ -6,8 +6,9 @@
 >>> frame.scan, frame.mount, frame.truth, frame.T_map_sensor    # doctest: +SKIP
 """
 
-from ogm.datasets.dataset import Dataset, open_dataset
+from ogm.datasets.dataset import Dataset
 from ogm.datasets.neighbours import truth_from_neighbours
+from ogm.datasets.opening import open_dataset
 from ogm.datasets.paths import frame_numbers
 from ogm.datasets.poses import with_odometry, with_poses
 from ogm.datasets.truth import SOURCES

@@ -1,65 +1,88 @@
-"""Argoverse 2: one log of the sensor data set, from the upper of its two lidars."""
+"""Argoverse 2: one log of the sensor dataset, from the upper of its two lidars."""
 
 from dataclasses import replace
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ogm.datasets.layout import FrameRef, HdMap, Layout, RawFrame
+from ogm.datasets.frames import FrameRef, HdMap, RawFrame
+from ogm.datasets.recording import Recording
 from ogm.io import estimate_sensor_height, read_argoverse2, read_scan
+from ogm.io.argoverse2 import Argoverse2Log
 from ogm.pose import pose
+from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["argoverse2"]
+__all__ = ["Argoverse2Recording"]
 
-_UPPER = 32  # lasers of the upper lidar; the lower one's are counted on
-_EGO_ORIGIN = 0.33  # [m] of the vehicle's origin above the ground, where scans show too little of it
+_UPPER = 32  # lasers of the upper lidar; the numbers of the lower one's follow
+_EGO_ORIGIN = 0.33  # [m] of the vehicle's origin above the ground, for scans that show too little of it
 
 
-def argoverse2(path: Path) -> Layout | None:
-    """Find one log of Argoverse 2.
+class Argoverse2Recording(Recording):
+    """Folder with ``sensors/lidar/*.feather``.
 
     The paper's vehicle has one lidar of that kind, and rays of both cannot start at one place. Returns of the lower
-    one still count for what hides the road.
+    lidar still count for what hides the road.
     """
-    if not sorted(path.glob("sensors/lidar/*.feather")):
-        return None
-    log = read_argoverse2(path)
-    if "up_lidar" not in log.lidars:
-        raise OgmError(
-            f"{path} does not state where its upper lidar is mounted: wanted calibration/egovehicle_SE3_sensor.feather "
-            "with up_lidar; that of another log of the data set will do, for the cars are alike"
-        )
-    origin, city = log.lidars["up_lidar"], log.map
-    poses = [log.poses[stamp] @ pose(*origin) for stamp in log.stamps]
 
-    def read(n: int) -> RawFrame:
-        sweep = read_scan(log.sweeps[n], axes="argoverse")
+    format = "Argoverse 2 log"
+    wanted_labels = "boxes (annotations.feather), or a map (map/)"
+    view = "seen from the upper lidar"
+    known_height = True
+    stamped = True
+    motion_distorted = False
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if "up_lidar" not in self.log.lidars:
+            raise OgmError(
+                f"{path} does not state where its upper lidar is mounted: wanted "
+                "calibration/egovehicle_SE3_sensor.feather with up_lidar; that of another log of the data set will do, "
+                "for the cars are alike"
+            )
+        self._origin, stamps = self.log.lidars["up_lidar"], enumerate(self.log.stamps)
+        super().__init__(path, [FrameRef(str(stamp), path.name, stamp * 1e-9, self._pose(n)) for n, stamp in stamps])
+        labels = {"boxes": self.log.annotations, "map": self.log.map}
+        self.labelled = tuple(name for name, content in labels.items() if content is not None)
+
+    @classmethod
+    def find(cls, path: Path) -> "Argoverse2Recording | None":
+        """Return the sweeps of one log."""
+        return cls(path) if sorted(path.glob("sensors/lidar/*.feather")) else None
+
+    @cached_property
+    def log(self) -> Argoverse2Log:
+        """Tables and map of the log, some 10 MB."""
+        return read_argoverse2(self.path)
+
+    def _pose(self, n: int) -> NDArray[np.float64]:
+        return self.log.poses[self.log.stamps[n]] @ pose(*self._origin)
+
+    def _sweep(self, n: int) -> Scan:
+        return read_scan(self.log.sweeps[n], axes="argoverse")
+
+    def read(self, n: int) -> RawFrame:
+        """Read the returns of the upper lidar, and those of both."""
+        sweep = self._sweep(n)
         if sweep.ring is None:
-            raise OgmError(f"{log.sweeps[n]} has no laser_number, which tells the two lidars apart")
-        every = sweep.points - np.array([*origin, 0], np.float32)
-        upper = replace(sweep, points=every).select(sweep.ring < _UPPER)
-        return RawFrame(upper, all_points=every)
+            raise OgmError(f"{self.log.sweeps[n]} has no laser_number, which tells the two lidars apart")
+        every = sweep.points - np.array([*self._origin, 0], np.float32)
+        return RawFrame(replace(sweep, points=every).select(sweep.ring < _UPPER), all_points=every)
 
-    def hd_map(n: int) -> HdMap:
+    def read_boxes(self, n: int) -> Boxes:
+        """Return the boxes of the annotations."""
+        return self.log.boxes(n).moved(pose(*-self._origin))
+
+    def hd_map(self, n: int) -> HdMap:
+        """Return the map around a scan."""
+        city, T_city_sensor = self.log.map, self._pose(n)
         assert city is not None
-        return HdMap(city.outlines(poses[n]), lambda xyz: city.ground(xyz, poses[n]))
+        return HdMap(city.outlines(T_city_sensor), partial(city.ground, T_city_sensor=T_city_sensor))
 
-    def height(n: int) -> float:
-        """Estimate it from both lidars: the lower one sees ground around the car that the upper one does not."""
-        ground = estimate_sensor_height(read_scan(log.sweeps[n], axes="argoverse").points)
-        return float(origin[2] + (_EGO_ORIGIN if ground is None else ground))
-
-    rows = zip(log.stamps, poses, strict=True)
-    return Layout(
-        "Argoverse 2 log",
-        tuple(FrameRef(str(stamp), path.name, stamp * 1e-9, T) for stamp, T in rows),
-        read,
-        "boxes (annotations.feather), or a map (map/)",
-        None if log.annotations is None else (lambda n: log.boxes(n).moved(pose(*-origin))),
-        None if city is None else hd_map,
-        view="seen from the upper lidar",
-        sensor_height=height,
-        stamped=True,
-        motion_distorted=False,
-    )
+    def estimate_height(self, n: int) -> float:
+        """Return the height by both lidars: the lower sees ground around the car that the upper does not."""
+        ground = estimate_sensor_height(self._sweep(n).points)
+        return float(self._origin[2] + (_EGO_ORIGIN if ground is None else ground))

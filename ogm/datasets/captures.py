@@ -2,58 +2,63 @@
 
 import threading
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 
-from ogm.datasets.layout import FrameRef, Layout, RawFrame
+from ogm.datasets.frames import FrameRef, RawFrame
 from ogm.datasets.logs import turn_scan
-from ogm.io import Axes
+from ogm.datasets.recording import OpenOptions, Recording
 from ogm.io.axes import rotation_to_flu
 from ogm.io.messages import scans_from_pcap
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["CAPTURE_ENDINGS", "captures"]
+__all__ = ["CAPTURE_ENDINGS", "CaptureRecording"]
 
 CAPTURE_ENDINGS = (".pcap", ".pcapng")
 
 
-def captures(
-    paths: Sequence[Path], axes: Axes = "flu", intensity_max: float | None = None, time_unit: float | None = None
-) -> Layout | None:
-    """Line up the scans of a capture; None where it is none by its name.
+class CaptureRecording(Recording):
+    """Scans of a capture of one Velodyne."""
 
-    Parameters
-    ----------
-    paths : sequence of Path
-    axes : Axes
-        Which way the sensor's axes point.
-    intensity_max, time_unit
-        Refused: packets have known units.
+    format = "network capture"
+    wanted_labels = "poses of the scans, which a capture has not: estimate them with `ogm fuse --odometry`"
+    ego_footprint = None
+    stamped = True
+    known_axes = False
 
-    Raises
-    ------
-    OgmError
-        If there are several, or the file is no capture of one Velodyne.
-    """
-    if not any(path.suffix.lower() in CAPTURE_ENDINGS for path in paths):
-        return None
-    path, turn = paths[0], rotation_to_flu(axes)
-    if len(paths) > 1:
-        raise OgmError(f"{path} is a network capture; give one alone")
-    if intensity_max is not None or time_unit is not None:
-        raise ValueError(f"{path} has scans of known units; leave out intensity_max and time_unit")
-    scans = _Turns(path)
-    return Layout(
-        "network capture",
-        tuple(FrameRef(f"{n:06d}", path.stem, stamp) for n, stamp in enumerate(scans.stamps)),
-        lambda n: RawFrame(turn_scan(scans.read(n), turn)),
-        "poses of the scans, which a capture has not: estimate them with `ogm fuse --odometry`",
-        ego_footprint=None,
-        stamped=True,
-        axes=axes,
-        known_axes=False,
-        name=path.stem,
-    )
+    @classmethod
+    def open(cls, paths: Sequence[Path], options: OpenOptions) -> "CaptureRecording | None":
+        """Return the scans of a capture; None if no path has the name of a capture.
+
+        Raises
+        ------
+        OgmError
+            If there are several files, or the file is no capture of one Velodyne.
+        ValueError
+            If the options state units: those of packets are known.
+        """
+        if not any(path.suffix.lower() in CAPTURE_ENDINGS for path in paths):
+            return None
+        path, axes = paths[0], options.axes
+        rotation_to_flu(axes)  # refuses wrong axes
+        if len(paths) > 1:
+            raise OgmError(f"{path} is a network capture; give one alone")
+        if options.units:
+            raise ValueError(f"{path} has scans of known units; leave out intensity_max and time_unit")
+        stamps = [scan.stamp for scan in scans_from_pcap(path, no_returns=False)]
+        refs = [FrameRef(f"{n:06d}", path.stem, stamp) for n, stamp in enumerate(stamps)]
+        recording = cls(path, refs, path.stem)
+        recording.axes = axes
+        return recording
+
+    @cached_property
+    def _turns(self) -> "_Turns":
+        return _Turns(self.path)
+
+    def read(self, n: int) -> RawFrame:
+        """Read a scan; quick in the order of the scans."""
+        return RawFrame(turn_scan(self._turns.read(n), rotation_to_flu(self.axes)))
 
 
 class _Turns:
@@ -61,7 +66,6 @@ class _Turns:
 
     def __init__(self, path: Path) -> None:
         self._path, self._lock = path, threading.Lock()
-        self.stamps = [scan.stamp for scan in scans_from_pcap(path, no_returns=False)]
         self._rewind()
 
     def read(self, n: int) -> Scan:

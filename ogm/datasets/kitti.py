@@ -1,122 +1,200 @@
 """KITTI: object, tracking and raw recordings, and odometry with or without SemanticKITTI's classes."""
 
-from functools import lru_cache
+from abc import abstractmethod
+from collections.abc import Callable
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm import io
-from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
-from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
+from ogm.datasets.frames import KITTI_EGO, FrameRef, RawFrame, kinds_of
+from ogm.datasets.paths import drive_of, pose_files, scan_name, scan_paths
+from ogm.datasets.recording import ScanFiles
 from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["kitti_object", "kitti_odometry", "kitti_raw", "kitti_tracking"]
+__all__ = ["KittiObjectRecording", "KittiOdometryRecording", "KittiRawRecording", "KittiTrackingRecording"]
 
-FRONT = "boxes only in the view of the front camera"
-_ANGLE = np.radians(37.0)  # of that view, to either side: a little less than the picture shows
-_BOXES = "boxes of the object recordings (label_2/*.txt beside velodyne/ and calib/)"
-_TRACKS = "boxes of the tracking recordings (label_02*.txt), or poses (poses.txt, derived/poses*.txt)"
-_CLASSES = "classes of SemanticKITTI (labels/*.label), or poses (poses.txt)"
+_FRONT = "boxes only in the view of the front camera"
+_ANGLE = float(np.radians(37.0))  # of that view, to either side: a little less than the picture shows
 
 
-def kitti_object(path: Path) -> Layout | None:
-    """Find ``velodyne/``, ``label_2/`` and ``calib/``: unrelated single scans."""
-    scans = scan_paths(path / "velodyne")
-    if not scans or not (path / "calib").is_dir() or (path / "label_02").is_dir():
-        return None
-    labelled = (path / "label_2").is_dir()
-    labels = [_beside(one, path / "label_2", "label") for one in scans if labelled]
-    calibrations = [_beside(one, path / "calib", "calibration") for one in scans if labelled]
-    return Layout(
-        "KITTI object recordings",
-        tuple(FrameRef(scan_name(one)) for one in scans),
-        lambda n: RawFrame(io.read_scan(scans[n])),
-        _BOXES,
-        (lambda n: io.read_kitti_objects(labels[n], io.read_calibration(calibrations[n]))) if labelled else None,
-        ego_footprint=KITTI_EGO,
-        view=FRONT,
-    )
+class KittiObjectRecording(ScanFiles):
+    """Folder with ``velodyne/``, ``label_2/`` and ``calib/``: unrelated single scans."""
+
+    format = "KITTI object recordings"
+    wanted_labels = "boxes of the object recordings (label_2/*.txt beside velodyne/ and calib/)"
+    ego_footprint = KITTI_EGO
+    view = _FRONT
+
+    @classmethod
+    def find(cls, path: Path) -> "KittiObjectRecording | None":
+        """Return the scans, each of which has labels and a calibration if there are labels."""
+        scans = scan_paths(path / "velodyne")
+        if not scans or not (path / "calib").is_dir() or (path / "label_02").is_dir():
+            return None
+        recording = cls(path, [(FrameRef(scan_name(scan)), scan) for scan in scans])
+        if (path / "label_2").is_dir():
+            recording.labelled = ("boxes",)
+            for n in range(len(scans)):
+                recording._files(n)
+        return recording
+
+    def read_boxes(self, n: int) -> Boxes:
+        """Read the boxes around a scan."""
+        label, calibration = self._files(n)
+        return io.read_kitti_objects(label, io.read_calibration(calibration))
+
+    def _files(self, n: int) -> tuple[Path, Path]:
+        """Return the files of labels and calibration of a scan."""
+        scan = self.scans[n]
+        return _beside(scan, self.path / "label_2", "label"), _beside(scan, self.path / "calib", "calibration")
 
 
-def _beside(scan: Path, folder: Path, what: str, ending: str = ".txt") -> Path:
+class _KittiDrives(ScanFiles):
+    """Drives with their scans in a folder each, perhaps with tracked boxes by the numbers of the scans."""
+
+    wanted_labels = "boxes of the tracking recordings (label_02*.txt), or poses (poses.txt, derived/poses*.txt)"
+    ego_footprint = KITTI_EGO
+
+    @abstractmethod
+    def read_tracks(self, drive: str) -> dict[int, Boxes]:
+        """Read the boxes of a drive by the name of the folder with its scans."""
+
+    @cached_property
+    def _tracks(self) -> Callable[[str], dict[int, Boxes]]:
+        return lru_cache(8)(self.read_tracks)
+
+    def read_boxes(self, n: int) -> Boxes:
+        """Return the boxes around a scan."""
+        return self._tracks(self.scans[n].parent.name).get(int(scan_name(self.scans[n])), Boxes.empty())
+
+
+class KittiTrackingRecording(_KittiDrives):
+    """Folder with ``velodyne/0000/``, ``label_02/0000.txt`` and ``calib/0000.txt``: one drive per number."""
+
+    format = "KITTI tracking recordings"
+    labelled = ("boxes",)
+    view = _FRONT
+    view_angle = _ANGLE
+
+    @classmethod
+    def find(cls, path: Path) -> "KittiTrackingRecording | None":
+        """Return the scans of all drives that have labels."""
+        labels = sorted((path / "label_02").glob("*.txt")) if (path / "velodyne").is_dir() else []
+        scans = {label: scan_paths(path / "velodyne" / label.stem) for label in labels}
+        drives = [drive_of(label.stem, scans[label], [path / "poses" / label.name]) for label in labels]
+        return cls(path, sum(drives, [])) if any(drives) else None
+
+    def read_tracks(self, drive: str) -> dict[int, Boxes]:
+        """Read the labels and the calibration of a drive."""
+        labels, calibration = (self.path / folder / f"{drive}.txt" for folder in ("label_02", "calib"))
+        return io.read_kitti_tracks(labels, io.read_calibration(calibration))
+
+
+class KittiRawRecording(_KittiDrives):
+    """One raw drive: scans in the folder itself or in ``velodyne_points/data/``, perhaps with labels and poses."""
+
+    format = "KITTI raw drive"
+    labels: Path
+
+    @classmethod
+    def find(cls, path: Path) -> "KittiRawRecording | None":
+        """Return the scans of a drive."""
+        scans = scan_paths(path / "velodyne_points" / "data") or scan_paths(path)
+        labels = sorted([*path.glob("label_02*.txt"), *path.glob("label_02/*.txt")])
+        if not scans or not (scans[0].parent != path or labels or sorted(path.glob("calib*.txt"))):
+            return None
+        if len(labels) > 1:
+            raise OgmError(
+                f"{path} has {len(labels)} files of labels ({labels[0].name}, {labels[1].name} ...), wanted one drive's"
+            )
+        names = [scan_name(scan) for scan in scans]
+        if labels and not all(name.isdigit() for name in names):
+            raise OgmError(f"scans of {path} must be named by their numbers, as their labels are; got {names[0]}")
+        stamps = _raw_stamps(path / "velodyne_points" / "timestamps.txt", names)
+        recording = cls(path, drive_of(path.name, scans, pose_files(path), stamps))
+        recording.stamped = stamps is not None
+        if labels:
+            recording.labels, recording.labelled = labels[0], ("boxes",)
+            recording.view, recording.view_angle = _FRONT, _ANGLE
+        return recording
+
+    def read_tracks(self, drive: str) -> dict[int, Boxes]:
+        """Read the labels and the calibration of the drive."""
+        return io.read_kitti_tracks(self.labels, _calibration(self.path))
+
+
+class KittiOdometryRecording(ScanFiles):
+    """KITTI odometry: one sequence or all in ``sequences/``, with SemanticKITTI's classes or with poses alone."""
+
+    format = "KITTI odometry"
+    wanted_labels = "classes of SemanticKITTI (labels/*.label), or poses (poses.txt)"
+    ego_footprint = KITTI_EGO
+
+    @classmethod
+    def find(cls, path: Path) -> "KittiOdometryRecording | None":
+        """Return the scans of all sequences, or of those that have classes if there are some."""
+        inside = sorted(path.glob("sequences/*/velodyne")) or sorted(path.glob("[0-9][0-9]/velodyne"))
+        folders = [velodyne.parent for velodyne in inside or sorted(path.glob("velodyne/"))]
+        labelled = [folder for folder in folders if (folder / "labels").is_dir()]
+        folders = labelled or folders
+        scans = [scan for folder in folders for scan in _odometry_drive(folder)]
+        if not scans:
+            return None
+        recording = cls(path, scans)
+        recording.stamped = all((folder / "times.txt").is_file() for folder in folders)
+        if labelled:
+            recording.format, recording.labelled = "SemanticKITTI", ("classes",)
+            for _, file in scans:
+                _classes(file)
+        return recording
+
+    def read(self, n: int) -> RawFrame:
+        """Read a scan, with its classes if there are some."""
+        if not self.labelled:
+            return super().read(n)
+        found = io.read_semantic_kitti(self.scans[n], _classes(self.scans[n]))
+        moving = np.isin(found.classes, list(io.SEMANTIC_KITTI_MOVING))
+        return RawFrame(Scan(found.points), kinds_of(found), moving)
+
+
+def _beside(scan: Path, folder: Path, kind: str, ending: str = ".txt") -> Path:
     """Return the file of a folder that has the name of a scan."""
     path = folder / f"{scan_name(scan)}{ending}"
     if not path.is_file():
-        raise OgmError(f"scan {scan.name} has no {what} {path}: add it, or move the scan elsewhere")
+        raise OgmError(f"scan {scan.name} has no {kind} {path}: add it, or move the scan elsewhere")
     return path
 
 
-def kitti_tracking(path: Path) -> Layout | None:
-    """Find ``velodyne/0000/``, ``label_02/0000.txt`` and ``calib/0000.txt``: one drive per number."""
-    labels = sorted((path / "label_02").glob("*.txt")) if (path / "velodyne").is_dir() else []
-    frames: list[FrameRef] = []
-    files: list[tuple[Path, Path]] = []
-    for label in labels:
-        scans = scan_paths(path / "velodyne" / label.stem)
-        names = [scan_name(one) for one in scans]
-        frames += sequence_of(label.stem, names, poses_of([path / "poses" / label.name], names))
-        files += [(label, scan) for scan in scans]
-    if not files:
+def _classes(scan: Path) -> Path:
+    return _beside(scan, scan.parents[1] / "labels", "label", ".label")
+
+
+def _raw_stamps(path: Path, names: list[str]) -> NDArray[np.float64] | None:
+    """Return the times of scans [s] from the file of a raw drive; None if it does not exist."""
+    if not path.is_file():
         return None
-
-    @lru_cache(8)
-    def tracks(label: Path) -> dict[int, Boxes]:
-        return io.read_kitti_tracks(label, io.read_calibration(path / "calib" / label.name))
-
-    return Layout(
-        "KITTI tracking recordings",
-        tuple(frames),
-        lambda n: RawFrame(io.read_scan(files[n][1])),
-        _TRACKS,
-        lambda n: tracks(files[n][0]).get(int(scan_name(files[n][1])), Boxes.empty()),
-        ego_footprint=KITTI_EGO,
-        view=FRONT,
-        view_angle=_ANGLE,
-    )
-
-
-def kitti_raw(path: Path) -> Layout | None:
-    """Find one raw drive: scans in the folder itself or in ``velodyne_points/data/``, perhaps labels and poses."""
-    raw = path / "velodyne_points"
-    scans = scan_paths(raw / "data") or scan_paths(path)
-    labels = sorted([*path.glob("label_02*.txt"), *path.glob("label_02/*.txt")])
-    if not scans or not (scans[0].parent != path or labels or sorted(path.glob("calib*.txt"))):
-        return None
-    if len(labels) > 1:
+    times = io.read_kitti_stamps(path)
+    beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
+    if beyond:
         raise OgmError(
-            f"{path} has {len(labels)} files of labels ({labels[0].name}, {labels[1].name} ...), wanted one drive's"
+            f"{path} has {len(times)} times, too few for scan {beyond[-1]}: wanted a line for every scan from 0 on"
         )
-    names = [scan_name(one) for one in scans]
-    if labels and not all(name.isdigit() for name in names):
-        raise OgmError(f"scans of {path} must be named by their numbers, as their labels are; got {names[0]}")
-    stamps = None
-    if (raw / "timestamps.txt").is_file():
-        times = io.read_kitti_stamps(raw / "timestamps.txt")
-        beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
-        if beyond:
-            raise OgmError(
-                f"{raw / 'timestamps.txt'} has {len(times)} times, too few for scan {beyond[-1]}: wanted a line for "
-                "every scan from 0 on"
-            )
-        stamps = times[[int(name) for name in names]]
+    return times[[int(name) for name in names]]
 
-    @lru_cache(1)
-    def tracks() -> dict[int, Boxes]:
-        return io.read_kitti_tracks(labels[0], _calibration(path))
 
-    return Layout(
-        "KITTI raw drive",
-        sequence_of(path.name, names, poses_of(pose_files(path), names), stamps),
-        lambda n: RawFrame(io.read_scan(scans[n])),
-        _TRACKS,
-        (lambda n: tracks().get(int(names[n]), Boxes.empty())) if labels else None,
-        ego_footprint=KITTI_EGO,
-        view=FRONT if labels else "",
-        view_angle=_ANGLE if labels else None,
-        stamped=stamps is not None,
-    )
+def _odometry_drive(folder: Path) -> list[tuple[FrameRef, Path]]:
+    """Return the scans of one sequence of the odometry, which has poses of the camera."""
+    scans = scan_paths(folder / "velodyne")
+    calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
+    T = io.read_calibration(calib) if calib.is_file() else None
+    times = io.read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
+    if times is not None and len(times) != len(scans):
+        raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
+    return drive_of(folder.name, scans, [*pose_files(folder), more], times, T_camera_sensor=T)
 
 
 def _calibration(path: Path) -> NDArray[np.float64]:
@@ -131,38 +209,3 @@ def _calibration(path: Path) -> NDArray[np.float64]:
         f"{path} has boxes but no calibration, without which their places are unknown: wanted one calib*.txt with "
         "Tr_velo_to_cam and R0_rect, or calib_velo_to_cam.txt and calib_cam_to_cam.txt, in the folder or above it"
     )
-
-
-def kitti_odometry(path: Path) -> Layout | None:
-    """Find KITTI odometry: one sequence or all under ``sequences/``, with SemanticKITTI's classes or poses alone."""
-    inside = sorted(path.glob("sequences/*/velodyne")) or sorted(path.glob("[0-9][0-9]/velodyne"))
-    folders = [one.parent for one in inside or sorted(path.glob("velodyne/"))]
-    labelled = [one for one in folders if (one / "labels").is_dir()]
-    folders = labelled or folders
-    frames: list[FrameRef] = []
-    files: list[tuple[Path, Path | None]] = []
-    for folder in folders:
-        scans = scan_paths(folder / "velodyne")
-        names = [scan_name(one) for one in scans]
-        calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
-        T = io.read_calibration(calib) if calib.is_file() else None
-        times = io.read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
-        if times is not None and len(times) != len(scans):
-            raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
-        poses = poses_of([*pose_files(folder), more], names, T_camera_sensor=T)
-        frames += sequence_of(folder.name, names, poses, times)
-        files += [(one, _beside(one, folder / "labels", "label", ".label") if labelled else None) for one in scans]
-    if not files:
-        return None
-
-    def read(n: int) -> RawFrame:
-        scan, label = files[n]
-        if label is None:
-            return RawFrame(io.read_scan(scan))
-        found = io.read_semantic_kitti(scan, label)
-        moving = np.isin(found.classes, list(io.SEMANTIC_KITTI_MOVING))
-        return RawFrame(Scan(found.points), kinds_of(found), moving)
-
-    name = "SemanticKITTI" if labelled else "KITTI odometry"
-    stamped = all((folder / "times.txt").is_file() for folder in folders)
-    return Layout(name, tuple(frames), read, _CLASSES, classes=bool(labelled), ego_footprint=KITTI_EGO, stamped=stamped)

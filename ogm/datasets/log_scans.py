@@ -1,6 +1,7 @@
 """The scans of a log: where they lie, which sensor took them when, and where that was."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import FrameRef, SensorPlace
+from ogm.datasets.frames import FrameRef, SensorPlace
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageRef
@@ -36,7 +37,7 @@ class ScanRef(NamedTuple):
     stamp: float  # [s]; NaN where the header has none
 
 
-class LogScans(Sequence[ScanRef]):
+class LogScans:
     """The scans of some topics of a log, by the stamps of their headers; no point is read.
 
     Parameters
@@ -55,6 +56,7 @@ class LogScans(Sequence[ScanRef]):
     path: Path
     topics: tuple[str, ...]
     types: set[str]
+    refs: list[ScanRef]
     transforms: LogTransforms
     warnings: list[str]
 
@@ -67,18 +69,12 @@ class LogScans(Sequence[ScanRef]):
             ScanRef(ref, log.topic_of(ref), head.frame, head.time, head.stamp if head.time else np.nan)
             for ref, head in self.transforms.heads
         ]
-        self._scans = sorted(scans, key=lambda scan: scan.time)
+        self.refs = sorted(scans, key=lambda scan: scan.time)
         self.warnings, lost = [*log.warnings], self.transforms.lost
         if lost:
             self.warnings.append(f"{len(lost)} messages are left out: {lost[0]}")
         if not scans:
             raise OgmError(f"{self.path} has no message of {', '.join(self.topics)} that can be read")
-
-    def __len__(self) -> int:
-        return len(self._scans)
-
-    def __getitem__(self, n: Any) -> Any:
-        return self._scans[n]
 
     @property
     def name(self) -> str:
@@ -88,19 +84,19 @@ class LogScans(Sequence[ScanRef]):
     @cached_property
     def stamps(self) -> NDArray[np.float64]:
         """Stamps of the headers, (K,) [s]; NaN where there is none."""
-        return np.array([scan.stamp for scan in self])
+        return np.array([scan.stamp for scan in self.refs])
 
     @cached_property
     def by_frame(self) -> dict[str, NDArray[np.intp]]:
         """Numbers of the scans that have a stamp, by the frame of their sensor."""
-        frames = np.array([scan.frame for scan in self])
+        frames = np.array([scan.frame for scan in self.refs])
         known = np.isfinite(self.stamps)
-        return {scan.frame: np.flatnonzero((frames == scan.frame) & known) for scan in self}
+        return {scan.frame: np.flatnonzero((frames == scan.frame) & known) for scan in self.refs}
 
     def poses(self, wanted: str | None = None) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Return where the sensors were, (K, 4, 4), NaN where unknown, and facts: how and why."""
-        poses = np.full((len(self), 4, 4), np.nan)
-        topics = {scan.frame: scan.topic for scan in reversed(self)}
+        poses = np.full((len(self.refs), 4, 4), np.nan)
+        topics = {scan.frame: scan.topic for scan in reversed(self.refs)}
         fixed, reasons, chains = None, [], []
         if np.isnan(self.stamps).any():
             reasons.append(f"{np.isnan(self.stamps).sum()} headers have no stamp (0)")
@@ -115,7 +111,7 @@ class LogScans(Sequence[ScanRef]):
             if why:
                 reasons.append(f"{len(why)} of {topics[sensor]}: {next(iter(why.values()))}")
         known = int(np.isfinite(poses[:, 0, 0]).sum())
-        how = f"{known} of {len(self)} scans, by {self.transforms.source} ({', '.join(chains)})" if known else "none"
+        how = f"{known} of {len(poses)} scans, by {self.transforms.source} ({', '.join(chains)})" if known else "none"
         return poses, {"poses": "; ".join([how, *reasons]), "frame": fixed or ""}
 
     @cached_property
@@ -125,8 +121,8 @@ class LogScans(Sequence[ScanRef]):
 
     def _in_frames(self, find: Callable[[str], str | None]) -> NDArray[np.float64] | None:
         """Return where each scan's sensor was in another frame, (K, 4, 4); None where that is not known of one."""
-        result = np.full((len(self), 4, 4), np.nan)
-        frames = np.array([scan.frame for scan in self])
+        result = np.full((len(self.refs), 4, 4), np.nan)
+        frames = np.array([scan.frame for scan in self.refs])
         for sensor, numbers in self.by_frame.items():
             frame = find(sensor)
             if frame is None:
@@ -148,7 +144,7 @@ class LogScans(Sequence[ScanRef]):
             If there are several lidars, and no frame base_link that transforms join them with.
         """
         floor = self._in_frames(self.transforms.floor_frame)
-        heights = [None] * len(self) if floor is None or (floor[:, 2, 3] <= 0).any() else floor[:, 2, 3].tolist()
+        heights = [None] * len(self.refs) if floor is None or (floor[:, 2, 3] <= 0).any() else floor[:, 2, 3].tolist()
         if len(self.topics) == 1:
             return None if heights[0] is None else [SensorPlace(height=height) for height in heights]
         T = self.T_vehicle_sensor
@@ -157,22 +153,22 @@ class LogScans(Sequence[ScanRef]):
                 f"{self.path}: {self.transforms.missing_vehicle(list(self.by_frame))}, so that the scans of several "
                 "lidars cannot be brought together; choose one topic (--topic)"
             )
-        places, first = T[:, :3, 3], {scan.topic: n for n, scan in reversed(list(enumerate(self)))}
+        places, first = T[:, :3, 3], {scan.topic: n for n, scan in reversed(list(enumerate(self.refs)))}
         x, y = np.array([places[n, :2] for n in first.values()]).T
         x, y = (x.min() + x.max()) / 2, (y.min() + y.max()) / 2
         box = (x - _HALF_LENGTH, x + _HALF_LENGTH, y - _HALF_WIDTH, y + _HALF_WIDTH)
         above = places[:, 2] - places[first[self.topics[0]], 2]
-        rows = zip(self, places, above, heights, strict=True)
+        rows = zip(self.refs, places, above, heights, strict=True)
         return [SensorPlace(scan.topic, (at[0], at[1]), up, high, box) for scan, at, up, high in rows]
 
     def frame_refs(self, poses: NDArray[np.float64]) -> tuple[FrameRef, ...]:
         """Return the frames: each has the name of its stamp in nanoseconds, after that of its topic if several."""
-        refs, used = [], dict[str, int]()
-        for n, scan in enumerate(self):
+        refs, used = [], Counter[str]()
+        for n, scan in enumerate(self.refs):
             name = str(scan.time) if scan.time else f"{n:06d}"
             if len(self.topics) > 1:
                 name = f"{scan.topic.strip('/').replace('/', '_')}_{name}"
-            used[name] = used.get(name, 0) + 1
+            used[name] += 1
             if used[name] > 1:
                 name = f"{name}-{used[name]}"
             T = poses[n] if np.isfinite(poses[n]).all() else None
@@ -182,27 +178,21 @@ class LogScans(Sequence[ScanRef]):
 
 def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
     """Return the topics to read scans of."""
-    there = [name for name, facts in log.topics.items() if facts.type in LIDAR_TYPES and facts.count]
-    listed = ", ".join(f"{name} ({log.topics[name].type})" for name in there)
-    if wanted:
-        for name in dict.fromkeys(wanted):
-            if name not in log.topics:
-                other = ", ".join(log.topics)
-                raise OgmError(
-                    f"{log.paths[0]} has no topic {name}; with lidar scans there are {listed or 'none'}, others are "
-                    f"{other or 'none'}"
-                )
-            if name not in there:
-                raise OgmError(
-                    f"topic {name} of {log.paths[0]} has {log.topics[name].count} messages of {log.topics[name].type}, "
-                    f"wanted scans of a lidar ({', '.join(LIDAR_TYPES)}); there are {listed or 'none'}"
-                )
-        return tuple(dict.fromkeys(wanted))
-    if not there:
-        other = ", ".join(f"{name} ({facts.type})" for name, facts in log.topics.items())
+    path, types = log.paths[0], ", ".join(LIDAR_TYPES)
+    named = {name: f"{name} ({facts.type})" for name, facts in log.topics.items()}
+    scans = [name for name, facts in log.topics.items() if facts.type in LIDAR_TYPES and facts.count]
+    listed = ", ".join(named[name] for name in scans) or "none"
+    for name in wanted:
+        if name not in log.topics:
+            other = ", ".join(log.topics) or "none"
+            raise OgmError(f"{path} has no topic {name}; with lidar scans there are {listed}, others are {other}")
+        if name not in scans:
+            found = f"{log.topics[name].count} messages of {log.topics[name].type}"
+            raise OgmError(f"topic {name} of {path} has {found}, wanted scans of a lidar ({types}); there are {listed}")
+    if not wanted and not scans:
         raise OgmError(
-            f"{log.paths[0]} has no scans of a lidar ({', '.join(LIDAR_TYPES)}); its topics are {other or 'none'}"
+            f"{path} has no scans of a lidar ({types}); its topics are {', '.join(named.values()) or 'none'}"
         )
-    if len(there) > 1:
-        raise OgmError(f"{log.paths[0]} has several topics with lidar scans, {listed}: choose by topic (--topic)")
-    return tuple(there)
+    if not wanted and len(scans) > 1:
+        raise OgmError(f"{path} has several topics with lidar scans, {listed}: choose by topic (--topic)")
+    return tuple(dict.fromkeys(wanted or scans))

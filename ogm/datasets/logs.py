@@ -1,33 +1,32 @@
 """Logs: the lidar scans of ROS bags and MCAPs, with the poses that transforms or odometry in them give."""
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import Layout, RawFrame
+from ogm.datasets.frames import RawFrame, SensorPlace
 from ogm.datasets.log_scans import CLOUD, LIDAR_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.paths import ending_of
-from ogm.io import Axes
+from ogm.datasets.recording import OpenOptions, Recording
 from ogm.io.axes import rotation_to_flu
-from ogm.io.logs import LOG_ENDINGS, LogMessage, open_log
+from ogm.io.logs import LOG_ENDINGS, LogMessage, LogReader, open_log
 from ogm.io.logs.opening import log_files
 from ogm.io.messages import scan_from_livox, scan_from_point_cloud2, scan_from_velodyne_scan
 from ogm.pose import pose, rotate
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["describe_log", "is_log", "logs", "turn_scan"]
+__all__ = ["LogRecording", "describe_log", "is_log", "turn_scan"]
 
 _log = logging.getLogger(__name__)
-
-_LABELS = "poses of the scans (transforms or odometry in the log)"
 
 
 def is_log(paths: Sequence[Path]) -> bool:
@@ -38,82 +37,79 @@ def is_log(paths: Sequence[Path]) -> bool:
     return bool(paths) and all(path.suffix.lower() in LOG_ENDINGS for path in paths)
 
 
-def logs(
-    paths: Sequence[Path],
-    topic: str | Iterable[str] = (),
-    frame: str | None = None,
-    sensor_position: tuple[float, float, float] | None = None,
-    axes: Axes = "flu",
-    intensity_max: float | None = None,
-    time_unit: float | None = None,
-) -> Layout:
-    """Line up the scans of a log by the stamps of their headers.
+class LogRecording(Recording):
+    """Lidar scans of a log, by the stamps of their headers.
 
-    Points are turned to the axes of the vehicle (base_link) where transforms state them. Several lidars give frames
-    in the vehicle's frame, each with its place in it.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        One log: a file, its parts, or their folder.
-    topic : str or iterable of str
-        Of lidars; by default the only one.
-    frame : str, optional
-        See `LogTransforms.fixed_frame`.
-    sensor_position : (x, y, z), optional
-        Of the sensor in the frame of the points [m], where that is the vehicle's.
-    axes, intensity_max, time_unit
-        As for `ogm.io.read_scan`.
-
-    Raises
-    ------
-    OgmError
-        If a topic or frame is not there, several topics have scans and none is chosen, or the file is no log.
+    Points are turned to the axes of the vehicle (base_link) if transforms state them. Several lidars give frames in
+    the vehicle's frame, each with its place in it.
     """
-    log = open_log(paths)
-    scans = LogScans(log, topic)
-    for warning in scans.warnings:
-        _log.warning("%s", warning)
-    several = len(scans.topics) > 1
-    if scans.types != {CLOUD} and (intensity_max is not None or time_unit is not None):
-        raise ValueError(f"{log.paths[0]} has scans of known units; leave out intensity_max and time_unit")
-    if several and sensor_position is not None:
-        raise ValueError("sensor_position (--sensor-position) is for the points of one lidar; choose one topic")
-    poses, facts = scans.poses(frame)
-    if sensor_position is None:
-        turns, places = _turns(scans, axes), scans.places()
-        poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(turns, 1, 2)
-    else:
-        turns, places = np.tile(rotation_to_flu(axes), (len(scans), 1, 1)), None
-        poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(turns, 1, 2)
-        poses = poses @ pose(*sensor_position)
 
-    def read(n: int) -> RawFrame:
-        message = log.message(scans[n].ref)
+    wanted_labels = "poses of the scans (transforms or odometry in the log)"
+    ego_footprint = None
+    known_axes = False
+    own_options = ("topic", "frame")
+
+    def __init__(self, path: Path, scans: LogScans, options: OpenOptions) -> None:
+        poses, facts = scans.poses(options.frame)
+        position, several = options.sensor_position, len(scans.topics) > 1
+        turn = rotation_to_flu(options.axes)
+        self._turns = _turns(scans, turn, position is not None)
+        self._places = None if position is not None else scans.places()
+        poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(self._turns, 1, 2)
+        if position is not None:
+            poses = poses @ pose(*position)
+        super().__init__(path, scans.frame_refs(poses), scans.name)
+        self.log, self.files, self._scans = scans.log, list(scans.log.paths), scans.refs
+        self.axes, self._units, self.format = options.axes, options.units, f"log, {scans.log.format}"
+        self.facts = {"format": scans.log.format, "frames": len(scans.refs), "topics": list(scans.topics), **facts}
+        self.stamped = not np.isnan(scans.stamps).any()
+        self.known_height = self._places is not None and self._places[0].height is not None
+        self.known_truth, self.motion_distorted = several, not several
+
+    @classmethod
+    def open(cls, paths: Sequence[Path], options: OpenOptions) -> "LogRecording | None":
+        """Return the scans of one log, given as a file, its parts, or their folder; None if the paths are no log.
+
+        Raises
+        ------
+        OgmError
+            If a topic or frame does not exist, several topics have scans and none is chosen, or the file is no log.
+        ValueError
+            If the options state axes, units or a position that the log states.
+        """
+        if not is_log(paths):
+            return None
+        scans = LogScans(open_log(paths), options.topic)
+        for warning in scans.warnings:
+            _log.warning("%s", warning)
+        if scans.types != {CLOUD} and options.units:
+            raise ValueError(f"{scans.path} has scans of known units; leave out intensity_max and time_unit")
+        if len(scans.topics) > 1 and options.sensor_position is not None:
+            raise ValueError("sensor_position (--sensor-position) is for the points of one lidar; choose one topic")
+        return cls(paths[0], scans, options)
+
+    @cached_property
+    def log(self) -> LogReader:
+        """The open log."""
+        return open_log(self.files)
+
+    def read(self, n: int) -> RawFrame:
+        """Read a scan, and turn its points."""
+        ref = self._scans[n]
+        message = self.log.message(ref.ref)
         try:
-            scan = _scan(message, intensity_max, time_unit)
+            scan = _scan(message, self._units)
         except OgmError as error:
-            raise OgmError(f"{log.paths[scans[n].ref.file]}: {error}") from error
-        return RawFrame(turn_scan(replace(scan, sensor=scans[n].frame), turns[n]))
+            raise OgmError(f"{self.files[ref.ref.file]}: {error}") from error
+        return RawFrame(turn_scan(replace(scan, sensor=ref.frame), self._turns[n]))
 
-    stated = places is not None and places[0].height is not None
-    return Layout(
-        f"log, {log.format}",
-        scans.frame_refs(poses),
-        read,
-        _LABELS,
-        sensor_height=(lambda n: places[n].height or 0.0) if places and stated else None,
-        place=None if places is None else places.__getitem__,
-        truth=_refuse_truth if several else None,
-        ego_footprint=None,
-        stamped=not np.isnan(scans.stamps).any(),
-        axes=axes,
-        known_axes=False,
-        motion_distorted=not several,
-        name=scans.name,
-        files=log.paths,
-        facts={"format": log.format, "frames": len(scans), "topics": list(scans.topics), **facts},
-    )
+    def place(self, n: int) -> SensorPlace:
+        """Return the place of the lidar of a scan."""
+        return SensorPlace() if self._places is None else self._places[n]
+
+    def truth(self, n: int) -> NoReturn:
+        """Raise OgmError: scans of several lidars have no truth."""
+        raise OgmError("truth is not made of the scans of several lidars: choose one topic (--topic)")
 
 
 def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
@@ -158,20 +154,20 @@ def _date(stamp: float) -> str:
         return f"{stamp:.3f} s"
 
 
-def _scan(message: LogMessage, intensity_max: float | None, time_unit: float | None) -> Scan:
+def _scan(message: LogMessage, units: Mapping[str, Any]) -> Scan:
     """Return the scan of a message of any of `LIDAR_TYPES`."""
     if message.type == CLOUD:
-        return scan_from_point_cloud2(message.decode(), intensity_max=intensity_max, time_unit=time_unit)
+        return scan_from_point_cloud2(message.decode(), **units)
     if message.type.endswith("/CustomMsg"):
         return scan_from_livox(message.raw)
     return scan_from_velodyne_scan(message.decode())
 
 
-def _turns(scans: LogScans, axes: Axes) -> NDArray[np.float64]:
+def _turns(scans: LogScans, turn: NDArray[np.float64], in_vehicle: bool) -> NDArray[np.float64]:
     """Return the rotation of each scan's points to x forward, y left, z up, (K, 3, 3)."""
-    turn, T = rotation_to_flu(axes), scans.T_vehicle_sensor
+    T = None if in_vehicle else scans.T_vehicle_sensor
     if T is None:
-        return np.tile(turn, (len(scans), 1, 1))
+        return np.tile(turn, (len(scans.refs), 1, 1))
     if not np.array_equal(turn, np.eye(3)):
         raise ValueError(f"the transforms of {scans.path} state the axes of its points; leave out axes (--axes)")
     return T[:, :3, :3]
@@ -192,7 +188,3 @@ def turn_scan(scan: Scan, R: NDArray[np.float64]) -> Scan:
     points[:, :3] = rotate(R, points[:, :3].T).T
     no_returns = None if scan.no_returns is None else rotate(R, scan.no_returns.T).T.astype(np.float32)
     return replace(scan, points=points, no_returns=no_returns)
-
-
-def _refuse_truth(n: int) -> Any:
-    raise OgmError("truth is not made of the scans of several lidars: choose one topic (--topic)")

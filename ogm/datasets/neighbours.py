@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import EGO
+from ogm.datasets.frames import EGO
 from ogm.extras import import_extra
 from ogm.grid import GridSpec
 from ogm.scan import Boxes

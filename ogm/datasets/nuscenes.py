@@ -1,49 +1,60 @@
 """nuScenes: key frames of its own tables, or of mmdetection3d's info as JSON."""
 
+from functools import cached_property
 from pathlib import Path
 
-from ogm.datasets.layout import FrameRef, Layout, RawFrame
+from ogm.datasets.frames import FrameRef, RawFrame
 from ogm.datasets.paths import scan_name
-from ogm.io import NuScenes, estimate_sensor_height, read_mmdet3d, read_nuscenes, read_scan
+from ogm.datasets.recording import Recording
+from ogm.io import NuScenes, read_mmdet3d, read_nuscenes, read_scan
+from ogm.scan import Boxes
 from ogm.storage.files import OgmError
 
-__all__ = ["mmdet3d", "nuscenes"]
+__all__ = ["NuScenesRecording"]
 
 
-def nuscenes(path: Path) -> Layout | None:
-    """Find the tables of nuScenes, ``v1.0-*/``."""
-    here = path.name.startswith("v1.") and (path / "sample_data.json").is_file()
-    if not here and not sorted(path.glob("v1.*-*/sample_data.json")):
-        return None
-    return _layout(read_nuscenes(path), "nuScenes")
+class NuScenesRecording(Recording):
+    """Folder with the tables of nuScenes (``v1.0-*/``), or mmdetection3d's info: a ``.json`` beside ``.pcd.bin``."""
 
+    wanted_labels = "boxes of nuScenes (sample_annotation.json, instance.json, category.json)"
+    known_height = True
+    stamped = True
 
-def mmdet3d(path: Path) -> Layout | None:
-    """Find mmdetection3d's info of nuScenes: a ``.json``, or a folder with one beside its ``.pcd.bin``."""
-    files = [path] if path.suffix == ".json" else sorted(path.glob("*.json"))
-    if not files or not (path.suffix == ".json" or sorted(path.glob("*.pcd.bin"))):
-        return None
-    if len(files) > 1:
-        raise OgmError(f"{path} has {len(files)} files that end in .json, wanted one info file: give it")
-    return _layout(read_mmdet3d(files[0]), "nuScenes (mmdetection3d's info)")
+    def __init__(self, path: Path, info: Path | None = None) -> None:
+        self.path, self._info = path, info
+        frames = self.content.frames
+        refs = [FrameRef(scan_name(key.path), key.scene, key.stamp, key.T_map_sensor) for key in frames]
+        super().__init__(path, refs)
+        self.format = "nuScenes" if info is None else "nuScenes (mmdetection3d's info)"
+        self.labelled = ("boxes",) if self.content.annotated else ()
 
+    @classmethod
+    def find(cls, path: Path) -> "NuScenesRecording | None":
+        """Return the key frames of the tables, or of the info file."""
+        here = path.name.startswith("v1.") and (path / "sample_data.json").is_file()
+        if here or sorted(path.glob("v1.*-*/sample_data.json")):
+            return cls(path)
+        files = [path] if path.suffix == ".json" else sorted(path.glob("*.json"))
+        if not files or not (path.suffix == ".json" or sorted(path.glob("*.pcd.bin"))):
+            return None
+        if len(files) > 1:
+            raise OgmError(f"{path} has {len(files)} files that end in .json, wanted one info file: give it")
+        return cls(path, files[0])
 
-def _layout(content: NuScenes, name: str) -> Layout:
-    frames = content.frames
+    @cached_property
+    def content(self) -> NuScenes:
+        """Key frames and boxes; large tables take seconds to read."""
+        return read_nuscenes(self.path) if self._info is None else read_mmdet3d(self._info)
 
-    def read(n: int) -> RawFrame:
-        return RawFrame(read_scan(frames[n].path, axes="nuscenes"))
+    def read(self, n: int) -> RawFrame:
+        """Read a scan."""
+        return RawFrame(read_scan(self.content.frames[n].path, axes="nuscenes"))
 
-    def height(n: int) -> float:
-        estimate = estimate_sensor_height(read(n).scan.points)
-        return frames[n].height if estimate is None else estimate
+    def read_boxes(self, n: int) -> Boxes:
+        """Return the boxes of a key frame."""
+        return self.content.boxes(n)
 
-    return Layout(
-        name,
-        tuple(FrameRef(scan_name(one.path), one.scene, one.stamp, one.T_map_sensor) for one in frames),
-        read,
-        "boxes of nuScenes (sample_annotation.json, instance.json, category.json)",
-        content.boxes if content.annotated else None,
-        sensor_height=height,
-        stamped=True,
-    )
+    def estimate_height(self, n: int) -> float:
+        """Return the height of the sensor above the ground that a scan shows, or above the vehicle's origin."""
+        estimate = super().estimate_height(n)
+        return self.content.frames[n].height if estimate is None else estimate

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import FrameRef
+from ogm.datasets.frames import FrameRef
 from ogm.io import Axes, read_poses
 from ogm.io.axes import rotation_to_flu
 from ogm.storage.files import OgmError
 
 SCAN_ENDINGS = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather")
 _PACKED = (".xz", ".gz")
-_LIDAR = (".bin", ".pcd", ".ply", ".las", ".laz")  # of the scans of public data sets
+_LIDAR = (".bin", ".pcd", ".ply", ".las", ".laz")  # of the scans of public datasets
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # [s] of one, by how large numbers are since 1970
 _LARGEST = 10**9  # a number in a file's name that is larger is a clock's, not a frame's
 
@@ -36,7 +36,7 @@ def scan_name(path: Path) -> str:
 
 
 def scan_paths(folder: Path) -> list[Path]:
-    """Return the scans of a public data set that lie in a folder, by number or by name."""
+    """Return the scans of a public dataset in a folder, by number or by name."""
     files = sorted(folder.iterdir()) if folder.is_dir() else []
     return in_order([path for path in files if ending_of(path) in _LIDAR and path.is_file()])
 
@@ -71,21 +71,37 @@ def clock_stamps(names: Sequence[str]) -> list[float] | None:
     return None if unit is None else [unit * int(name) for name in names]
 
 
-def sequence_of(
+def drive_of(
     name: str,
-    names: Sequence[str],
-    poses: Sequence[NDArray[np.float64] | None],
+    scans: Sequence[Path],
+    files: Iterable[Path] = (),
     stamps: Sequence[float] | NDArray[np.float64] | None = None,
-) -> tuple[FrameRef, ...]:
-    """Line up the scans of one drive.
+    *,
+    axes: Axes = "flu",
+    T_camera_sensor: NDArray[np.float64] | None = None,
+) -> list[tuple[FrameRef, Path]]:
+    """Return the scans of one drive as frames, each with its file.
 
-    Without stamps, their names give the time: a clock's, or numbers that count tenths of a second.
+    Parameters
+    ----------
+    name : str
+        Sequence of the frames.
+    scans : sequence of Path
+    files : iterable of Path
+        Possible files of poses, see `pose_files`.
+    stamps : sequence of float, optional
+        Times of the scans [s]. By default their names give the time: a clock's, or numbers that count tenths of a
+        second.
+    axes, T_camera_sensor
+        See `poses_of`.
     """
+    names = [scan_name(scan) for scan in scans]
+    poses = poses_of(files, names, axes=axes, T_camera_sensor=T_camera_sensor)
     if stamps is None:
         counts = [int(one) for one in names] if all(map(_is_number, names)) else range(len(names))
         stamps = clock_stamps(names) or [0.1 * count for count in counts]
-    rows = zip(names, stamps, poses, strict=True)
-    return tuple(FrameRef(one, name, float(stamp), T) for one, stamp, T in rows)
+    rows = zip(names, stamps, poses, scans, strict=True)
+    return [(FrameRef(one, name, float(stamp), T), scan) for one, stamp, T, scan in rows]
 
 
 def pose_files(folder: Path) -> list[Path]:

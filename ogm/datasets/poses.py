@@ -1,9 +1,10 @@
 """Where and when each frame was taken: poses of a file matched with scans, or estimated from them."""
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import tee
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ def with_poses(
     rate: float = 10.0,
     progress: Progress = iter,
 ) -> Dataset:
-    """Return a data set with the poses of a file: by frame number, by stamp, or by order, in this order.
+    """Return a dataset with the poses of a file: by frame number, by stamp, or by order, in this order.
 
     Its frames are one sequence. Where a frame gets no pose, its pose and stamp are None. How poses were matched
     stands in ``facts["poses"]``.
@@ -53,11 +54,10 @@ def with_poses(
     Raises
     ------
     ValueError
-        If nothing tells which pose belongs to which scan, or the data set states its poses itself.
+        If nothing tells which pose belongs to which scan, or the dataset states its poses itself.
     """
     _check_one_sensor(dataset)
-    layout = dataset.layout
-    if layout.mount is not None:
+    if dataset.recording.known_mount:
         raise ValueError(f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)")
     T_camera_sensor = None if calibration is None else read_calibration(calibration)
     try:
@@ -66,11 +66,11 @@ def with_poses(
         if calibration is None and "T_camera_sensor" in str(error):
             raise ValueError(f"{error} (give calibration; on the command line: --calib calib.txt)") from error
         raise
-    return _matched(dataset, _to_flu(poses, layout.axes), os.path.basename(path), rate, progress)
+    return _matched(dataset, _to_flu(poses, dataset.recording.axes), os.path.basename(path), rate, progress)
 
 
 def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter) -> Dataset:
-    """Return a data set with poses that are estimated from its scans alone; its frames are one sequence.
+    """Return a dataset with poses that are estimated from its scans alone; its frames are one sequence.
 
     A scan that cannot be read, or has too few points between 2.5 and 100 m, gets no pose.
 
@@ -93,46 +93,40 @@ def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0
     from ogm.fusion import odometry
 
     _check_one_sensor(dataset)
-    clock = _clock(dataset, rate)
-    stamps = np.full(len(dataset), np.nan)
-    taken: list[int] = []
-    waiting: deque[NDArray[np.float64] | None] = deque()
+    numbers: list[int] = []
+    rows = tee(_usable(dataset, _clock(dataset, rate), progress, numbers), 3)
+    points, stamps, times = (map(itemgetter(k), column) for k, column in enumerate(rows))
+    known = odometry(points, stamps, method, times, range_min=_RANGE[0], range_max=_RANGE[1])
+    placed, found = np.full((len(dataset), 4, 4), np.nan), np.full(len(dataset), np.nan)
+    placed[numbers], found[numbers] = known.poses, known.stamps
+    how = f"{len(numbers)} of {len(dataset)} scans, estimated by {method}"
+    return _placed(dataset, found, placed, how, known)
 
-    def clouds() -> Iterator[NDArray[np.float32]]:
-        """Yield what can be registered; the mapping reports the rest."""
-        for k in progress(range(len(dataset))):
-            try:
-                scan = dataset[k].scan
-            except _UNREADABLE:
-                continue
-            stamp = scan.stamp if clock is None else clock[k]
-            distance = np.linalg.norm(scan.points[:, :3], axis=1)
-            enough = np.count_nonzero((distance > _RANGE[0]) & (distance < _RANGE[1])) >= _FEWEST
-            if not enough or stamp is None or np.isnan(stamp) or (taken and not stamp > stamps[taken[-1]]):
-                continue
-            stamps[k] = stamp
-            taken.append(k)
-            waiting.append(scan.time if dataset.motion_distorted else None)
-            yield scan.points
 
-    def times() -> Iterator[NDArray[np.float64] | None]:
-        while waiting:
-            yield waiting.popleft()
-
-    near, far = _RANGE
-    read = (stamps[k] for k in taken)  # grows as the scans are read
-    known = odometry(clouds(), read, method, times(), range_min=near, range_max=far)
-    placed = np.full((len(dataset), 4, 4), np.nan)
-    placed[taken] = known.poses
-    how = f"{len(taken)} of {len(dataset)} scans, estimated by {method}"
-    return _placed(dataset, stamps, placed, how, known)
+def _usable(
+    dataset: Dataset, clock: NDArray[np.float64] | None, progress: Progress, numbers: list[int]
+) -> Iterator[tuple[Any, ...]]:
+    """Yield points, stamp and times of each scan that can be registered, and append its number."""
+    last = -np.inf
+    for k in progress(range(len(dataset))):
+        try:
+            scan = dataset[k].scan
+        except _UNREADABLE:
+            continue  # the mapping reports it
+        stamp = scan.stamp if clock is None else float(clock[k])
+        distance = np.linalg.norm(scan.points[:, :3], axis=1)
+        enough = np.count_nonzero((distance > _RANGE[0]) & (distance < _RANGE[1])) >= _FEWEST
+        if enough and stamp is not None and stamp > last:
+            last = stamp
+            numbers.append(k)
+            yield scan.points, stamp, scan.time if dataset.motion_distorted else None
 
 
 def _to_flu(poses: Poses, axes: Axes) -> Poses:
-    """Return the poses of a sensor whose x points forward and y left, as its points are read.
+    """Return the poses of a sensor with x forward and y left, as its points are read.
 
-    A file of poses has the axes that the scans have on disk; the map keeps its own. What ``--save-poses`` wrote is
-    left as it is.
+    A file of poses has the axes of the scans on disk; the map keeps its own. A file that ``--save-poses`` wrote is left
+    as it is.
     """
     if poses.format == _SAVED:
         return poses
@@ -142,8 +136,8 @@ def _to_flu(poses: Poses, axes: Axes) -> Poses:
 
 
 def _check_one_sensor(dataset: Dataset) -> None:
-    place = dataset.layout.place
-    if place is not None and len({place(n).name for n in range(len(dataset.layout.frames))}) > 1:
+    recording = dataset.recording
+    if len({recording.place(n).name for n in range(len(recording.frames))}) > 1:
         raise ValueError(f"{dataset.name} has scans of several lidars, poses are of one: choose one topic (--topic)")
 
 
@@ -160,7 +154,7 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
                 f"no scan has a pose in {source}: its frame numbers are {_span(poses.numbers)}, those of the scans "
                 f"{_span(numbers)}"
             )
-    elif poses.stamps is not None and (dataset.layout.stamped or _clock(dataset, rate) is None):
+    elif poses.stamps is not None and (dataset.recording.stamped or _clock(dataset, rate) is None):
         return _by_stamp(dataset, poses, source, _stamps(dataset, rate, progress))
     elif total == count:
         how, rows = "in their order", np.arange(count)
@@ -205,19 +199,19 @@ def _by_stamp(dataset: Dataset, poses: Poses, source: str, stamps: NDArray[np.fl
 def _placed(
     dataset: Dataset, stamps: NDArray[np.float64], poses: NDArray[np.float64], how: str, known: Trajectory
 ) -> Dataset:
-    """Return the data set with poses of the frame of its points, which is the sensor's or the vehicle's."""
-    position = dataset.reader.sensor_position
+    """Return the dataset with poses of the frame of its points, which is the sensor's or the vehicle's."""
+    position = dataset.recording.sensor_position
     T_points_sensor = np.eye(4) if position is None else pose(*position)
     trajectory = Trajectory(known.stamps, known.poses @ T_points_sensor)
     return dataset.placed(stamps, poses @ T_points_sensor, {"poses": how}, trajectory)
 
 
 def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
-    """Return when the scans were taken [s]: as the data set states, else counted by a rate; None: their scans tell."""
+    """Return when the scans were taken [s]: stated, or counted by a rate; None if the scans state them."""
     if not 0 < rate < np.inf:
         raise ValueError(f"rate must be above 0 [Hz], got {rate} (--rate)")
     refs = dataset.refs
-    if dataset.layout.stamped:
+    if dataset.recording.stamped:
         return np.array([ref.stamp for ref in refs], np.float64)
     for frame in dataset:
         try:

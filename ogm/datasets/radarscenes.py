@@ -1,58 +1,59 @@
 """RadarScenes: sequences of sweeps of four radars, with the vehicle's poses."""
 
+from functools import cached_property
 from pathlib import Path
 
-from ogm.datasets.layout import Footprint, FrameRef, Layout, RawFrame, SensorPlace
-from ogm.io import read_radarscenes
+from ogm.datasets.frames import Footprint, FrameRef, RawFrame, SensorPlace
+from ogm.datasets.paths import in_order
+from ogm.datasets.recording import Recording
+from ogm.io import RadarScenes, read_radarscenes
 
-__all__ = ["radarscenes"]
+__all__ = ["RadarScenesRecording"]
 
-_HEIGHT = 0.5  # [m] above ground, of radars in a bumper: the data set does not state it
+_HEIGHT = 0.5  # [m] above ground, of radars in a bumper: the dataset does not state it
 _VEHICLE: Footprint = (-1.1, 3.8, -0.95, 0.95)  # around the rear axle: a car whose front radars are at x = 3.9 m; ours
 
 
-def radarscenes(path: Path) -> Layout | None:
-    """Find a sequence (``scenes.json`` and ``radar_data.h5``), or a folder with several, ``sequence_*/``."""
-    folders = [path] if _is_sequence(path) else []
-    for above in (path, path / "data"):
-        folders = folders or sorted(filter(_is_sequence, above.glob("sequence_*/")), key=_number)
-    if not folders:
-        return None
-    sequences = [read_radarscenes(folder) for folder in folders]
-    places = [(sequence, n) for sequence in sequences for n in range(len(sequence.sweeps))]
-    frames = tuple(
-        FrameRef(str(one.timestamp), sequence.name, one.timestamp * 1e-6, one.T_map_sensor)
-        for sequence in sequences
-        for one in sequence.sweeps
-    )
+class RadarScenesRecording(Recording):
+    """A sequence (``scenes.json`` and ``radar_data.h5``), or a folder with several, ``sequence_*/``."""
 
-    def read(n: int) -> RawFrame:
-        sequence, k = places[n]
+    format = "RadarScenes"
+    wanted_labels = "none: the labels of RadarScenes are of moving detections, not of cells"
+    ego_footprint = None
+    aggregated = False
+    stamped = True
+    motion_distorted = False
+
+    def __init__(self, path: Path, folders: list[Path]) -> None:
+        self.folders = folders
+        sweeps = [(part.name, part.sweeps[n]) for part, n in self.sweeps]
+        refs = [FrameRef(str(one.timestamp), name, one.timestamp * 1e-6, one.T_map_sensor) for name, one in sweeps]
+        super().__init__(path, refs)
+
+    @classmethod
+    def find(cls, path: Path) -> "RadarScenesRecording | None":
+        """Return the sweeps of all sequences."""
+        folders = [path] if _is_sequence(path) else []
+        for above in (path, path / "data"):
+            folders = folders or in_order(filter(_is_sequence, above.glob("sequence_*/")))
+        return cls(path, folders) if folders else None
+
+    @cached_property
+    def sweeps(self) -> list[tuple[RadarScenes, int]]:
+        """Sequence of each frame, and the number of its sweep there."""
+        return [(part, n) for part in map(read_radarscenes, self.folders) for n in range(len(part.sweeps))]
+
+    def read(self, n: int) -> RawFrame:
+        """Read the detections of a sweep."""
+        sequence, k = self.sweeps[n]
         return RawFrame(sequence.scan(k))
 
-    def place(n: int) -> SensorPlace:
-        sequence, k = places[n]
+    def place(self, n: int) -> SensorPlace:
+        """Return the place of the radar of a sweep."""
+        sequence, k = self.sweeps[n]
         sweep = sequence.sweeps[k]
         return SensorPlace(sweep.sensor, sweep.origin, height=_HEIGHT, ego_footprint=_VEHICLE, yaw=sweep.yaw)
-
-    return Layout(
-        "RadarScenes",
-        frames,
-        read,
-        "none: the labels of RadarScenes are of moving detections, not of cells",
-        ego_footprint=None,
-        aggregated=False,
-        place=place,
-        stamped=True,
-        motion_distorted=False,
-    )
 
 
 def _is_sequence(path: Path) -> bool:
     return (path / "scenes.json").is_file() and (path / "radar_data.h5").is_file()
-
-
-def _number(path: Path) -> tuple[int, str]:
-    """Sort sequence_2 before sequence_10."""
-    digits = path.name.removeprefix("sequence_")
-    return (int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 9 else 10**9), path.name

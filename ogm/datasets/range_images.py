@@ -2,14 +2,15 @@
 
 from pathlib import Path
 
-from ogm.datasets.layout import EGO, KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
+from ogm.datasets.frames import EGO, KITTI_EGO, FrameRef, RawFrame, kinds_of
 from ogm.datasets.paths import ending_of, scan_name
+from ogm.datasets.recording import ScanFiles
 from ogm.io import NUSCENES_ELEVEN, SEMANTIC_KITTI_TRAINING, read_range_image
 from ogm.io.reading import parse_array, read_bytes
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["range_images"]
+__all__ = ["RangeImagesRecording"]
 
 _KNOWN = {  # names of the classes, axes, intensity that means 1, ego vehicle
     "semantic_kitti": (SEMANTIC_KITTI_TRAINING, "kitti", 1.0, KITTI_EGO),
@@ -17,33 +18,37 @@ _KNOWN = {  # names of the classes, axes, intensity that means 1, ego vehicle
 }
 
 
-def range_images(path: Path) -> Layout | None:
-    """Find range images with classes, ``.npy``, in a folder named after their data set, or one of them."""
-    files = [path] if path.is_file() else sorted(path.iterdir())
-    files = [one for one in files if ending_of(one) == ".npy" and one.is_file()]
-    if not files or not _is_range_image(files[0]):
-        return None
-    folder = path.resolve() if path.is_dir() else path.resolve().parent
-    if folder.name not in _KNOWN:
-        raise OgmError(
-            f"{path} may hold labelled range images, but nothing in them tells what their classes mean and which way "
-            f"their axes point: wanted a folder named {' or '.join(_KNOWN)}, after their data set, got {folder.name}"
-        )
-    names, axes, intensity_max, ego = _KNOWN[folder.name]
+class RangeImagesRecording(ScanFiles):
+    """Range images with classes, ``.npy``, in a folder named after their dataset, or one of them."""
 
-    def read(n: int) -> RawFrame:
-        found = read_range_image(files[n], names, axes, intensity_max=intensity_max)
+    wanted_labels = "classes"
+    labelled = ("classes",)
+
+    def __init__(self, path: Path, files: list[Path], dataset: str) -> None:
+        super().__init__(path, [(FrameRef(scan_name(file), dataset), file) for file in files])
+        self.format = f"labelled range images ({dataset})"
+        self._classes, self.axes, self._intensity_max, self.ego_footprint = _KNOWN[dataset]
+
+    @classmethod
+    def find(cls, path: Path) -> "RangeImagesRecording | None":
+        """Return the range images of a folder."""
+        files = [path] if path.is_file() else sorted(path.iterdir())
+        files = [file for file in files if ending_of(file) == ".npy" and file.is_file()]
+        if not files or not _is_range_image(files[0]):
+            return None
+        folder = path.resolve() if path.is_dir() else path.resolve().parent
+        if folder.name not in _KNOWN:
+            raise OgmError(
+                f"{path} may hold labelled range images, but nothing in them tells what their classes mean and which "
+                f"way their axes point: wanted a folder named {' or '.join(_KNOWN)}, after their data set, got "
+                f"{folder.name}"
+            )
+        return cls(path, files, folder.name)
+
+    def read(self, n: int) -> RawFrame:
+        """Read a range image as points with classes."""
+        found = read_range_image(self.scans[n], self._classes, self.axes, intensity_max=self._intensity_max)
         return RawFrame(Scan(found.points), kinds_of(found))
-
-    return Layout(
-        f"labelled range images ({folder.name})",
-        tuple(FrameRef(scan_name(one), folder.name) for one in files),
-        read,
-        "classes",
-        classes=True,
-        ego_footprint=ego,
-        axes=axes,
-    )
 
 
 def _is_range_image(path: Path) -> bool:

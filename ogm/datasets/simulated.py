@@ -1,17 +1,18 @@
 """The simulator's store: samples with truth, boxes and poses."""
 
-from collections.abc import Sequence
-from functools import lru_cache
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import EGO, FrameRef, Layout, RawFrame
+from ogm.datasets.frames import EGO, FrameRef, RawFrame
+from ogm.datasets.recording import OpenOptions, Recording
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes, Mount, Scan
+from ogm.simulation.detections import PlacedSweep
 from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.radars import RADARS
 from ogm.simulation.sample import LABELS, SimulatedSample
@@ -21,7 +22,7 @@ from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath
 from ogm.truth import ignore_cells
 
-__all__ = ["simulated"]
+__all__ = ["SimulatedRecording", "is_simulated"]
 
 _SPLITS = ("validation", "sequences", "test", "training")  # the first that has samples is taken
 _SHORT = {"train": "training", "val": "validation"}
@@ -32,171 +33,164 @@ _RAYS = {
 LIDAR, RADAR = "lidar", "radar"  # words for all lidars, all radars
 
 
-class _Place(NamedTuple):
-    """Which scan a frame is: that of a sample's lidar, or a sweep of it."""
+class _Source(NamedTuple):
+    """Source of a frame: a scan of a sample's lidar, or a sweep of a radar."""
 
     sample: int  # number in the split
     sweep: int = -1  # of the sample's sweeps; -1 for the lidar
-    radar: int = -1  # of the data set's radars
+    radar: int = -1  # number among the dataset's radars
 
 
-def simulated(
-    path: Path | ObjectPath, split: str | None = None, others: str = "all", sensors: Sequence[str] = ()
-) -> Layout:
-    """Return the finished samples of a split.
+class SimulatedRecording(Recording):
+    """Finished samples of a split of a dataset that `ogm simulate` made: scans of lidars, and sweeps of radars."""
 
-    Parameters
-    ----------
-    path : Path or ObjectPath
-        Of the data set, see `Store.open`.
-    split : str, optional
-        "training" or "train", "validation" or "val", "test", "sequences"; by default the first of validation,
-        sequences, test and training that has samples.
-    others : {"all", "later"}
-        "later" for maps: what nothing hit in a frame is ignored instead of unknown, as other frames may know it.
-    sensors : sequence of str
-        "lidar", "radar", or names of radars: whose scans become frames, those of a drive in the order of time. By
-        default the lidar's.
+    format = "simulated data set"
+    labelled = ("boxes",)
+    ego_footprint = None
+    known_mount = True
+    known_truth = True
+    own_options = ("split", "sensors")
 
-    Raises
-    ------
-    ValueError
-        If there is no such split or sensor, or no sample in it.
-    """
-    store = Store.open(path)
-    wanted = None if split is None else _SHORT.get(split, split)
-    found = {one: store[one].finished for one in store.counts if wanted in (None, one)}
-    name = next((one for one in (*_SPLITS, *found) if len(found.get(one, ()))), None)
-    if name is None:
-        raise OgmError(_no_sample(store, wanted))
-    made = _Frames(store, name, found[name], sensors, others == "later")
-    rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
-    description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
-    if not made.observed:
-        description = ""
-    elif others == "later":
-        description += " Maps may know such cells from other frames: they are left out."
-    remote = isinstance(path, ObjectPath)
-    return Layout(
-        "simulated data set",
-        tuple(made.refs),
-        made.read,
-        boxes=made.boxes,
-        ego_footprint=None,
-        mount=made.mount,
-        truth=made.truth,
-        has_truth=made.has_truth,
-        description=description,
-        stamped=made.drive,
-        motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
-        name=f"{path.name or path.absolute().name}, {name}",
-        facts={"split": name, "plan": store.plan, "versions": store.versions} | made.facts,
-        files=() if remote else (path / "zarr.json", path / name),  # type: ignore[arg-type]
-        shards=made.shards if remote else None,
-        itself=True,
-    )
-
-
-class _Frames:
-    """The frames of a split: scans of its samples' lidars, and sweeps of radars. They go to other processes as such."""
-
-    def __init__(
-        self, store: Store, name: str, numbers: NDArray[np.int64], sensors: Sequence[str], unknown_ignored: bool
-    ) -> None:
-        self.unknown_ignored = unknown_ignored
-        self.part, self.numbers, self.radars, self.drive = store[name], numbers, store.radars, name == "sequences"
-        self.observed = store.plan.get("truth") != "none"
-        facts = self.part.facts[numbers]
+    def __init__(self, path: Any, store: Store, split: str, numbers: NDArray[np.int64], options: OpenOptions) -> None:
+        self._split, self._numbers, self._radars = store[split], numbers, store.radars
+        self.stamped = split == "sequences"
+        self._observed, self._unknown_ignored = store.plan.get("truth") != "none", options.others == "later"
+        facts = self._split.facts[numbers]
         poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
         first = FACTS.index("T_world_sensor_00")
         poses[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
-        self.T_world_lidar, self.T_vehicle_lidar = poses
-        self.lidar_place = self.T_vehicle_lidar[:, :2, 3].copy()
-        self.T_vehicle_lidar[:, :2, 3] = 0.0  # the grids lie around the lidar, those of radars too
-        self.stamps = facts[:, FACTS.index("stamp")].tolist()
+        self._T_world_lidar, self._T_vehicle_lidar = poses
+        self._lidar_place = self._T_vehicle_lidar[:, :2, 3].copy()
+        self._T_vehicle_lidar[:, :2, 3] = 0.0  # the grids lie around the lidar, those of radars too
+        self._stamps = facts[:, FACTS.index("stamp")].tolist()
         scenarios = facts[:, FACTS.index("scenario")].astype(int).tolist()
-        chosen = _radars_of(store, sensors)
-        frames: list[tuple[FrameRef, _Place]] = []
-        for k, (n, scenario) in enumerate(zip(numbers.tolist(), scenarios, strict=True)):
-            # samples of a drive that are no sequence are too far apart to be fused
-            title = f"sequence {n // SEQUENCE} frame {n % SEQUENCE}" if self.drive else f"{name} {n}"
-            group = f"sequence {n // SEQUENCE}" if self.drive else f"drive {scenario}"
-            if LIDAR in (sensors or (LIDAR,)):
-                stamp = self.stamps[k] if self.drive else None
-                frames.append((FrameRef(title, group, stamp, self.T_world_lidar[k]), _Place(k)))
-            for m, row in enumerate(self.part.sweep_rows(n) if chosen else ()):
-                radar, stamp = int(row[1]), float(row[2])
-                if radar in chosen:
-                    one = f"{title} {self.radars[radar].name}" + (f" {stamp:.3f} s" if self.drive else "")
-                    T = np.vstack([row[4:16].reshape(3, 4), [0, 0, 0, 1]])
-                    frames.append((FrameRef(one, group, stamp if self.drive else None, T), _Place(k, m, radar)))
-        if self.drive and chosen:  # sequences are one after the other, and sorting is stable
+        lidar, radars = LIDAR in (options.sensors or (LIDAR,)), _radars_of(store, options.sensors)
+        frames = [row for k in range(len(numbers)) for row in self._frames_of(k, scenarios[k], lidar, radars)]
+        if self.stamped and radars:  # sequences are one after the other, and sorting is stable
             order = {ref.sequence: k for k, (ref, _) in reversed([*enumerate(frames)])}
-            frames.sort(key=lambda pair: (order[pair[0].sequence], pair[0].stamp))
-        self.refs, self.places = [ref for ref, _ in frames], [place for _, place in frames]
+            frames.sort(key=lambda frame: (order[frame[0].sequence], frame[0].stamp))
+        super().__init__(path, [ref for ref, _ in frames], f"{path.name or path.absolute().name}, {split}")
+        self._sources = [source for _, source in frames]
+        self.motion_distorted = store.plan.get("in_motion", 0.0) == 1.0
         self.facts = {
-            "samples": numbers.tolist(),
-            "towns": count_towns(store.plan, name, scenarios),
-            "radars": {self.radars[k].name: self.radars[k].radar for k in chosen},
+            **{"split": split, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()},
+            "towns": count_towns(store.plan, split, scenarios),
+            "radars": {self._radars[k].name: self._radars[k].radar for k in radars},
         }
-        self._keep_last()
+        if isinstance(path, ObjectPath):
+            self.shards = numbers[[source.sample for source in self._sources]] // SHARD
+        else:
+            self.files = [path / "zarr.json", path / split]
+        if self._observed:
+            rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
+            self.description = (
+                f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
+            )
+            if self._unknown_ignored:
+                self.description += " Maps may know such cells from other frames: they are left out."
 
-    def _keep_last(self) -> None:
-        self._sample = lru_cache(2)(lambda k: self.part[int(self.numbers[k])])
-        self._sweeps = lru_cache(2)(lambda k: self.part.sweeps(int(self.numbers[k])))
+    @classmethod
+    def open(cls, paths: Sequence[Any], options: OpenOptions) -> "SimulatedRecording | None":
+        """Return the finished samples of a split; None if the path is no simulated dataset.
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_sample", "_sweeps")}
+        Raises
+        ------
+        FileNotFoundError
+            If a path lies in an object store, and is no simulated dataset.
+        ValueError
+            If there is no such split or sensor, or no sample in it.
+        """
+        path = paths[0]
+        if len(paths) > 1 or not is_simulated(path):
+            if remote := [one for one in paths if isinstance(one, ObjectPath)]:
+                raise FileNotFoundError(
+                    f"{remote[0]} is no data set that `ogm simulate` made; others are no object stores'"
+                )
+            return None
+        store = Store.open(path)
+        split = options.default_split if options.split is None else options.split
+        wanted = None if split is None else _SHORT.get(split, split)
+        found = {name: store[name].finished for name in store.counts if wanted in (None, name)}
+        chosen = next((name for name in (*_SPLITS, *found) if len(found.get(name, ()))), None)
+        if chosen is None:
+            raise OgmError(_no_sample(store, wanted))
+        return cls(path, store, chosen, found[chosen], options)
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._keep_last()
+    def _frames_of(self, k: int, scenario: int, lidar: bool, radars: list[int]) -> Iterator[tuple[FrameRef, _Source]]:
+        """Yield the frames of a sample."""
+        drive, name, n = self.stamped, self._split.name, int(self._numbers[k])
+        # samples of a drive that are no sequence are too far apart to be fused
+        title = f"sequence {n // SEQUENCE} frame {n % SEQUENCE}" if drive else f"{name} {n}"
+        group = f"sequence {n // SEQUENCE}" if drive else f"drive {scenario}"
+        if lidar:
+            yield FrameRef(title, group, self._stamps[k] if drive else None, self._T_world_lidar[k]), _Source(k)
+        for m, row in enumerate(self._split.sweep_rows(n) if radars else ()):
+            radar, stamp = int(row[1]), float(row[2])
+            if radar in radars:
+                sweep = f"{title} {self._radars[radar].name}" + (f" {stamp:.3f} s" if drive else "")
+                T = np.vstack([row[4:16].reshape(3, 4), [0, 0, 0, 1]])
+                yield FrameRef(sweep, group, stamp if drive else None, T), _Source(k, m, radar)
 
-    @property
-    def shards(self) -> NDArray[np.int64]:
-        """The shard that each frame lies in."""
-        return self.numbers[[place.sample for place in self.places]] // SHARD
+    @cached_property
+    def _sample(self) -> Callable[[int], SimulatedSample]:
+        return lru_cache(2)(self._split.__getitem__)
 
-    def read(self, k: int) -> RawFrame:
-        """Return a scan."""
-        at = self.places[k]
-        if at.radar < 0:
-            return RawFrame(_scan(self._sample(at.sample)))
-        one = self._sweeps(at.sample)[at.sweep]
-        radar = self.radars[at.radar]
+    @cached_property
+    def _sweeps(self) -> Callable[[int], tuple[PlacedSweep, ...]]:
+        return lru_cache(2)(self._split.sweeps)
+
+    def read(self, n: int) -> RawFrame:
+        """Read a scan of a lidar, or a sweep of a radar."""
+        source = self._sources[n]
+        number = int(self._numbers[source.sample])
+        if source.radar < 0:
+            return RawFrame(_scan(self._sample(number)))
+        sweep, radar = self._sweeps(number)[source.sweep], self._radars[source.radar]
         spec = RADARS.get(radar.radar)  # None for one of a later version
-        return RawFrame(one.detections.scan(one.stamp, radar.name, spec.doppler_interval if spec else None))
+        return RawFrame(sweep.detections.scan(sweep.stamp, radar.name, spec.doppler_interval if spec else None))
 
-    def mount(self, k: int) -> Mount:
-        """Return how the sensor of a frame is mounted; all sensors of a sample have one vehicle frame."""
-        at = self.places[k]
-        if at.radar < 0:
-            T = self.T_vehicle_lidar[at.sample]
+    def mount(self, n: int) -> Mount:
+        """Return the mount of the sensor; all sensors of a sample have one vehicle frame."""
+        source = self._sources[n]
+        if source.radar < 0:
+            T = self._T_vehicle_lidar[source.sample]
             return Mount(T[2, 3], T)
-        radar, (x, y) = self.radars[at.radar], self.lidar_place[at.sample]
+        radar, (x, y) = self._radars[source.radar], self._lidar_place[source.sample]
         return Mount(radar.z, pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw), EGO)
 
-    def has_truth(self, k: int) -> bool:
+    def has_truth(self, n: int) -> bool:
         """Return whether there is truth at the time of a scan."""
-        stamp = self.refs[k].stamp
-        return self.observed and (stamp is None or abs(stamp - self.stamps[self.places[k].sample]) < 1e-6)
+        stamp = self.frames[n].stamp
+        return self._observed and (stamp is None or abs(stamp - self._stamps[self._sources[n].sample]) < 1e-6)
 
-    def truth(self, k: int) -> Truth:
-        """Return the truth around the lidar, or raise OgmError where there is none."""
-        if not self.observed:
+    def truth(self, n: int) -> Truth:
+        """Return the truth around the lidar.
+
+        Raises
+        ------
+        OgmError
+            If the dataset was made without truth, or the frame is a sweep between the lidar's scans.
+        """
+        if not self._observed:
             raise OgmError("the data set was made without truth (--truth none): make one with it in a new folder")
-        if not self.has_truth(k):
-            raise OgmError(f"{self.refs[k].name} lies between the lidar's turns, whose truth is known: there is none")
-        one = self._sample(self.places[k].sample).truth
-        return ignore_cells(one, one.state == CellState.UNKNOWN) if self.unknown_ignored else one
+        if not self.has_truth(n):
+            name = self.frames[n].name
+            raise OgmError(f"{name} lies between the lidar's turns, whose truth is known: there is none")
+        truth = self._sample(int(self._numbers[self._sources[n].sample])).truth
+        return ignore_cells(truth, truth.state == CellState.UNKNOWN) if self._unknown_ignored else truth
 
-    def boxes(self, k: int) -> Boxes:
-        """Return the objects in the frame of the sensor, at the time of the lidar's scan."""
-        at = self.places[k]
-        found = _boxes(self.part.objects(int(self.numbers[at.sample])))
-        if at.radar < 0:
+    def read_boxes(self, n: int) -> Boxes:
+        """Read the objects in the frame of the sensor, at the time of the lidar's scan."""
+        source = self._sources[n]
+        found = _boxes(self._split.objects(int(self._numbers[source.sample])))
+        if source.radar < 0:
             return found
-        return found.moved(inverse(np.asarray(self.refs[k].T_map_sensor)) @ self.T_world_lidar[at.sample])
+        return found.moved(inverse(np.asarray(self.frames[n].T_map_sensor)) @ self._T_world_lidar[source.sample])
+
+
+def is_simulated(path: Any) -> bool:
+    """Return whether a path is a dataset that `ogm simulate` made, in a folder or an object store."""
+    return bool((path / "zarr.json").exists())
 
 
 def _radars_of(store: Store, sensors: Sequence[str]) -> list[int]:

@@ -1,28 +1,33 @@
-"""SUSTechPOINTS: scans with boxes, with the axes of its example."""
+"""SUSTechPOINTS: scans with boxes, in the axes of its example."""
 
 from pathlib import Path
 
-from ogm.datasets.layout import Layout, RawFrame
-from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
-from ogm.io import read_scan, read_sustech
+from ogm.datasets.paths import drive_of, pose_files, scan_name, scan_paths
+from ogm.datasets.recording import ScanFiles
+from ogm.io import read_sustech
+from ogm.scan import Boxes
 
-__all__ = ["sustech"]
+__all__ = ["SustechRecording"]
 
 
-def sustech(path: Path) -> Layout | None:
-    """Find ``lidar/`` and ``label/*.json``."""
-    scans = scan_paths(path / "lidar")
-    labels = [path / "label" / f"{scan_name(one)}.json" for one in scans]
-    scans = [one for one, label in zip(scans, labels, strict=True) if label.is_file()]
-    labels = [label for label in labels if label.is_file()]
-    if not scans:
-        return None
-    names = [scan_name(one) for one in scans]
-    return Layout(
-        "SUSTechPOINTS",
-        sequence_of(path.name, names, poses_of(pose_files(path), names, axes="sustech")),
-        lambda n: RawFrame(read_scan(scans[n], axes="sustech")),
-        "boxes (label/*.json)",
-        lambda n: read_sustech(labels[n]),
-        axes="sustech",
-    )
+class SustechRecording(ScanFiles):
+    """Folder with ``lidar/`` and ``label/*.json``."""
+
+    format = "SUSTechPOINTS"
+    wanted_labels = "boxes (label/*.json)"
+    labelled = ("boxes",)
+    axes = "sustech"
+
+    @classmethod
+    def find(cls, path: Path) -> "SustechRecording | None":
+        """Return the scans that have a file of labels, with their poses if there are any."""
+        scans = [scan for scan in scan_paths(path / "lidar") if _label(path, scan).is_file()]
+        return cls(path, drive_of(path.name, scans, pose_files(path), axes=cls.axes)) if scans else None
+
+    def read_boxes(self, n: int) -> Boxes:
+        """Read the boxes around a scan."""
+        return read_sustech(_label(self.path, self.scans[n]))
+
+
+def _label(folder: Path, scan: Path) -> Path:
+    return folder / "label" / f"{scan_name(scan)}.json"

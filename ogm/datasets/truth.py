@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm import truth as rules
-from ogm.datasets.layout import EGO, Layout
+from ogm.datasets.frames import EGO
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
-from ogm.datasets.reader import FrameReader
+from ogm.datasets.recording import Recording
 from ogm.extras import import_extra
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
@@ -35,50 +36,53 @@ _DESCRIPTIONS = {
 
 
 class RecordedTruth:
-    """Makes the truth of the frames of a recording. Called with the number of a frame, it returns a `Truth`.
+    """Makes the truth of the frames of a recording. Pickled, it goes without the truths that it made.
 
     Parameters
     ----------
-    reader : FrameReader
+    recording : Recording
     wanted : sequence of str
-        Some of `SOURCES`; all that there are where empty.
+        Some of `SOURCES`; all that exist if empty.
     others : {"all", "later"}
-        Which neighbouring scans are taken.
+        Neighbouring scans that are taken.
     """
 
-    reader: FrameReader
-    layout: Layout
+    recording: Recording
     sources: tuple[str, ...]
 
-    def __init__(self, reader: FrameReader, wanted: Sequence[str] = (), others: str = "all") -> None:
-        unknown = [one for one in wanted if one not in SOURCES]
+    def __init__(self, recording: Recording, wanted: Sequence[str] = (), others: str = "all") -> None:
+        unknown = [name for name in wanted if name not in SOURCES]
         if unknown:
             raise ValueError(f"truth must be of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
-        self.reader, self.layout, self._later = reader, reader.layout, others == "later"
+        self.recording, self._options = recording, (tuple(wanted), others)
         there = self._there()
-        missing = [one for one in wanted if one not in there]
+        missing = [name for name in wanted if name not in there]
         if missing:
             raise ValueError(
-                f"{reader.path} ({self.layout.format}) has no {' and '.join(missing)} to make truth of; has "
+                f"{recording.path} ({recording.format}) has no {' and '.join(missing)} to make truth of; has "
                 f"{', '.join(there) or 'no labels'}. give truth=({', '.join(map(repr, there))},) or less"
             )
-        self.sources = tuple(one for one in SOURCES if one in (wanted or there))
+        self.sources = tuple(name for name in SOURCES if name in (wanted or there))
+        self._later = others == "later"
         self._moving_tracks = lru_cache(None)(self._find_moving)
         self._made = lru_cache(_KEPT)(self._make)
 
-    def __call__(self, n: int) -> Truth:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RecordedTruth, (self.recording, *self._options)
+
+    def truth(self, n: int) -> Truth:
         """Return the truth of frame n, on `TRUTH_SPEC`: free, occupied, or ignored.
 
         Raises
         ------
         OgmError
-            If the data set has no labels and no poses.
+            If the recording has no labels and no poses.
         """
         if not self.sources:
+            path, kind, wanted = self.recording.path, self.recording.format, self.recording.wanted_labels
             raise OgmError(
-                f"{self.reader.path} ({self.layout.format}) has nothing to make truth of; looked for: "
-                f"{self.layout.labels}. add them, or give a folder that has them; poses of the scans are enough for "
-                "aggregated truth"
+                f"{path} ({kind}) has nothing to make truth of; looked for: {wanted}. add them, or give a folder that "
+                "has them; poses of the scans are enough for aggregated truth"
             )
         return self._made(n)
 
@@ -87,49 +91,47 @@ class RecordedTruth:
         """What the truth is made of, in one sentence; "this scan" is the frame's own. "" where there is no truth."""
         if not self.sources:
             return ""
-        layout = self.layout
+        recording, labelled = self.recording, self.recording.labelled
         which = "later" if self._later else "other"
-        labelled = layout.boxes is not None or layout.classes
-        movers = "labelled objects that move taken out" if labelled else "without labels of what moves"
-        ground = "the lowest returns per square metre" if layout.hd_map is None else "the map's ground"
-        ground = "labelled ground" if layout.classes else ground
+        objects = "boxes" in labelled or "classes" in labelled
+        movers = "labelled objects that move taken out" if objects else "without labels of what moves"
+        ground = "the map's ground" if "map" in labelled else "the lowest returns per square metre"
+        ground = "labelled ground" if "classes" in labelled else ground
         parts = [_DESCRIPTIONS[one].format(which=which, movers=movers, ground=ground) for one in self.sources]
         end = "ignored: everything else, and where these contradict each other (boxes win)"
-        view = f" ({layout.view})" if layout.view else ""
-        return f"{layout.format}{view}; {'; '.join(parts)}; {end}."
+        view = f" ({recording.view})" if recording.view else ""
+        return f"{recording.format}{view}; {'; '.join(parts)}; {end}."
 
     def _there(self) -> tuple[str, ...]:
-        layout = self.layout
-        posed = [frame.sequence for frame in layout.frames if frame.T_map_sensor is not None]
-        neighbours = layout.aggregated and len(posed) > len(set(posed))
-        there = layout.boxes is not None, layout.classes, layout.hd_map is not None, neighbours
-        return tuple(name for name, is_there in zip(SOURCES, there, strict=True) if is_there)
+        posed = [ref.sequence for ref in self.recording.frames if ref.T_map_sensor is not None]
+        neighbours = self.recording.aggregated and len(posed) > len(set(posed))
+        there = (*self.recording.labelled, *(["aggregated"] if neighbours else []))
+        return tuple(name for name in SOURCES if name in there)
 
     def _make(self, n: int) -> Truth:
         makers = {"classes": self._from_classes, "map": self._from_map, "aggregated": self._from_neighbours}
         parts = [makers[one](n) for one in self.sources if one in makers]
-        labelled, boxes, uncertain = self.reader.boxes(n), None, None
+        labelled, boxes, uncertain = self.recording.boxes(n), None, None
         if "boxes" in self.sources and labelled is not None:
-            returns = rules.count_returns(self.reader.scan(n).points, labelled, above_bottom=ABOVE_BOTTOM)
+            returns = rules.count_returns(self.recording.scan(n).points, labelled, above_bottom=ABOVE_BOTTOM)
             boxes = rules.truth_from_boxes(labelled, returns, TRUTH_SPEC)
             uncertain = rules.cells_in_boxes(labelled.select(returns < MIN_RETURNS), TRUTH_SPEC)
         return rules.combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=self._ego_cells())
 
     def _ego_cells(self) -> NDArray[np.bool_]:
-        return rules.cells_in_footprint(self.layout.ego_footprint or EGO, TRUTH_SPEC)
+        return rules.cells_in_footprint(self.recording.ego_footprint or EGO, TRUTH_SPEC)
 
     # --- Parts ---------------------------------------------------------------------------------------
 
     def _from_classes(self, n: int) -> Truth:
-        raw = self.reader.raw(n)
+        raw = self.recording.raw(n)
         kinds = np.zeros(0, np.uint8) if raw.kinds is None else raw.kinds
         return rules.truth_from_points(raw.scan.points, kinds, TRUTH_SPEC, unobserved=self._ego_cells())
 
     def _from_map(self, n: int) -> Truth:
         """Return the free road. Where the map has no ground, it is taken to be as low as under the vehicle."""
-        assert self.layout.hd_map is not None
-        hd_map, raw = self.layout.hd_map(n), self.reader.raw(n)
-        low = -self.reader.height(n)
+        hd_map, raw = self.recording.hd_map(n), self.recording.raw(n)
+        low = -self.recording.height(n)
         x, y = np.broadcast_arrays(*TRUTH_SPEC.cell_centers)
         ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(x.shape)
         points = raw.scan.points if raw.all_points is None else raw.all_points
@@ -140,40 +142,40 @@ class RecordedTruth:
             points,
             points[:, 2] - np.where(np.isnan(below), low, below),
             TRUTH_SPEC,
-            boxes=self.reader.boxes(n),
-            min_range=(self.layout.ego_footprint or EGO)[1],
+            boxes=self.recording.boxes(n),
+            min_range=(self.recording.ego_footprint or EGO)[1],
         )
 
     def _from_neighbours(self, n: int) -> Truth:
         """Return what neighbouring scans of the sequence agree on around scan n."""
-        layout, frame = self.layout, self.layout.frames[n]
+        recording, frame = self.recording, self.recording.frames[n]
         nothing = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, np.uint8(CellState.IGNORE)))
         if frame.T_map_sensor is None:
             return nothing
-        members = [k for k in self.reader.groups[frame.sequence] if layout.frames[k].T_map_sensor is not None]
-        poses = np.array([layout.frames[k].T_map_sensor for k in members])
-        stamps = np.array([layout.frames[k].stamp for k in members], np.float64)
+        members = [k for k in self.recording.groups[frame.sequence] if recording.frames[k].T_map_sensor is not None]
+        poses = np.array([recording.frames[k].T_map_sensor for k in members])
+        stamps = np.array([recording.frames[k].stamp for k in members], np.float64)
         T_here_other = inverse(frame.T_map_sensor) @ poses
         chosen = choose_neighbours(members.index(n), stamps, poses[:, :3, 3], later=self._later)
         if not chosen:
             return nothing
         clouds, is_ground = [], []
         for k in chosen:
-            raw = self.reader.raw(members[k])
+            raw = self.recording.raw(members[k])
             kept = ~rules.boxes_over_points(raw.scan.points, self._moving_boxes(members[k]).widened(MARGIN))
             if raw.moving is not None:
                 kept &= ~raw.moving
             clouds.append(transform_points(T_here_other[k], raw.scan.points[kept]))
             if raw.kinds is not None:
                 is_ground.append(raw.kinds[kept] == Kind.GROUND)
-        here = self.reader.raw(n)
+        here = self.recording.raw(n)
         truth = truth_from_neighbours(
             clouds,
             TRUTH_SPEC,
             self._moving_boxes(n),
             own=here.scan.points,
             is_ground=is_ground or None,
-            map_ground=None if layout.hd_map is None else layout.hd_map(n).ground,
+            map_ground=recording.hd_map(n).ground if "map" in recording.labelled else None,
             min_scans=1 if len(chosen) < _FEW else 2,
         )
         if here.moving is not None and here.moving.any():
@@ -183,21 +185,20 @@ class RecordedTruth:
 
     def _find_moving(self, sequence: str) -> frozenset[str]:
         """Return the tracks of a sequence that move."""
-        stamps: list[float] = []
-        boxes: list[Boxes] = []
-        for n in self.reader.groups[sequence]:
-            frame, around = self.layout.frames[n], self.reader.boxes(n)
-            if frame.T_map_sensor is not None and frame.stamp is not None and around is not None:
-                stamps.append(frame.stamp)
-                boxes.append(around.moved(frame.T_map_sensor))
+        stamps, boxes = [], []
+        for n in self.recording.groups[sequence]:
+            ref = self.recording.frames[n]
+            if ref.T_map_sensor is not None and ref.stamp is not None:
+                stamps.append(ref.stamp)
+                boxes.append(self.recording.read_boxes(n).moved(ref.T_map_sensor))
         return rules.moving_tracks(stamps, boxes)
 
     def _moving_boxes(self, n: int) -> Boxes:
         """Return the boxes of objects that move, in scan n and its frame, and of those without a track."""
-        boxes = self.reader.boxes(n)
+        boxes = self.recording.boxes(n)
         if boxes is None:
             return Boxes.empty()
-        moving = self._moving_tracks(self.layout.frames[n].sequence)
+        moving = self._moving_tracks(self.recording.frames[n].sequence)
         return boxes.select([not track or track in moving for track in boxes.track])
 
 

@@ -1,18 +1,20 @@
 """Folders of truth grids without scans: states (.npy), labels of the paper (.png), masses (.npz)."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
-from ogm.datasets.layout import FrameRef, Layout
+from ogm.datasets.frames import FrameRef
+from ogm.datasets.recording import OpenOptions, Recording
 from ogm.grid import GridSpec
 from ogm.io.grids import GRID_ENDINGS, read_grid
 from ogm.io.reading import parse_array, read_bytes
 from ogm.state import CellState, Truth, predict_state
 from ogm.storage.files import OgmError
 
-__all__ = ["grid_files", "truth_grids"]
+__all__ = ["TruthGridsRecording", "grid_files"]
 
 
 def grid_files(folder: Path) -> dict[str, Path]:
@@ -26,35 +28,43 @@ def grid_files(folder: Path) -> dict[str, Path]:
     return found
 
 
-def truth_grids(folder: Path, spec: GridSpec) -> Layout:
-    """Line up the grids of a folder.
+class TruthGridsRecording(Recording):
+    """Grids of a folder: frames with a truth and without scans."""
 
-    Parameters
-    ----------
-    folder : Path
-    spec : GridSpec
-        The cells of states and pictures, which do not state it, and those that masses must fit.
-    """
-    files = grid_files(folder)
-    paths = tuple(files.values())
+    format = "truth grids"
+    description = (
+        "Grids of a folder: a cell has the state with most mass, unknown included; where pictures show none, it is "
+        "unknown."
+    )
+    known_mount = True
+    known_truth = True
 
-    def refuse(k: int) -> NoReturn:
+    def __init__(self, path: Path, grids: dict[str, Path], spec: GridSpec) -> None:
+        super().__init__(path, [FrameRef(name) for name in grids])
+        self.files, self.facts, self._spec = list(grids.values()), {"files": len(grids)}, spec
+
+    @classmethod
+    def open(cls, paths: Sequence[Path], options: OpenOptions) -> "TruthGridsRecording | None":
+        """Return the grids of a folder, if `OpenOptions.spec` states their cells.
+
+        States and pictures do not state their cells, and masses must fit those of the spec.
+        """
+        if len(paths) > 1 or options.spec is None or not (grids := grid_files(paths[0])):
+            return None
+        return cls(paths[0], grids, options.spec)
+
+    def read(self, n: int) -> NoReturn:
+        """Raise OgmError: there are no scans."""
         raise OgmError(
-            f"{folder} holds grids of truth, no scans: compare them with grids (--grids FOLDER), or give a data set "
+            f"{self.path} holds grids of truth, no scans: compare them with grids (--grids FOLDER), or give a data set "
             "that has scans"
         )
 
-    return Layout(
-        "truth grids",
-        tuple(FrameRef(name) for name in files),
-        refuse,
-        mount=refuse,
-        truth=lambda k: _truth(paths[k], spec),
-        description="Grids of a folder: a cell has the state with most mass, unknown included; where pictures show "
-        "none, it is unknown.",
-        facts={"files": len(files)},
-        files=paths,
-    )
+    mount = read
+
+    def truth(self, n: int) -> Truth:
+        """Read the truth of a frame."""
+        return _truth(self.files[n], self._spec)
 
 
 def _truth(path: Path, spec: GridSpec) -> Truth:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ogm.datasets import open_dataset
-from ogm.datasets.layout import KITTI_EGO
+from ogm.datasets.frames import KITTI_EGO
 from ogm.grid import GridSpec
 from ogm.scan import Mount
 from ogm.state import CellState, Truth
@@ -223,6 +223,23 @@ def test_a_dataset_goes_to_another_process(written):
     assert (other[0].truth.state == dataset[1].truth.state).all()
 
 
+@pytest.mark.parametrize("name", SOURCES)
+def test_what_was_read_stays_behind_and_is_read_again_in_another_folder(written, name, monkeypatch, tmp_path):
+    monkeypatch.chdir(written(name).parent)
+    dataset = open_dataset("data")
+    frame = dataset[2]
+    truth, mount, boxes = frame.truth.state, frame.mount, frame.boxes
+    packed = pickle.dumps(dataset)
+    assert len(packed) < 4000
+    monkeypatch.chdir(tmp_path)
+    other = pickle.loads(packed)
+    assert other.files == (written(name),)
+    assert (other[2].scan.points == frame.scan.points).all()
+    assert (other[2].truth.state == truth).all()
+    assert other[2].mount == mount
+    assert boxes is None or (other[2].boxes.center == boxes.center).all()
+
+
 # --- What is wrong with a folder --------------------------------------------------------------------
 
 
@@ -350,6 +367,10 @@ def test_frames_that_are_unrelated_stand_alone(written):
 def test_axes_and_units_of_a_data_set_are_not_chosen(written, options):
     with pytest.raises(ValueError, match="has known axes and units; leave out axes"):
         open_dataset(written("kitti raw"), **options)
+
+
+def test_a_default_split_is_for_data_sets_that_have_splits(written):
+    assert len(open_dataset(written("kitti raw"), default_split="sequences")) == 4
 
 
 def test_options_of_other_data_sets_are_refused(written):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ogm.datasets import open_dataset
-from ogm.datasets.layout import FrameRef, Layout
+from ogm.datasets.frames import FrameRef, RawFrame
 from ogm.datasets.motion import MotionReader
-from ogm.datasets.reader import FrameReader
+from ogm.datasets.recording import Recording
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
 from ogm.truth import TRUTH_SPEC
@@ -28,11 +28,25 @@ def turning_car(n: int) -> Boxes:
     return boxes.moved(inverse(on_map(t)))
 
 
-def motions(posed: Callable[[int], bool] = lambda n: True, **more) -> MotionReader:
+class Turning(Recording):
+    """Frames around the car."""
+
+    format = "by hand"
+    labelled = ("boxes",)
+
+    def read(self, n: int) -> RawFrame:
+        pytest.fail("no scan is read")
+
+    def read_boxes(self, n: int) -> Boxes:
+        return turning_car(n)
+
+
+def motions(posed: Callable[[int], bool] = lambda n: True, view_angle: float | None = None) -> MotionReader:
     """Return the motion of 12 frames at 10 Hz."""
-    frames = tuple(FrameRef(str(n), "drive", 0.1 * n, on_map(0.1 * n) if posed(n) else None) for n in range(12))
-    layout = Layout("by hand", frames, lambda n: pytest.fail("no scan is read"), boxes=turning_car, **more)
-    return MotionReader(FrameReader(layout, Path("by hand")))
+    frames = [FrameRef(str(n), "drive", 0.1 * n, on_map(0.1 * n) if posed(n) else None) for n in range(12)]
+    recording = Turning(Path("by hand"), frames)
+    recording.view_angle = view_angle
+    return MotionReader(recording)
 
 
 def test_velocities_of_tracks_are_over_ground_along_the_sensors_axes() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from ogm import GridSpec
 from ogm.datasets import truth_from_neighbours
-from ogm.datasets.layout import kinds_of
+from ogm.datasets.frames import kinds_of
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, find_ground
 from ogm.io import NUSCENES_ELEVEN, SEMANTIC_KITTI, SEMANTIC_KITTI_TRAINING, LabelledPoints
 from ogm.pose import pose

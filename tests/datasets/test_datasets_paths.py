@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ogm.datasets import frame_numbers
-from ogm.datasets.paths import in_order, pose_files, poses_of, scan_name, scan_paths, sequence_of
+from ogm.datasets.paths import drive_of, in_order, pose_files, poses_of, scan_name, scan_paths
 
 
 def test_names_are_sorted_by_their_numbers_and_counted_by_the_last() -> None:
@@ -46,9 +46,9 @@ def test_scans_come_by_number(tmp_path) -> None:
 )
 def test_names_of_scans_tell_the_time(first, unit) -> None:
     scans = [Path(f"{first + round(k * 0.2 / unit):010}.bin") for k in range(3)]
-    stamps = [one.stamp for one in sequence_of("d", [scan_name(path) for path in scans], [None] * 3)]
+    stamps = [ref.stamp for ref, _ in drive_of("d", scans)]
     np.testing.assert_allclose(np.diff(stamps), 0.2, atol=1e-6)
-    assert [one.stamp for one in sequence_of("d", "abc", [None] * 3)] == pytest.approx([0, 0.1, 0.2])
+    assert [ref.stamp for ref, _ in drive_of("d", [Path(name) for name in "abc"])] == pytest.approx([0, 0.1, 0.2])
 
 
 def test_poses_are_found_by_number_or_in_order(tmp_path) -> None:

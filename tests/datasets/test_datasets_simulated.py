@@ -96,6 +96,11 @@ def test_splits_have_short_names(store: Path) -> None:
     assert (frame.name, frame.sequence, frame.stamp) == ("training 3", "drive 0", None)
 
 
+def test_a_default_split_counts_where_none_is_given(store: Path) -> None:
+    assert open_dataset(store, default_split="train").name == "data, training"
+    assert open_dataset(store, split="sequences", default_split="train").name == "data, sequences"
+
+
 def test_samples_belong_to_their_drives_so_that_statistics_can_group_them(store: Path) -> None:
     assert open_dataset(store, split="train").sequences == {"drive 0": [*range(5)], "drive 1": [*range(5, 10)]}
 

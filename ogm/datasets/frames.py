@@ -1,0 +1,81 @@
+"""Parts of the frames of a recording: references, raw scans, HD maps and places of sensors."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.io import LabelledPoints
+from ogm.scan import Scan
+from ogm.truth import Kind
+
+__all__ = ["EGO", "KITTI_EGO", "Footprint", "FrameRef", "HdMap", "RawFrame", "SensorPlace", "kinds_of"]
+
+Footprint = tuple[float, float, float, float]
+"""x_min, x_max, y_min, y_max around the sensor [m], as `Mount.ego_footprint`."""
+
+EGO: Footprint = (-2.5, 2.5, -1.1, 1.1)
+KITTI_EGO: Footprint = (-2.6, 2.6, -1.7, 1.7)  # with the mirrors and other parts that stand out at the sides
+
+# Kinds of points by the class names of all datasets. A class that is not listed is an obstacle.
+_KINDS = {"vegetation": Kind.PLANT} | dict.fromkeys(("unlabeled", "outlier", "none"), Kind.OTHER)
+_KINDS |= dict.fromkeys(("road", "parking", "sidewalk", "other-ground", "terrain", "lane-marking"), Kind.GROUND)
+
+
+class FrameRef(NamedTuple):
+    """Name, sequence, time and pose of a frame, known before its scan is read."""
+
+    name: str
+    sequence: str = ""  # "" for a single frame
+    stamp: float | None = None  # [s]
+    T_map_sensor: NDArray[np.float64] | None = None  # (4, 4)
+
+
+class RawFrame(NamedTuple):
+    """One scan in its sensor's frame, with the returns from the ego vehicle, and its labels by point."""
+
+    scan: Scan
+    kinds: NDArray[np.uint8] | None = None  # (N,) `Kind` of each point, from its class
+    moving: NDArray[np.bool_] | None = None  # (N,) points of moving objects, from their class
+    all_points: NDArray[np.float32] | None = None  # (M, 4) of all lidars of the vehicle, in this sensor's frame
+
+    def without(self, box: Footprint) -> "RawFrame":
+        """Return the frame without the returns from inside a footprint."""
+        kept = _outside(box, self.scan.points)
+        kinds = None if self.kinds is None else self.kinds[kept]
+        moving = None if self.moving is None else self.moving[kept]
+        every = None if self.all_points is None else self.all_points[_outside(box, self.all_points)]
+        return RawFrame(self.scan.select(kept), kinds, moving, every)
+
+
+class HdMap(NamedTuple):
+    """A map around one scan, in its sensor's frame."""
+
+    outlines: list[NDArray[np.float64]]  # (N, 2) each: drivable areas
+    ground: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # (N, 3) -> (N,) z of the ground or NaN
+
+
+class SensorPlace(NamedTuple):
+    """Place of a frame's sensor on the vehicle, in a dataset that has several sensors or states their heights."""
+
+    name: str = ""  # frames of one name share an estimated height
+    origin: tuple[float, float] = (0.0, 0.0)  # x, y in the vehicle frame [m]
+    above_first: float = 0.0  # [m] over the sensor whose height a user gives
+    height: float | None = None  # above ground [m], if it is stated
+    ego_footprint: Footprint | None = None  # in the vehicle frame
+    yaw: float = 0.0  # of the sensor in the vehicle frame [rad]
+
+
+def kinds_of(labelled: LabelledPoints) -> NDArray[np.uint8]:
+    """Return the `Kind` of each point, (N,), by the name of its class."""
+    table = np.full(max(labelled.names) + 1, Kind.OTHER, np.uint8)
+    for number, name in labelled.names.items():
+        table[number] = _KINDS.get(name, Kind.OBSTACLE)
+    return table[labelled.classes]
+
+
+def _outside(box: Footprint, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return which points lie outside of a footprint, (N,)."""
+    x, y = points[:, 0], points[:, 1]
+    return (x < box[0]) | (x > box[1]) | (y < box[2]) | (y > box[3])

@@ -1,0 +1,258 @@
+"""Base class of all datasets and logs: which frames a path holds, and how their parts are read.
+
+A dataset is added by a subclass in a module of its own, as in `ogm.datasets.sustech`, and an entry of `RECORDINGS` in
+`ogm.datasets.opening`.
+"""
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm import io
+from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
+from ogm.grid import GridSpec
+from ogm.io import Axes
+from ogm.pose import pose
+from ogm.scan import Boxes, Mount, Scan
+from ogm.state import Truth
+from ogm.storage.files import OgmError
+
+__all__ = ["OpenOptions", "Recording", "ScanFiles"]
+
+_HEIGHTS = 5  # scans of a sequence whose median is the height of its sensor
+_KEPT = 64  # scans in memory: some 2 MB each
+_UNREADABLE = (ValueError, TypeError, OSError)
+
+
+class OpenOptions(NamedTuple):
+    """Options of `ogm.datasets.open_dataset`."""
+
+    axes: Axes = "flu"
+    units: Mapping[str, Any] = {}
+    sensor_height: float | None = None
+    sensor_position: tuple[float, float, float] | None = None
+    split: str | None = None
+    default_split: str | None = None
+    others: str = "all"
+    spec: GridSpec | None = None
+    frame: str | None = None
+    truth: tuple[str, ...] = ()
+    topic: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = ()
+
+
+class Recording(ABC):
+    """Frames of a dataset or a log: their references, and methods that read a part of frame n.
+
+    Opening a recording reads no points. Pickled or copied, it goes without the values of its cached properties, which
+    are read again when they are needed; an open file or a large table is therefore a cached property.
+
+    Attributes
+    ----------
+    path : Path or ObjectPath
+    frames : tuple of FrameRef
+        With unique names.
+    name : str
+    files : list of Path
+        Files and folders that the recording is read from.
+    facts : dict
+        Further facts, as JSON can hold them; the format and the number of frames if empty.
+    format : str
+        The format, in words.
+    wanted_labels : str
+        Labels that this format may have, for the error if there are none.
+    labelled : tuple of str
+        Labels of the frames: "boxes" (`read_boxes`), "classes" (`RawFrame.kinds`), "map" (`hd_map`).
+    ego_footprint : Footprint or None
+        Returns inside of it are dropped. None keeps all: sensor models drop them by their mount.
+    view : str
+        View or range in which labels were made, as the description of the truth states it.
+    view_angle : float or None
+        Objects are labelled up to this angle to either side of straight ahead [rad], below π/2. None for all around.
+    axes : Axes
+        Axes of the files.
+    stamped : bool
+        Whether the stamps of the frames are stated, not counted from their names at 10 Hz.
+    aggregated : bool
+        Whether truth may be made of neighbouring scans; a radar shows no ground.
+    motion_distorted : bool
+        Whether points may be shifted by the ego motion during a scan, so that de-skewing makes sense.
+    known_axes, known_height, known_mount, known_truth : bool
+        Whether the dataset states its axes and units, the sensor's height, its whole mount, the truth itself. The user
+        cannot choose axes, mounts and truths that are known.
+    shards : (len(frames),) int array or None
+        Shard of each frame in an object store, where reading a shard costs little more than reading a frame.
+    own_options : tuple of str
+        Options of `OpenOptions` that other formats refuse: some of "split", "sensors", "topic", "frame".
+    """
+
+    format: str
+    wanted_labels: str = ""
+    labelled: tuple[str, ...] = ()
+    ego_footprint: Footprint | None = EGO
+    view: str = ""
+    view_angle: float | None = None
+    axes: Axes = "flu"
+    stamped: bool = False
+    aggregated: bool = True
+    motion_distorted: bool = True
+    description: str = ""  # of a known truth
+    known_axes: ClassVar[bool] = True
+    known_mount: ClassVar[bool] = False
+    known_height: bool = False
+    known_truth: bool = False
+    own_options: ClassVar[tuple[str, ...]] = ()
+    shards: NDArray[np.int64] | None = None
+    sensor_height: float | None = None  # [m] given by the user
+    sensor_position: tuple[float, float, float] | None = None  # [m] given by the user
+
+    def __init__(self, path: Any, frames: Sequence[FrameRef], name: str = "") -> None:
+        times = Counter(ref.name for ref in frames)  # some datasets count the frames of each sequence from 0
+        self.path, self.files = path, [path]
+        self.frames: tuple[FrameRef, ...] = tuple(
+            ref if times[ref.name] == 1 else ref._replace(name=f"{ref.sequence} {ref.name}".strip()) for ref in frames
+        )
+        self.name = name or path.name or path.resolve().name or str(path)
+        self.facts: Mapping[str, Any] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        cached = {name for name in vars(self) if isinstance(getattr(type(self), name, None), cached_property)}
+        return {name: _absolute(value) for name, value in vars(self).items() if name not in cached}
+
+    # --- Which frames there are ----------------------------------------------------------------------
+
+    @classmethod
+    def open(cls, paths: Sequence[Any], options: OpenOptions) -> "Recording | None":
+        """Return the recording at some paths, or None if they are of another format."""
+        return cls.find(paths[0]) if len(paths) == 1 else None
+
+    @classmethod
+    def find(cls, path: Path) -> "Recording | None":
+        """Return the recording at one path that exists, or None if it is of another format."""
+        return None
+
+    @cached_property
+    def groups(self) -> dict[str, list[int]]:
+        """Numbers of the frames of each sequence; a single frame is a group. Sensors of a group keep their heights."""
+        groups: dict[str, list[int]] = {}
+        for n, ref in enumerate(self.frames):
+            groups.setdefault(ref.sequence or ref.name, []).append(n)
+        return groups
+
+    # --- What a format implements --------------------------------------------------------------------
+
+    @abstractmethod
+    def read(self, n: int) -> RawFrame:
+        """Read a scan, in the sensor's frame."""
+
+    def read_boxes(self, n: int) -> Boxes:
+        """Read the boxes around a scan, in the sensor's frame; for recordings that are labelled with boxes."""
+        raise NotImplementedError
+
+    def hd_map(self, n: int) -> HdMap:
+        """Return the map around a scan; for recordings that are labelled with a map."""
+        raise NotImplementedError
+
+    def place(self, n: int) -> SensorPlace:
+        """Return the place of the sensor on the vehicle."""
+        return SensorPlace()
+
+    def estimate_height(self, n: int) -> float | None:
+        """Return the height of the sensor above ground [m] by one scan, or None if it shows no ground."""
+        return io.estimate_sensor_height(self.read(n).scan.points)
+
+    def truth(self, n: int) -> Truth:
+        """Return the truth of a frame; for recordings with a known truth."""
+        raise NotImplementedError
+
+    def has_truth(self, n: int) -> bool:
+        """Return whether a frame may have a truth, without reading it."""
+        return True
+
+    # --- What all formats share ----------------------------------------------------------------------
+
+    def scan(self, n: int) -> Scan:
+        """Return a scan, without the returns from inside the ego footprint."""
+        return self.raw(n).scan
+
+    @cached_property
+    def raw(self) -> Callable[[int], RawFrame]:
+        """Function that reads a frame without the returns from inside the ego footprint; it keeps the last frames."""
+        return lru_cache(_KEPT)(self._read_without_ego)
+
+    def boxes(self, n: int) -> Boxes | None:
+        """Return the boxes around a scan, in the sensor's frame; None if there are no labelled boxes."""
+        return self.read_boxes(n) if "boxes" in self.labelled else None
+
+    def mount(self, n: int) -> Mount:
+        """Return the mount of the sensor, above the ground below it."""
+        height, position, place = self.height(n), self.sensor_position, self.place(n)
+        if position is not None:
+            return Mount(height, pose(*position), points_in="vehicle")
+        x, y = place.origin
+        return Mount(height, pose(x, y, height, yaw=place.yaw), place.ego_footprint)  # type: ignore[arg-type]
+
+    def height(self, n: int) -> float:
+        """Return the height of the sensor above ground [m]: given, stated, or the median of some scans' estimates."""
+        ref, place = self.frames[n], self.place(n)
+        if self.sensor_height is not None:
+            return self.sensor_height + place.above_first
+        return self._height(ref.sequence or ref.name, place.name) if place.height is None else place.height
+
+    @cached_property
+    def _height(self) -> Callable[[str, str], float]:
+        return lru_cache(None)(self._median_height)
+
+    def _median_height(self, group: str, sensor: str) -> float:
+        members = [k for k in self.groups[group] if self.place(k).name == sensor]
+        estimates, failed = [], ""
+        for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
+            try:
+                estimates.append(self.estimate_height(members[k]))
+            except _UNREADABLE as error:
+                failed = f" ({error})"
+        heights = [height for height in estimates if height is not None]
+        if not heights:
+            raise OgmError(
+                f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
+                "so its height is not known: give sensor_height [m] (--sensor-height)"
+            )
+        height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
+        return io.plausible_sensor_height(height, f"{group} in {self.path}")
+
+    def _read_without_ego(self, n: int) -> RawFrame:
+        raw = self.read(n)
+        return raw if self.ego_footprint is None else raw.without(self.ego_footprint)
+
+
+class ScanFiles(Recording):
+    """Recording of files that `ogm.io.read_scan` reads, in the axes of the recording.
+
+    Attributes
+    ----------
+    scans : list of Path
+    units : mapping of str to float
+        Given ``intensity_max`` and ``time_unit``.
+    """
+
+    def __init__(self, path: Path, scans: Sequence[tuple[FrameRef, Path]], name: str = "") -> None:
+        super().__init__(path, [ref for ref, _ in scans], name)
+        self.scans: list[Path] = [scan for _, scan in scans]
+        self.units: Mapping[str, Any] = {}
+
+    def read(self, n: int) -> RawFrame:
+        """Read a scan from its file."""
+        return RawFrame(io.read_scan(self.scans[n], self.axes, **self.units))
+
+
+def _absolute(value: Any) -> Any:
+    """Return a path or a list of paths as absolute ones: another process may run in another folder."""
+    if isinstance(value, list):
+        return [_absolute(item) for item in value]
+    return value.absolute() if isinstance(value, Path) else value
