@@ -257,7 +257,7 @@ def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: P
     assert result.exit_code == 2
     assert "which is read" in result.output
     result = fused(drive, tmp_path / "m.png", "--picture", tmp_path / "m.png")
-    assert "both write" in result.output
+    assert "both be written" in result.output
     result = fused(drive, tmp_path / "m.npz", "--message", "grid-map")
     assert "message is for" in result.output
 

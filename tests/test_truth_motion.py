@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from ogm import GridSpec, Motion, Truth
 from ogm.pose import pose
 from ogm.scan import Boxes
+from ogm.state import LazyTruth
 from ogm.truth import ignore_cells, motion_of_boxes, track_motion
 
 SPEC = GridSpec(0.2, (60, 50), (-6.0, -5.0))
@@ -29,7 +30,7 @@ def both(*parts: Boxes) -> Boxes:
     return Boxes(**columns, velocity=np.concatenate([one.velocity for one in parts]))
 
 
-def truth_of(motion: Motion | Callable | None) -> Truth:
+def truth_of(motion: Motion | None) -> Truth:
     return Truth(SPEC, np.zeros(SPEC.shape, np.uint8), None, motion)
 
 
@@ -170,7 +171,7 @@ def test_motion_is_found_when_it_is_asked_for_and_once() -> None:
         asked.append(1)
         return motion_of_boxes(*scene(), SPEC)
 
-    truth = truth_of(find)
+    truth = LazyTruth(SPEC, np.zeros(SPEC.shape, np.uint8), None, find)
     cut = truth.crop(SPEC, 0.3).mirrored()
     assert repr(cut).startswith("Truth(60 x 50 cells")
     assert not asked
@@ -180,12 +181,12 @@ def test_motion_is_found_when_it_is_asked_for_and_once() -> None:
 
 
 def test_where_no_motion_is_known_crops_and_mirrors_have_none() -> None:
-    for truth in (truth_of(None), truth_of(lambda: None)):
+    for truth in (truth_of(None), LazyTruth(SPEC, np.zeros(SPEC.shape, np.uint8), None, lambda: None)):
         assert truth.motion is truth.crop(SPEC, 0.1).motion is truth.mirrored().motion is None
 
 
 def test_a_truth_goes_to_another_process_with_its_motion() -> None:
-    truth = truth_of(lambda: motion_of_boxes(*scene(), SPEC))
+    truth = LazyTruth(SPEC, np.zeros(SPEC.shape, np.uint8), None, lambda: motion_of_boxes(*scene(), SPEC))
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(truth)).motion.velocity, truth.motion.velocity)
 
 
