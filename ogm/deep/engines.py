@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ENGINES", "SHIPPED", "load_engine", "weights_of"]
 
-SHIPPED = ("lite",)  # weights in the package, also exported
+SHIPPED = ("lite", "radar")  # weights in the package, also exported
 ENGINES = ("onnxruntime", "openvino", "torch")
 _TORCH = (
     'pip install "ogm-toolkit[train]" adds it (on a machine without an NVIDIA GPU install PyTorch\'s CPU build first), '

@@ -17,7 +17,7 @@ from ogm.deep.data import PLAIN
 from ogm.deep.onnx_file import read_metadata, weights_sum
 from ogm.deep.polar import BEAM, CHANNELS, RadarGrid, polar_features, polar_places, view_of, write_masses
 from ogm.deep.radar_data import STEP, RadarBatch, RadarDataset, RadarFrame
-from ogm.deep.radar_export import export_radar_onnx
+from ogm.deep.export import export_onnx
 from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.deep.radar_onnx import FORMAT
 from ogm.deep.radar_training import train_radar
@@ -292,7 +292,7 @@ def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
 @pytest.fixture(scope="module")
 def exported(run: Path) -> Path:
     network, description = load_radar_network(run / "best.safetensors")
-    export_radar_onnx(network, run / "radar.onnx", description=description, weights=run / "best.safetensors")
+    export_onnx(network, run / "radar.onnx", description=description, weights=run / "best.safetensors")
     return run / "radar.onnx"
 
 
