@@ -276,7 +276,7 @@ def down_block(before: int, after: int, count: int, dropout: float) -> nn.Sequen
 
 
 @torch.no_grad()
-def copy_weights(source: PillarNetwork, target: PillarNetwork) -> None:
+def copy_weights(source: nn.Module, target: nn.Module) -> None:
     """Give a network the weights of another of the same layers; channels that only the target has get weights of 0.
 
     Raises

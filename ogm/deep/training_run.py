@@ -64,7 +64,7 @@ class TrainingRun:
         The run's folder.
     training, validation : int
         Numbers of frames.
-    initial : PillarNetwork, optional
+    initial : PillarNetwork or RadarNetwork, optional
         Network whose weights the training begins with; see `ogm.deep.network.copy_weights`.
 
     Attributes
@@ -96,7 +96,7 @@ class TrainingRun:
         out: Path,
         training: int,
         validation: int,
-        initial: PillarNetwork | None = None,
+        initial: nn.Module | None = None,
     ) -> None:
         self.fabric, self.recipe, self.out = fabric, recipe, out
         self.steps_per_epoch = training // fabric.world_size // recipe.batch
