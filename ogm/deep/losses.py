@@ -36,7 +36,6 @@ __all__ = [
     "reverse_kl",
     "sum_of_squares",
     "targets",
-    "undo_class_weights",
     "uniform_kl",
 ]
 
@@ -188,45 +187,11 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
 def class_weights(target: Tensor, occupied: float) -> Tensor:
     """Return a weight per cell, 1 but for occupied cells; for soft targets the expected one. The paper has 100.
 
-    The weight is greater than 0, and `undo_class_weights` undoes it. Returns (...), with the target's dtype.
+    The weight is greater than 0. Returns (...), with the target's dtype.
     """
     _check_positive("class weight", occupied)
     _check_states(target, "target")
     return 1 + (occupied - 1) * target[..., 1]
-
-
-def undo_class_weights(evidence: Tensor, occupied: float, strength: float = 10.0) -> Tensor:
-    """Return the evidence that minimises `reverse_kl` without the weight of occupied cells.
-
-    With weights w the loss is least at e = E w P / sum(w P); so P is proportional to e / w for free and
-    occupied, and to E - sum e for unknown. For the other losses there is no such closed form.
-
-    Parameters
-    ----------
-    evidence : (..., 2) floating point
-        At least 0. Where the sum exceeds E, P(unknown) is 0 and the sum is kept.
-    occupied : float
-        The weight given to `class_weights`.
-    strength : float
-        E of `reverse_kl`.
-
-    Returns
-    -------
-    (..., 2), with the evidence's dtype
-        E P. Exact for labels that are certain (targets of 0 and 1), as the weight of a soft target is a mean.
-
-    Raises
-    ------
-    ValueError
-        If the weight or `strength` is not finite and greater than 0.
-    """
-    _check_positive("class weight", occupied)
-    _check_positive("strength", strength)
-    _check_states(evidence, "evidence")
-    known = evidence.sum(-1, keepdim=True)
-    total = known.clamp(min=strength)
-    share = evidence / evidence.new_tensor([1.0, occupied])
-    return total * share / (share.sum(-1, keepdim=True) + total - known)
 
 
 class _ReverseKL(torch.autograd.Function):

@@ -33,13 +33,10 @@ class Pillars(NamedTuple):
 
     Attributes
     ----------
-    features : (N, 9) float32
-        Of each point: x, y, z [m] (z above the ground), intensity [0, 1]; x, y, z less the mean of the pillar's
-        points [m]; x, y less the center of the cell [m].
-    lengths : (P,) int64
-        Number of points of each pillar, at least one.
+    features, lengths
+        See `ogm.deep.points.SortedPoints`.
     cells : (P,) int64
-        The cell of each pillar, ascending: ``(scan * nx + ix) * ny + iy``.
+        Cell of each pillar, ascending: ``(scan * nx + ix) * ny + iy``.
     batch : int
         Number of scans.
     rays : (batch, nx, ny, 2) float32, optional
@@ -75,8 +72,7 @@ def pillarize(
     Pillars
         On the CPU.
     """
-    features, lengths, cells = sort_points(points, spec, z_range, ego_footprint, T)
-    return Pillars(torch.from_numpy(features), torch.from_numpy(lengths), torch.from_numpy(cells))
+    return Pillars(*map(torch.from_numpy, sort_points(points, spec, z_range, ego_footprint, T)))
 
 
 def pillarize_torch(
