@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from ogm.datasets.layout import FrameRef, HdMap, Layout, RawFrame
-from ogm.io import estimate_sensor_height, read_argoverse2, read_scan
+from ogm.io import estimate_sensor_height, read_scan
+from ogm.io.argoverse2 import read_argoverse2
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from ogm import io
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
 from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
+from ogm.io.kitti import read_kitti_objects, read_kitti_stamps, read_kitti_tracks
+from ogm.io.semantic_kitti import SEMANTIC_KITTI_MOVING, read_semantic_kitti
 from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
 
@@ -34,7 +36,7 @@ def kitti_object(path: Path) -> Layout | None:
         tuple(FrameRef(scan_name(one)) for one in scans),
         lambda n: RawFrame(io.read_scan(scans[n])),
         _BOXES,
-        (lambda n: io.read_kitti_objects(labels[n], io.read_calibration(calibrations[n]))) if labelled else None,
+        (lambda n: read_kitti_objects(labels[n], io.read_calibration(calibrations[n]))) if labelled else None,
         ego_footprint=KITTI_EGO,
         view=FRONT,
     )
@@ -63,7 +65,7 @@ def kitti_tracking(path: Path) -> Layout | None:
 
     @lru_cache(8)
     def tracks(label: Path) -> dict[int, Boxes]:
-        return io.read_kitti_tracks(label, io.read_calibration(path / "calib" / label.name))
+        return read_kitti_tracks(label, io.read_calibration(path / "calib" / label.name))
 
     return Layout(
         "KITTI tracking recordings",
@@ -93,7 +95,7 @@ def kitti_raw(path: Path) -> Layout | None:
         raise OgmError(f"scans of {path} must be named by their numbers, as their labels are; got {names[0]}")
     stamps = None
     if (raw / "timestamps.txt").is_file():
-        times = io.read_kitti_stamps(raw / "timestamps.txt")
+        times = read_kitti_stamps(raw / "timestamps.txt")
         beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
         if beyond:
             raise OgmError(
@@ -104,7 +106,7 @@ def kitti_raw(path: Path) -> Layout | None:
 
     @lru_cache(1)
     def tracks() -> dict[int, Boxes]:
-        return io.read_kitti_tracks(labels[0], _calibration(path))
+        return read_kitti_tracks(labels[0], _calibration(path))
 
     return Layout(
         "KITTI raw drive",
@@ -146,7 +148,7 @@ def kitti_odometry(path: Path) -> Layout | None:
         names = [scan_name(one) for one in scans]
         calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
         T = io.read_calibration(calib) if calib.is_file() else None
-        times = io.read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
+        times = read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
         if times is not None and len(times) != len(scans):
             raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
         poses = poses_of([*pose_files(folder), more], names, T_camera_sensor=T)
@@ -159,8 +161,8 @@ def kitti_odometry(path: Path) -> Layout | None:
         scan, label = files[n]
         if label is None:
             return RawFrame(io.read_scan(scan))
-        found = io.read_semantic_kitti(scan, label)
-        moving = np.isin(found.classes, list(io.SEMANTIC_KITTI_MOVING))
+        found = read_semantic_kitti(scan, label)
+        moving = np.isin(found.classes, list(SEMANTIC_KITTI_MOVING))
         return RawFrame(Scan(found.points), kinds_of(found), moving)
 
     name = "SemanticKITTI" if labelled else "KITTI odometry"

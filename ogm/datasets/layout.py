@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io import Axes, LabelledPoints
+from ogm.io import Axes
+from ogm.io.labels import LabelledPoints
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
 from ogm.truth import Kind

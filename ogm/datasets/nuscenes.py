@@ -4,7 +4,8 @@ from pathlib import Path
 
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
 from ogm.datasets.paths import scan_name
-from ogm.io import NuScenes, estimate_sensor_height, read_mmdet3d, read_nuscenes, read_scan
+from ogm.io import estimate_sensor_height, read_scan
+from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
 from ogm.storage.files import OgmError
 
 __all__ = ["mmdet3d", "nuscenes"]

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ogm.datasets.layout import Footprint, FrameRef, Layout, RawFrame, SensorPlace
-from ogm.io import read_radarscenes
+from ogm.io.radarscenes import read_radarscenes
 
 __all__ = ["radarscenes"]
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import Footprint, Layout, RawFrame, SensorPlace
-from ogm.io import estimate_sensor_height, plausible_sensor_height
+from ogm.io import estimate_sensor_height
+from ogm.io.sensor_height import plausible_sensor_height
 from ogm.pose import pose
 from ogm.scan import Boxes, Mount, Scan
 from ogm.storage.files import OgmError

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from ogm.datasets.layout import Layout, RawFrame
 from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
-from ogm.io import read_scan, read_sustech
+from ogm.io import read_scan
+from ogm.io.sustech import read_sustech
 
 __all__ = ["sustech"]
 

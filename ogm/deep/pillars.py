@@ -72,7 +72,8 @@ def pillarize(
     Pillars
         On the CPU.
     """
-    return Pillars(*map(torch.from_numpy, sort_points(points, spec, z_range, ego_footprint, T)))
+    features, lengths, cells = map(torch.from_numpy, sort_points(points, spec, z_range, ego_footprint, T))
+    return Pillars(features, lengths, cells)
 
 
 def pillarize_torch(
