@@ -2,30 +2,23 @@
 
 import os
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.deep.exported import ExportedNetwork
 from ogm.deep.network_grid import check_resolution, check_sides, sensor_coords
 from ogm.deep.onnx_file import read_onnx
-from ogm.deep.onnx_session import OnnxSession, reopened
 from ogm.deep.points import Rectangle, SortedPoints, pillar_maxima, sort_points
 from ogm.grid import GridSpec
-from ogm.storage.files import OgmError
 
 __all__ = ["OnnxEngine"]
 
 
-class OnnxEngine:
-    """An exported network that is ready to run, on one grid.
-
-    Parameters
-    ----------
-    path : path
-        Of a file that `ogm.deep.export.export_onnx` wrote.
-    runtime, precision, threads
-        See `ogm.deep.onnx_session.OnnxSession`.
+class OnnxEngine(ExportedNetwork):
+    """An exported network of lidars that is ready to run, on one grid; see `ogm.deep.exported.ExportedNetwork`.
 
     Attributes
     ----------
@@ -33,48 +26,18 @@ class OnnxEngine:
         The grid around the sensor; at first that of the training.
     rays : bool
         Whether the network takes the masses of `ogm.geometric.RayISM` too.
-    description : dict
-        Of the weights.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    OgmError
-        If the file is damaged or of another kind.
-    ValueError
-        If the runtime lacks the precision.
-    ImportError
-        If the runtime is not installed; the message holds the pip command that adds it.
-
-    Notes
-    -----
-    Threads may share an engine. The same scan gives the same masses, bit by bit, on the same machine with the same
-    number of threads.
     """
 
-    description: dict[str, Any]
+    inputs = ({"feature_map"}, {"feature_map", "sensor_coords"})
+    output = "mass"
     rays: bool
     spec: GridSpec
 
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        runtime: str = "onnxruntime",
-        precision: str = "float32",
-        threads: int | None = None,
-    ) -> None:
+    def _read(self, path: str | os.PathLike[str]) -> bytes:
         self._file = file = read_onnx(path)
-        session = OnnxSession(path, file.data, "mass", runtime=runtime, precision=precision, threads=threads)
-        if session.inputs not in ({"feature_map"}, {"feature_map", "sensor_coords"}):
-            names = sorted(session.inputs)
-            raise OgmError(f"{path} takes {names}, wanted feature_map and, for some networks, sensor_coords")
-        self._session = session
-        self.description, self.rays = file.description, file.rays
-        self.spec = file.spec
+        self.description, self.rays, self.spec = file.description, file.rays, file.spec
         check_sides(self.spec, file.multiple)
-        self._coords = self._fixed_inputs()
+        return file.data
 
     def on(self, spec: GridSpec) -> Self:
         """Return the same network for another grid of the same resolution.
@@ -89,14 +52,10 @@ class OnnxEngine:
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__)  # shares the session
         other.spec = spec
-        other._coords = other._fixed_inputs()
         return other
 
-    def __repr__(self) -> str:
-        return f"OnnxEngine({self._session.sha256[:16]}, {', '.join(self._session.arguments[1:3])})"
-
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reopened_on, (self._session.arguments, self.spec)
+        return _on_grid, (super().__reduce__(), self.spec)
 
     def pillars(
         self, points: NDArray[np.float32], ego_footprint: Rectangle, T: NDArray[np.floating[Any]]
@@ -128,14 +87,19 @@ class OnnxEngine:
         feature_map = pillar_maxima(scan, file.weight, file.bias, self.spec.shape, channels)
         if file.rays:
             feature_map[0, ..., -2:] = rays
-        return self._session.run({"feature_map": feature_map, **self._coords}, (*self.spec.shape, 2))
-
-    def _fixed_inputs(self) -> dict[str, NDArray[np.float32]]:
-        if "sensor_coords" not in self._session.inputs:
-            return {}
-        return {"sensor_coords": np.ascontiguousarray(sensor_coords(self.spec))}
+        inputs = {"feature_map": feature_map}
+        if "sensor_coords" in self._names:
+            inputs["sensor_coords"] = _coords(self.spec)
+        return self._run(inputs, (*self.spec.shape, 2))
 
 
-def _reopened_on(arguments: tuple[str, str, str, int], spec: GridSpec) -> OnnxEngine:
-    engine: OnnxEngine = reopened(OnnxEngine, *arguments)
+@lru_cache(8)
+def _coords(spec: GridSpec) -> NDArray[np.float32]:
+    return np.ascontiguousarray(sensor_coords(spec))
+
+
+def _on_grid(reopen: tuple[Any, ...], spec: GridSpec) -> OnnxEngine:
+    """Return a pickled engine."""
+    function, arguments = reopen
+    engine: OnnxEngine = function(*arguments)
     return engine.on(spec)

@@ -18,10 +18,10 @@ from ogm.deep import DeepISM, PillarNetwork
 from ogm.deep.checkpoint import save_network
 from ogm.deep.engines import SHIPPED, load_engine, weights_of
 from ogm.deep.export import export_onnx
+from ogm.deep.exported import default_threads
 from ogm.deep.network import NetworkConfig
 from ogm.deep.onnx_engine import OnnxEngine
 from ogm.deep.onnx_file import FORMAT, read_metadata, read_onnx, weights_sum
-from ogm.deep.onnx_session import default_threads
 from ogm.deep.radar_onnx import FORMAT as RADAR_FORMAT
 from ogm.deep.torch_engine import TorchEngine
 from ogm.scan import Scan

@@ -11,7 +11,6 @@ from ogm.io.messages.plain import describe_message, frame_of, header, reads_mess
 from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
 from ogm.pose import check_pose, matrix_to_quaternion
-from ogm.storage.files import OgmError
 
 __all__ = ["pose_message", "tf_message", "transform_from_odometry", "transform_of_pose", "transforms_from_tf"]
 

@@ -4,34 +4,30 @@ import hashlib
 import importlib
 import os
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.storage.files import OgmError
 
-__all__ = ["OnnxSession", "default_threads", "reopened"]
+__all__ = ["ExportedNetwork", "default_threads"]
 
 Inputs = Mapping[str, NDArray[np.float32]]
 Run = Callable[[Inputs], NDArray[np.float32]]
-E = TypeVar("E")
 
 
-class OnnxSession:
-    """An exported network that is ready to run.
+class ExportedNetwork(ABC):
+    """An exported network that is ready to run: of lidars (`OnnxEngine`) or of radars (`RadarOnnxEngine`).
 
     Parameters
     ----------
     path : path
-        File of the network.
-    data : bytes
-        Content of the file, as `ogm.deep.onnx_file` read and checked it.
-    output : str
-        Name of the output that is computed.
+        File that `ogm.deep.export.export_onnx` wrote.
     runtime : "onnxruntime" or "openvino"
         Package that computes.
     precision : "float32" or "bfloat16"
@@ -41,32 +37,33 @@ class OnnxSession:
 
     Attributes
     ----------
-    inputs : set of str
-        Names of the inputs.
-    sha256 : str
-        Checksum of the file.
-    arguments : tuple
-        Absolute path, runtime, precision and threads, which open the same network again.
+    description : dict
+        Description of the weights.
 
     Raises
     ------
+    FileNotFoundError
+        If there is no such file.
     OgmError
-        If the runtime cannot open the network.
+        If the file is damaged or of another kind.
     ValueError
         If the runtime lacks the precision.
     ImportError
         If the runtime is not installed; the message holds the pip command that adds it.
+
+    Notes
+    -----
+    Threads may share a network. It is pickled by its path. The same scan gives the same result, bit by bit, on the same
+    machine with the same number of threads.
     """
 
-    inputs: set[str]
-    sha256: str
-    arguments: tuple[str, str, str, int]
+    description: dict[str, Any]
+    inputs: ClassVar[tuple[set[str], ...]]  # names of the inputs, one set for each kind of network
+    output: ClassVar[str]
 
     def __init__(
         self,
         path: str | os.PathLike[str],
-        data: bytes,
-        output: str,
         *,
         runtime: str = "onnxruntime",
         precision: str = "float32",
@@ -79,33 +76,47 @@ class OnnxSession:
         threads = default_threads() if threads is None else threads
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
-        self._path, self.sha256 = os.fspath(path), hashlib.sha256(data).hexdigest()
-        self.arguments = os.path.abspath(path), runtime, precision, threads
+        data = self._read(path)
+        self._path, self._sha256 = os.fspath(path), hashlib.sha256(data).hexdigest()
+        self._arguments = os.path.abspath(path), runtime, precision, threads
         try:
             if runtime == "openvino":
-                self._run, self.inputs = _openvino(data, output, precision, threads)
+                self._session, self._names = _openvino(data, self.output, precision, threads)
             else:
-                self._run, self.inputs = _onnxruntime(data, output, threads)
+                self._session, self._names = _onnxruntime(data, self.output, threads)
         except ImportError:
             raise
         except Exception as error:  # those of the runtimes have no other parent
             raise OgmError(f"{path} cannot be run by {runtime}: {error}") from error
+        if self._names not in self.inputs:
+            wanted = ", or ".join(" and ".join(sorted(names)) for names in self.inputs)
+            raise OgmError(f"{path} takes {' and '.join(sorted(self._names))}, wanted {wanted}")
 
-    def run(self, inputs: Inputs, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    @abstractmethod
+    def _read(self, path: str | os.PathLike[str]) -> bytes:
+        """Read and check the file, keep its description, and return its bytes."""
+
+    def _run(self, inputs: Inputs, shape: tuple[int, ...]) -> NDArray[np.float32]:
         """Return the output of the network, an array of a shape; raise OgmError if it gives something else."""
         try:
-            result = self._run(inputs)
+            result = self._session(inputs)
         except Exception as error:  # those of the runtimes have no other parent
             raise OgmError(f"{self._path} does not fit the input that it describes: {error}") from error
         if result.shape != shape or result.dtype != np.float32:
             raise OgmError(f"{self._path} gives {result.dtype} {result.shape}, wanted float32 {shape}")
         return result
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._sha256[:16]}, {', '.join(self._arguments[1:3])})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopened, (type(self), *self._arguments)
+
 
 @lru_cache(4)
-def reopened(engine: Callable[..., E], path: str, runtime: str, precision: str, threads: int) -> E:
-    """Return a pickled engine in another process, which opens its file once; see `OnnxSession.arguments`."""
-    return engine(path, runtime=runtime, precision=precision, threads=threads)
+def _reopened(kind: type[ExportedNetwork], path: str, runtime: str, precision: str, threads: int) -> ExportedNetwork:
+    """Return a pickled network in another process, which opens its file once."""
+    return kind(path, runtime=runtime, precision=precision, threads=threads)
 
 
 def default_threads() -> int:
