@@ -21,7 +21,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "Data": (
         *("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.transforms", "ogm.io.logs", "ogm.truth"),
         *("ogm.io.kitti", "ogm.io.semantic_kitti", "ogm.io.nuscenes", "ogm.io.argoverse2", "ogm.io.sustech"),
-        *("ogm.io.radarscenes", "ogm.io.range_images", "ogm.io.labels"),
+        *("ogm.io.radarscenes", "ogm.io.range_images"),
     ),
     "Evaluation": ("ogm.evaluation", "ogm.models.named", "ogm.metrics"),
     "Pictures": ("ogm.plot", "ogm.plot.colours", "ogm.plot.movie", "ogm.plot.overview", "ogm.plot.viewer"),

@@ -1,7 +1,7 @@
 """A trained network on disk: NAME.safetensors holds the weights, NAME.json what they are for and where they come from.
 
-Nothing is unpickled. Sizes and names must be those that the description asks for, and the bytes of both files those
-whose SHA-256 it states under ``sha256``; files of older versions state none.
+Nothing is unpickled. Sizes and names must match the description, and the bytes of both files the SHA-256 that it
+states under ``sha256``; files of older versions state none.
 """
 
 import hashlib
@@ -36,7 +36,7 @@ def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNet
     Parameters
     ----------
     path : path
-        Of the weights; ends in ``.safetensors``. The description stands beside it, ending in ``.json``.
+        Name of the weights, ending in ``.safetensors``. The description has the same name, ending in ``.json``.
     network : PillarNetwork or RadarNetwork
     facts : mapping
         More for the description, as JSON holds it: provenance, recipe, results.
@@ -87,12 +87,12 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
 
 
 def load_radar_network(path: str | os.PathLike[str]) -> tuple[RadarNetwork, dict[str, Any]]:
-    """Read a network of radars that `save_network` wrote; results and errors are those of `load_network`."""
+    """Read a network of radars that `save_network` wrote; see `load_network` for results and errors."""
     return _load(path, _radar_network)
 
 
 def load_any_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork | RadarNetwork, dict[str, Any]]:
-    """Read a network of lidars or radars that `save_network` wrote; results and errors are those of `load_network`."""
+    """Read a network of lidars or radars that `save_network` wrote; see `load_network` for results and errors."""
     return _load(path, _any_network)
 
 

@@ -3,7 +3,7 @@
 `ogm.deep.onnx_engine.OnnxEngine` and `ogm.deep.radar_onnx.RadarOnnxEngine` run it, and so does whatever else runs ONNX.
 The file holds the network with its normalisation folded in, for one scan at a time. Its metadata describe every array:
 ``format``, ``description`` (JSON of the weights: spec, network, recipe, ...), ``weights`` (their SHA-256), and an entry
-for each input and output; the last entry, ``sha256``, is that of all bytes before it.
+for each input and output; the last entry, ``sha256``, is the checksum of all bytes before it.
 
 A network of lidars takes any grid whose sides are multiples of ``multiple`` cells. The step before it, a linear layer
 and a maximum over the points of a pillar, is in the entry ``input`` (JSON: weight, bias, rays, z_range, multiple)::

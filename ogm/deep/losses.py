@@ -5,7 +5,7 @@ probabilities that the truth is free and occupied; the rest to one is `unknown`,
 It returns float32, or float64 if `evidence` is, per cell, (...). Half precision is computed in float32, and only
 shapes and types are checked: a NaN in is a NaN out.
 
-The default is `reverse_kl`; the others are those of the literature, for comparison::
+The default is `reverse_kl`; the others are losses of the literature, for comparison::
 
     target, valid = targets(state)
     loss = masked_mean(reverse_kl(evidence, target), valid)
@@ -69,7 +69,7 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
 
     Notes
     -----
-    Malinin and Gales 2019. Value and gradient are those of `ogm.evidence.dirichlet`; there is no second derivative.
+    Malinin and Gales 2019. Value and gradient: see `ogm.evidence.dirichlet`; there is no second derivative.
     A cell whose loss is not used has the gradient 0 even where its evidence is NaN.
     """
     _check_positive("strength", strength)
@@ -185,7 +185,7 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
 
 
 def class_weights(target: Tensor, occupied: float) -> Tensor:
-    """Return a weight per cell, 1 but for occupied cells; for soft targets the expected one. The paper has 100.
+    """Return a weight per cell, 1 except for occupied cells; for soft targets its mean. The paper has 100.
 
     The weight is greater than 0. Returns (...), with the target's dtype.
     """

@@ -23,7 +23,7 @@ class OnnxEngine(ExportedNetwork):
     Attributes
     ----------
     spec : GridSpec
-        The grid around the sensor; at first that of the training.
+        The grid around the sensor; at first the grid of the training.
     rays : bool
         Whether the network takes the masses of `ogm.geometric.RayISM` too.
     """

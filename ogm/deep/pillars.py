@@ -65,7 +65,7 @@ def pillarize(
 ) -> Pillars:
     """Sort the points of a scan into pillars.
 
-    Parameters and errors are those of `ogm.deep.points.sort_points`.
+    Parameters and errors: see `ogm.deep.points.sort_points`.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def ray_masses(scan: Scan, spec: GridSpec, height: float, ego_footprint: Rectang
 
 
 def cap_pillars(pillars: Pillars, rng: np.random.Generator, most_pillars: int, most_points: int) -> Pillars:
-    """Keep at most so many pillars, and points of each, chosen at random: the limits of van Kempen et al. 2021.
+    """Keep a random choice of pillars, and points of each, up to the limits of van Kempen et al. 2021.
 
     The offsets from the pillar's mean stay those from the mean of all its points, as in the paper's code.
     """

@@ -97,13 +97,13 @@ class DeepRadarISM:
         noise: RadarNoise | None = None,
         threads: int | None = None,
     ) -> Self:
-        """Load weights: those that come with the package by name, or what `ogm train` or `ogm export` wrote.
+        """Load weights: shipped weights by name, or a file of `ogm train` or `ogm export`.
 
         Parameters
         ----------
         source : "radar", or path
-            An exported network (``.onnx``), which needs no torch; a ``.safetensors`` file with its ``.json`` beside it,
-            or a run's folder, for its best weights, by torch.
+            An exported network (``.onnx``), which needs no torch; a ``.safetensors`` file with its ``.json``, or a
+            run's folder, for its best weights, by torch.
         spec, mount, noise
             As of the class.
         threads : int, optional

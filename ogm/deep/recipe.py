@@ -30,7 +30,7 @@ LOSSES: dict[str, Callable[[Tensor, Tensor, float], Tensor]] = {  # evidence, ta
 
 @dataclass(frozen=True)
 class Recipe:
-    """The settings of a training; kept beside the weights.
+    """The settings of a training, kept with the weights.
 
     Parameters
     ----------

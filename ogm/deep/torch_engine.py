@@ -38,7 +38,7 @@ class TorchEngine:
     Attributes
     ----------
     spec : GridSpec
-        The grid around the sensor; at first that of the network.
+        The grid around the sensor; at first the network's grid.
     rays : bool
         Whether the network takes the masses of `ogm.geometric.RayISM` too.
     network : PillarNetwork

@@ -1,7 +1,7 @@
 """Training of a network on frames.
 
 A run is a folder. ``best.safetensors`` and ``best.json`` are the averaged weights with the lowest validation loss,
-``state.pt`` holds all that is needed to resume, ``log.csv`` the learning curve, and ``epoch-NNN.png`` shows fixed
+``state.pt`` holds the state to resume from, ``log.csv`` the learning curve, and ``epoch-NNN.png`` shows fixed
 validation frames.
 
 >>> from pathlib import Path
@@ -72,8 +72,8 @@ def train(
         The run's folder.
     recipe : Recipe
     noise : callable, optional
-        Returns field of view and errors of a radar by the name of its sensor; by default all radars have those of
-        `RadarNoise`. Only used for networks of radars.
+        Returns field of view and errors of a radar by the name of its sensor; by default `RadarNoise()` for
+        all radars. Only used for networks of radars.
     initial : PillarNetwork or RadarNetwork, optional
         Begin with its weights instead of random ones; the recipe's network may take further inputs.
     resume : bool
@@ -83,11 +83,11 @@ def train(
         See Lightning Fabric. The default precision is bfloat16 where the accelerator or the processor has it, else
         float32.
     workers : int, optional
-        Processes that prepare frames, beside each training process; by default half the cores, 12 at most.
+        Processes that prepare frames, for each training process; by default half the cores, 12 at most.
     picture_every : int
         Epochs between pictures of validation frames; 0 draws none. Trainings of radars draw none.
     facts : mapping, optional
-        Provenance to keep beside the weights.
+        Provenance, written to ``best.json``.
     progress : bool
         Show a progress bar.
 
@@ -132,7 +132,7 @@ def _dataset(
 
 
 def _launch(accelerator: str, devices: int, nodes: int, precision: Any) -> Fabric:
-    """Start the processes of a training; the default precision is that of `train`."""
+    """Start the processes of a training; see `train` for the default precision."""
     if accelerator == "auto":  # Lightning would take others, for which torch lacks segment_reduce
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
     if precision is None:

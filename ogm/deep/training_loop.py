@@ -82,7 +82,7 @@ def run_training(
     frames, fixed : dataset of batches of one
         Frames for training, and frames to choose the weights by. `frames` takes keys (epoch, i), see `PillarDataset`.
     facts : mapping
-        Provenance to keep beside the weights.
+        Provenance, written to ``best.json``.
     draw : callable, optional
         Draws the predictions of a network into a file.
     picture_every, resume, workers, progress
@@ -173,7 +173,7 @@ def validate(network: nn.Module, dataset: Frames, recipe: Recipe, device: torch.
 
 
 def make_loader(frames: Frames, order: EpochSampler, batch: int, workers: int | None) -> DataLoader[Any]:
-    """Return a loader of batches in an order, with so many processes beside this one; None takes half the cores."""
+    """Return a loader of batches in an order, by a number of further processes; None takes half the cores."""
     if workers is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))

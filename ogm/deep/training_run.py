@@ -52,7 +52,7 @@ _MODULES = ("network", "average", "optimizer")
 
 
 class TrainingRun:
-    """A training: all that a step or the end of an epoch changes, and that a resumed run needs.
+    """State of a training, which steps and ends of epochs change, and a resumed run needs.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def _update_ema(average: nn.Module, network: nn.Module, decay: float) -> None:
 
 
 def _add_row(path: Path, row: Mapping[str, float]) -> None:
-    """Write a row for an epoch after those of earlier epochs; a stopped run may have written this one before."""
+    """Write the row of an epoch after the rows of earlier epochs; a stopped run may have written it before."""
     rows: list[dict[str, Any]] = []
     if path.exists():
         with open(path, newline="") as file:
