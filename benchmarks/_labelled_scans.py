@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from ogm import GridSpec
 from ogm.datasets import open_dataset
-from ogm.io import NUSCENES_ELEVEN, SEMANTIC_KITTI_TRAINING, estimate_sensor_height, read_range_image
+from ogm.io import estimate_sensor_height
+from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
+from ogm.io.semantic_kitti import SEMANTIC_KITTI_TRAINING
 from ogm.scan import Boxes
 from ogm.truth import boxes_over_points
 

@@ -34,7 +34,7 @@ from ogm.datasets import open_dataset
 from ogm.deep.data import Batch, PillarDataset
 from ogm.deep.order import EpochSampler, ShardSampler
 from ogm.deep.recipe import LITE_RECIPE, mean_loss
-from ogm.deep.training import make_loader
+from ogm.deep.training_loop import make_loader
 from ogm.grid import GridSpec
 from ogm.simulation.split import open_array, sample_checksums, shard_file
 from ogm.simulation.store import SHARD, Store
@@ -188,7 +188,7 @@ def row(place: str, storage: dict[str, str], count: int, seconds: float, order: 
         return requests(path, [int(where[i]) for _, i in sampler], 640 if order == "shards" else 100, seconds)
     dataset[0]  # compiles kernels
     torch.set_num_threads(1)
-    batches = iter(make_loader(dataset, sampler, BATCH, loaders, Batch.joined))
+    batches = iter(make_loader(dataset, sampler, BATCH, loaders))
     next(batches)  # the loading processes have started
     step = training_step() if order == "training" else lambda batch: None
     step(next(batches))

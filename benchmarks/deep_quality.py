@@ -34,7 +34,6 @@ from scipy.ndimage import binary_opening
 
 from ogm import GridSpec
 from ogm.datasets import Dataset, open_dataset
-from ogm.deep.losses import undo_class_weights
 from ogm.evaluation import Evaluation, SingleScanMethod, evaluate, evaluation_record
 from ogm.evaluation.figures import draw_metrics
 from ogm.evidence import evidence_to_mass
@@ -119,11 +118,19 @@ def weighed(method: SingleScanMethod, dataset: Dataset) -> dict[str, dict[str, f
     for frame in dataset:
         evidence = torch.from_numpy(run_model(method.model, frame).evidence)
         for weight in WEIGHTS:
-            mass = evidence_to_mass(undo_class_weights(evidence, occupied=1 / weight).numpy())
+            mass = evidence_to_mass(reweighted(evidence, weight).numpy())
             sums = accumulate(mass, frame.truth.crop(PAPER).state)
             pooled[weight] = pooled[weight].plus(sums) if weight in pooled else sums
     shown = ("nll", "iou_free", "iou_occupied", "ece_relative", "false_free")
     return {f"{weight:g}": {name: score(sums)[name] for name in shown} for weight, sums in pooled.items()}
+
+
+def reweighted(evidence: torch.Tensor, occupied: float, strength: float = 10.0) -> torch.Tensor:
+    """Return the evidence at the optimum of `reverse_kl` if occupied cells had had a weight; see docs/deep.md."""
+    known = evidence.sum(-1, keepdim=True)
+    total = known.clamp(min=strength)
+    share = evidence / evidence.new_tensor([1.0, 1 / occupied])
+    return total * share / (share.sum(-1, keepdim=True) + total - known)
 
 
 def main() -> None:

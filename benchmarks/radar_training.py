@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from ogm import Frame, Mount, Scan
 from ogm.deep.checkpoint import load_radar_network
-from ogm.deep.polar import RadarNoise
-from ogm.deep.radar_data import RadarFrame
-from ogm.deep.radar_export import export_radar_onnx
-from ogm.deep.radar_training import train_radar
+from ogm.deep.export import export_onnx
+from ogm.deep.polar import RadarGrid
 from ogm.deep.recipe import RADAR_RECIPE
+from ogm.deep.training import train
+from ogm.models.radar import radar_noise
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import make_sample, set_up
 from ogm.simulation.mounts import PLACES
@@ -44,12 +44,6 @@ from ogm.truth import TRUTH_SPEC
 TRAINING = DatasetPlan(seed=21, samples=1200, validation=0, test=0, towns=12, drives=24, spacing=5.0, town_size=320.0)
 VALIDATION = DatasetPlan(seed=22, samples=70, validation=0, test=0, towns=3, drives=6, spacing=5.0)
 CORNERS = [place for place in PLACES if "-" in place]
-
-
-def noise_of(name: str) -> RadarNoise:
-    """Return field of view and errors of a simulated radar, of its widest mode."""
-    widest = RADARS[name].widest
-    return RadarNoise(widest.half_width, 0.1, widest.noise[1])
 
 
 def chosen(rng: np.random.Generator, more: bool) -> Iterator[tuple[str, NDArray[np.float64]]]:
@@ -91,7 +85,7 @@ def make(plan: DatasetPlan, index: int, path: Path, more: bool) -> None:
         np.savez_compressed(file, **rows)
 
 
-def moments(plan: DatasetPlan, folder: Path, indices: Sequence[int], more: bool) -> list[RadarFrame]:
+def moments(plan: DatasetPlan, folder: Path, indices: Sequence[int], more: bool) -> list[Frame]:
     """Simulate the moments that are missing, those of one town after each other, and read all."""
     folder.mkdir(parents=True, exist_ok=True)
     for index in sorted(indices, key=lambda k: (moment(plan, "training", k).scenario % plan.towns, k)):
@@ -102,23 +96,23 @@ def moments(plan: DatasetPlan, folder: Path, indices: Sequence[int], more: bool)
     return [one for index in indices for one in read(folder / f"{index:05d}.npz")]
 
 
-def read(path: Path) -> Iterator[RadarFrame]:
+def read(path: Path) -> Iterator[Frame]:
     """Yield the sweeps of a moment with its truth."""
     with np.load(path) as rows:
         truth, edges = Truth(TRUTH_SPEC, rows["truth"]), tuple(float(edge) for edge in rows["footprint"])
         for n in range(int(rows["count"])):
-            one, name = rows[f"rows{n}"], str(rows[f"radar{n}"])
-            scan = Scan(one[:, :3].copy(), doppler=one[:, 3], rcs=one[:, 4], sensor=name)
+            one = rows[f"rows{n}"]
+            scan = Scan(one[:, :3].copy(), doppler=one[:, 3], rcs=one[:, 4], sensor=str(rows[f"radar{n}"]))
             mount = Mount(float(rows[f"z{n}"]), rows[f"T{n}"], ego_footprint=edges)
-            yield RadarFrame(Frame(scan, mount, None, truth, name=f"{path.stem}-{n}"), noise_of(name))
+            yield Frame(scan, mount, None, truth, name=f"{path.stem}-{n}")
 
 
-def provenance(plan: DatasetPlan, frames: Sequence[RadarFrame]) -> dict[str, Any]:
+def provenance(plan: DatasetPlan, frames: Sequence[Frame]) -> dict[str, Any]:
     """Return what the description of the weights states about data."""
     facts = {name: getattr(plan, name) for name in ("seed", "towns", "town_size", "drives", "spacing")}
     return {
         "simulated by": "ogm.simulation.radar",
-        "moments": len({id(one.frame.truth) for one in frames}),
+        "moments": len({id(one.truth) for one in frames}),
         "sweeps": len(frames),
         **facts,
     }
@@ -138,12 +132,12 @@ def main() -> None:
         "licence": "Apache-2.0; simulated data only",
     }
     recipe = replace(RADAR_RECIPE, epochs=given.epochs)
-    options: Any = {"resume": True, "workers": 0, "facts": facts, "progress": False}
-    best = train_radar(training, validation, given.folder / "run", recipe, **options)
+    options: Any = {"resume": True, "workers": 0, "facts": facts, "progress": False, "noise": radar_noise}
+    best = train(training, validation, RadarGrid(), given.folder / "run", recipe, **options)
     network, description = load_radar_network(best)
     for end in (".safetensors", ".json"):
         shutil.copy(best.with_suffix(end), given.folder / f"radar{end}")
-    export_radar_onnx(network, given.folder / "radar.onnx", description=description, weights=best)
+    export_onnx(network, given.folder / "radar.onnx", description=description, weights=best)
     print(description["result"])
 
 

@@ -26,7 +26,8 @@ from _sweep_statistics import EDGES, SPEC, Sweep, histograms, statistics
 from numpy.typing import NDArray
 
 from ogm import Scan, read_scan
-from ogm.io import estimate_sensor_height, read_argoverse2
+from ogm.io import estimate_sensor_height
+from ogm.io.argoverse2 import read_argoverse2
 from ogm.plot.colours import colours
 from ogm.pose import inverse, pose
 from ogm.simulation.cells import measure_ground

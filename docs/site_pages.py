@@ -18,7 +18,11 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "Evidence": ("ogm.evidence", "ogm.evidence.powerset"),
     "Sensor models": ("ogm.geometric", "ogm.deep", "ogm.models.combined", "ogm.geometric.doppler"),
     "Maps over time": ("ogm.fusion", "ogm.live", "ogm.world"),
-    "Data": ("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.transforms", "ogm.io.logs", "ogm.truth"),
+    "Data": (
+        *("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.transforms", "ogm.io.logs", "ogm.truth"),
+        *("ogm.io.kitti", "ogm.io.semantic_kitti", "ogm.io.nuscenes", "ogm.io.argoverse2", "ogm.io.sustech"),
+        *("ogm.io.radarscenes", "ogm.io.range_images"),
+    ),
     "Evaluation": ("ogm.evaluation", "ogm.models.named", "ogm.metrics"),
     "Pictures": ("ogm.plot", "ogm.plot.colours", "ogm.plot.movie", "ogm.plot.overview", "ogm.plot.viewer"),
     "Training": tuple(f"ogm.deep.{name}" for name in ("training", "recipe", "losses", "data", "export", "engines")),

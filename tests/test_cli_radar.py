@@ -1,5 +1,7 @@
 """Commands on data sets with radars."""
 
+import csv
+import json
 from dataclasses import asdict
 from pathlib import Path
 
@@ -9,8 +11,11 @@ from typer.testing import CliRunner
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
 from ogm.cli import app
+from ogm.datasets import open_dataset
+from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.geometric import RadarISM, RayISM
 from ogm.models.named import load_model, with_radar
+from ogm.models.radar import radar_noise
 from ogm.pose import pose
 from ogm.scan import Frame, run_model
 from ogm.simulation.detections import PlacedSweep, RadarSweep
@@ -30,7 +35,7 @@ BEAMS = Beams(
 RADAR = radars_at(["ars548"])
 
 
-def sample(index: int) -> SimulatedSample:
+def sample(index: int, split: str = "sequences") -> SimulatedSample:
     """Flat ground, and a wall 20 m ahead that the lidar's low layers do not reach and the radar detects."""
     z = BEAMS.directions[..., 2].astype(np.float64)
     with np.errstate(divide="ignore"):
@@ -56,7 +61,7 @@ def sample(index: int) -> SimulatedSample:
         velocity=np.zeros(3),
         yaw_rate=0.0,
         stamp=20 + 0.1 * index,
-        split="sequences",
+        split=split,
         index=index,
         scenario=0,
         sweeps=(sweep,),
@@ -69,6 +74,18 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = asdict(DatasetPlan(samples=0, validation=0, test=0, sequences=1, radars=RADAR))
     made = Store.create(folder, plan, {"sequences": 10}, [BEAMS], {"ogm": "0"})
     made.write("sequences", 0, [sample(k) for k in range(10)])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def splits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight samples to train on and two to validate."""
+    folder = tmp_path_factory.mktemp("splits") / "data"
+    counts = {"training": 8, "validation": 2}
+    plan = asdict(DatasetPlan(samples=8, validation=2, test=0, radars=RADAR))
+    made = Store.create(folder, plan, counts, [BEAMS], {"ogm": "0"})
+    for split, count in counts.items():
+        made.write(split, 0, [sample(k, split) for k in range(count)])
     return folder
 
 
@@ -134,3 +151,50 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
     np.testing.assert_array_equal(run_model(only, radar).mass, expected(radar.scan).mass)
     with pytest.raises(ValueError, match="no sensor model of radars 'ray'"):
         load_model("ray+ray", SPEC)
+
+
+def test_train_and_export_a_network_of_radars(splits: Path, tmp_path: Path) -> None:
+    pytest.importorskip("lightning")
+    run, file = tmp_path / "run", tmp_path / "radar.onnx"
+    words = ["train", splits, "--model", "radar", "--out", run, "--batch", 4, "--accelerator", "cpu", "--workers", 0]
+    ogm(*words, "--epochs", 2)
+    assert {path.name for path in run.iterdir()} == {"best.json", "best.safetensors", "log.csv", "state.pt"}
+    with open(run / "log.csv") as rows:
+        assert [row["epoch"] for row in csv.DictReader(rows)] == ["1", "2"]
+    description = json.loads((run / "best.json").read_text())
+    assert {name: part["frames"] for name, part in description["data"].items()} == {"training": 8, "validation": 2}
+    assert description["data"]["training"]["radars"] == {"ars548-front": "ars548"}
+    before = (run / "state.pt").read_bytes()
+    ogm(*words, "--epochs", 2, "--resume")  # nothing is left to do
+    assert (run / "state.pt").read_bytes() == before
+
+    assert "(2, 144, 160) float32" in ogm("export", run, "--out", file)
+    scan = open_dataset(splits, split="val", sensors=["radar"])[0].scan
+    by_torch, exported = (DeepRadarISM.load(path, noise=radar_noise(scan.sensor)) for path in (run, file))
+    np.testing.assert_allclose(exported(scan).mass, by_torch(scan).mass, atol=1e-5)
+    assert by_torch(scan).mass.any()
+
+
+def test_train_takes_the_noise_of_each_radar(splits: Path) -> None:
+    pytest.importorskip("torch")
+    from ogm.deep.polar import RadarGrid, polar_features
+    from ogm.deep.radar_data import RadarDataset
+
+    frames, corner = open_dataset(splits, split="train", sensors=["radar"]), RADARS["ars548"].widest
+    frame, noise = frames[0], RadarNoise(corner.half_width, 0.1, corner.noise[1])
+    (batch, *_) = RadarDataset(frames, RadarGrid(), radar_noise)
+    wanted = polar_features(frame.scan, frame.mount, noise, RadarGrid())
+    np.testing.assert_array_equal(batch.features[0].numpy(), wanted)
+
+
+def test_what_a_network_of_radars_lacks_is_refused(splits: Path, data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("lightning")
+    for words, message in (
+        ((splits, "--length", 40), "polar grid"),
+        ((splits, "--init", "lite"), "other layers"),
+        ((data,), "no split 'training'"),
+    ):
+        options = ["--model", "radar", "--batch", "4", "--accelerator", "cpu", "--out", str(tmp_path / "run")]
+        result = CliRunner().invoke(app, ["train", *map(str, words), *options])
+        assert result.exit_code == 2, result.output
+        assert message in result.output

@@ -17,6 +17,12 @@ from ogm.storage.remote import as_path
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
     from ogm.deep.network import PillarNetwork
+    from ogm.deep.polar import RadarGrid
+    from ogm.deep.radar_network import RadarNetwork
+    from ogm.grid import GridSpec
+
+
+RESOLUTION = 0.16  # [m]
 
 
 class Preset(StrEnum):
@@ -25,6 +31,7 @@ class Preset(StrEnum):
     lite = "lite"
     paper = "paper"
     published = "published"
+    radar = "radar"
 
 
 class LossName(StrEnum):
@@ -52,7 +59,8 @@ def train_command(
         Preset,
         typer.Option(
             help="lite: small, for CPUs; the masses of RayISM are inputs. paper: PointPillars, our recipe. published: "
-            "the same by the paper's recipe (100 epochs, batch 5, squared error, occupied cells x 100, rotation only)."
+            "the same by the paper's recipe (100 epochs, batch 5, squared error, occupied cells x 100, rotation only). "
+            "radar: the network of radars, on the sweeps of DATA, made by `ogm simulate --radar`."
         ),
     ] = Preset.lite,
     validation: Annotated[
@@ -65,7 +73,8 @@ def train_command(
     ] = None,
     out_folder: Annotated[Path | None, typer.Option("--out", help="The run's folder. [default: runs/MODEL]")] = None,
     initial: Annotated[
-        str | None, typer.Option("--init", help="Begin with these weights: lite, a run's folder, a .safetensors file.")
+        str | None,
+        typer.Option("--init", help="Begin with these weights: lite, radar, a run's folder, a .safetensors file."),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where the run in --out stopped.")] = False,
     epochs: Annotated[int | None, typer.Option(help="Passes over all frames.")] = None,
@@ -74,9 +83,9 @@ def train_command(
     loss: Annotated[LossName | None, typer.Option(help="What is minimised; see docs/deep.md.")] = None,
     samples: Annotated[int | None, typer.Option(help="Use so many training frames. [default: all]")] = None,
     seed: Annotated[int | None, typer.Option(help="Of weights, order and augmentation.", min=0)] = None,
-    length: Annotated[float | None, typer.Option(help="Extent along x [m]. [default: 81.92]")] = None,
-    width: Annotated[float | None, typer.Option(help="Extent along y [m]. [default: 56.32]")] = None,
-    resolution: Annotated[float, typer.Option(help="Side of a cell [m].")] = 0.16,
+    length: Annotated[float | None, typer.Option(help="Extent along x [m]; not for radar. [default: 81.92]")] = None,
+    width: Annotated[float | None, typer.Option(help="Extent along y [m]; not for radar. [default: 56.32]")] = None,
+    resolution: Annotated[float, typer.Option(help="Side of a cell [m]; not for radar.")] = RESOLUTION,
     accelerator: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
     devices: Annotated[int, typer.Option(help="Accelerators, or processes, per machine.")] = 1,
     nodes: Annotated[int, typer.Option(help="Machines: start the command on each, see docs/cluster.md.")] = 1,
@@ -89,16 +98,17 @@ def train_command(
 ) -> None:
     """Train a network on frames with truth.
 
-    Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch, and state.pt
-    every two minutes, from which --resume goes on. Where an object store is and who may read it is taken from
-    AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
+    Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch (not for radar),
+    and state.pt every two minutes, from which --resume continues. The place of an object store and the right to read
+    it are taken from AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
     """
     _need_torch()
     from ogm.deep.recipe import PRESETS
     from ogm.deep.training import train
-    from ogm.grid import GridSpec
+    from ogm.models.radar import radar_noise
 
-    spec = GridSpec.centered(length, width, resolution)
+    radar = model is Preset.radar
+    spec = _grid(radar, length, width, resolution)
     given = {
         "epochs": epochs,
         "batch": batch,
@@ -109,10 +119,10 @@ def train_command(
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     recipe = replace(PRESETS[model.value], **changes)
     folder = out_folder or Path("runs") / model.value
-    parts = {"training": _open(data, "training")}
+    parts = {"training": _open(data, "training", radar)}
     if validation is None and "split" not in parts["training"].facts:
         raise ValueError(f"{data} has no validation split: give --validation, data to choose the weights by")
-    parts["validation"] = _open(validation or data, "validation")
+    parts["validation"] = _open(validation or data, "validation", radar)
     if samples is not None:
         count = len(parts["training"])
         if not 1 <= samples <= count:
@@ -126,6 +136,7 @@ def train_command(
             spec,
             folder,
             recipe,
+            noise=radar_noise if radar else None,
             initial=_network(initial),
             resume=resume,
             accelerator=accelerator,
@@ -149,43 +160,60 @@ def train_command(
 
 @report_errors
 def export_command(
-    source: Annotated[str, typer.Argument(help="lite, a run's folder, or a .safetensors file.")] = "lite",
+    source: Annotated[str, typer.Argument(help="lite, radar, a run's folder, or a .safetensors file.")] = "lite",
     out_path: Annotated[Path, typer.Option("--out", help="The file to write, .onnx.")] = Path("ogm.onnx"),
 ) -> None:
-    """Write a network as ONNX, which `ogm map --ism FILE.onnx` and other programs run without torch."""
+    """Write a network as ONNX, which `ogm map --ism FILE.onnx` (lidars), `DeepRadarISM` (radars) and others run.
+
+    None of them needs torch.
+    """
     _need_torch()
-    from ogm.deep.checkpoint import load_network
+    from ogm.deep.checkpoint import load_any_network
     from ogm.deep.engines import weights_of
     from ogm.deep.export import export_onnx
 
     with weights_of(source) as path:
-        network, description = load_network(path)
+        network, description = load_any_network(path)
         _quiet()
         with stderr.status("exporting ..."):
             facts = export_onnx(network, out_path, description=description, weights=path)
     print_facts({"file": str(out_path), **facts})
 
 
-def _network(source: str | None) -> "PillarNetwork | None":
+def _grid(radar: bool, length: float | None, width: float | None, resolution: float) -> "GridSpec | RadarGrid":
+    """Return the grid of the network to train."""
+    from ogm.deep.polar import RadarGrid
+    from ogm.grid import GridSpec
+
+    if not radar:
+        return GridSpec.centered(length, width, resolution)
+    if (length, width, resolution) != (None, None, RESOLUTION):
+        raise ValueError("the network of radars has a polar grid: leave out --length, --width and --resolution")
+    return RadarGrid()
+
+
+def _network(source: str | None) -> "PillarNetwork | RadarNetwork | None":
     """Load the weights that a training begins with."""
     if source is None:
         return None
-    from ogm.deep.checkpoint import load_network
+    from ogm.deep.checkpoint import load_any_network
     from ogm.deep.engines import weights_of
 
     with weights_of(source) as path:
-        return load_network(path)[0]
+        return load_any_network(path)[0]
 
 
-def _open(path: Any, split: str) -> "Dataset":
-    """Open a split of a simulated data set, or a recording; warn where samples are missing."""
+def _open(path: Any, split: str, radar: bool) -> "Dataset":
+    """Open a split of a simulated dataset (its radars' sweeps), or a recording; warn where samples are missing."""
     from ogm.datasets import open_dataset
+    from ogm.datasets.simulated import is_simulated
 
-    dataset = open_dataset(path, default_split=split)
+    dataset = open_dataset(path, default_split=split, sensors=["radar"] if radar and is_simulated(path) else ())
     planned = dataset.facts.get("plan", {}).get({"training": "samples"}.get(split, split), 0)
-    if len(dataset) < planned:
+    made = dataset.facts.get("samples", ())
+    if len(made) < planned:
         stderr.print(
-            f"ogm: {len(dataset)} of {planned} {split} samples are made; `ogm simulate {path} --resume` makes the rest",
+            f"ogm: {len(made)} of {planned} {split} samples are made; `ogm simulate {path} --resume` makes the rest",
             markup=False,
         )
     return dataset

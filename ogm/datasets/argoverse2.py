@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ogm.datasets.frames import FrameRef, HdMap, RawFrame
 from ogm.datasets.recording import Recording
-from ogm.io import estimate_sensor_height, read_argoverse2, read_scan
-from ogm.io.argoverse2 import Argoverse2Log
+from ogm.io import estimate_sensor_height, read_scan
+from ogm.io.argoverse2 import Argoverse2Log, read_argoverse2
 from ogm.pose import pose
 from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError

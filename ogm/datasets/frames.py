@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io import LabelledPoints
+from ogm.io.labels import LabelledPoints
 from ogm.scan import Scan
 from ogm.truth import Kind
 

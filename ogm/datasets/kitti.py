@@ -12,6 +12,8 @@ from ogm import io
 from ogm.datasets.frames import KITTI_EGO, FrameRef, RawFrame, kinds_of
 from ogm.datasets.paths import drive_of, pose_files, scan_name, scan_paths
 from ogm.datasets.recording import ScanFiles
+from ogm.io.kitti import read_kitti_objects, read_kitti_stamps, read_kitti_tracks
+from ogm.io.semantic_kitti import SEMANTIC_KITTI_MOVING, read_semantic_kitti
 from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
 
@@ -45,7 +47,7 @@ class KittiObjectRecording(ScanFiles):
     def read_boxes(self, n: int) -> Boxes:
         """Read the boxes around a scan."""
         label, calibration = self._files(n)
-        return io.read_kitti_objects(label, io.read_calibration(calibration))
+        return read_kitti_objects(label, io.read_calibration(calibration))
 
     def _files(self, n: int) -> tuple[Path, Path]:
         """Return the files of labels and calibration of a scan."""
@@ -91,7 +93,7 @@ class KittiTrackingRecording(_KittiDrives):
     def read_tracks(self, drive: str) -> dict[int, Boxes]:
         """Read the labels and the calibration of a drive."""
         labels, calibration = (self.path / folder / f"{drive}.txt" for folder in ("label_02", "calib"))
-        return io.read_kitti_tracks(labels, io.read_calibration(calibration))
+        return read_kitti_tracks(labels, io.read_calibration(calibration))
 
 
 class KittiRawRecording(_KittiDrives):
@@ -124,7 +126,7 @@ class KittiRawRecording(_KittiDrives):
 
     def read_tracks(self, drive: str) -> dict[int, Boxes]:
         """Read the labels and the calibration of the drive."""
-        return io.read_kitti_tracks(self.labels, _calibration(self.path))
+        return read_kitti_tracks(self.labels, _calibration(self.path))
 
 
 class KittiOdometryRecording(ScanFiles):
@@ -156,8 +158,8 @@ class KittiOdometryRecording(ScanFiles):
         """Read a scan, with its classes if there are some."""
         if not self.labelled:
             return super().read(n)
-        found = io.read_semantic_kitti(self.scans[n], _classes(self.scans[n]))
-        moving = np.isin(found.classes, list(io.SEMANTIC_KITTI_MOVING))
+        found = read_semantic_kitti(self.scans[n], _classes(self.scans[n]))
+        moving = np.isin(found.classes, list(SEMANTIC_KITTI_MOVING))
         return RawFrame(Scan(found.points), kinds_of(found), moving)
 
 
@@ -177,7 +179,7 @@ def _raw_stamps(path: Path, names: list[str]) -> NDArray[np.float64] | None:
     """Return the times of scans [s] from the file of a raw drive; None if it does not exist."""
     if not path.is_file():
         return None
-    times = io.read_kitti_stamps(path)
+    times = read_kitti_stamps(path)
     beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
     if beyond:
         raise OgmError(
@@ -191,7 +193,7 @@ def _odometry_drive(folder: Path) -> list[tuple[FrameRef, Path]]:
     scans = scan_paths(folder / "velodyne")
     calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
     T = io.read_calibration(calib) if calib.is_file() else None
-    times = io.read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
+    times = read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
     if times is not None and len(times) != len(scans):
         raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
     return drive_of(folder.name, scans, [*pose_files(folder), more], times, T_camera_sensor=T)

@@ -6,7 +6,8 @@ from pathlib import Path
 from ogm.datasets.frames import FrameRef, RawFrame
 from ogm.datasets.paths import scan_name
 from ogm.datasets.recording import Recording
-from ogm.io import NuScenes, read_mmdet3d, read_nuscenes, read_scan
+from ogm.io import read_scan
+from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
 from ogm.scan import Boxes
 from ogm.storage.files import OgmError
 

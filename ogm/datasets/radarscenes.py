@@ -6,7 +6,7 @@ from pathlib import Path
 from ogm.datasets.frames import Footprint, FrameRef, RawFrame, SensorPlace
 from ogm.datasets.paths import in_order
 from ogm.datasets.recording import Recording
-from ogm.io import RadarScenes, read_radarscenes
+from ogm.io.radarscenes import RadarScenes, read_radarscenes
 
 __all__ = ["RadarScenesRecording"]
 

@@ -18,6 +18,7 @@ from ogm import io
 from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
 from ogm.grid import GridSpec
 from ogm.io import Axes
+from ogm.io.sensor_height import plausible_sensor_height
 from ogm.pose import pose
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
@@ -224,7 +225,7 @@ class Recording(ABC):
                 "so its height is not known: give sensor_height [m] (--sensor-height)"
             )
         height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
-        return io.plausible_sensor_height(height, f"{group} in {self.path}")
+        return plausible_sensor_height(height, f"{group} in {self.path}")
 
     def _read_without_ego(self, n: int) -> RawFrame:
         raw = self.read(n)

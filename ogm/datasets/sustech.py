@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ogm.datasets.paths import drive_of, pose_files, scan_name, scan_paths
 from ogm.datasets.recording import ScanFiles
-from ogm.io import read_sustech
+from ogm.io.sustech import read_sustech
 from ogm.scan import Boxes
 
 __all__ = ["SustechRecording"]

@@ -1,7 +1,7 @@
 """A trained network on disk: NAME.safetensors holds the weights, NAME.json what they are for and where they come from.
 
-Nothing is unpickled. Sizes and names must be those that the description asks for, and the bytes of both files those
-whose SHA-256 it states under ``sha256``; files of older versions state none.
+Nothing is unpickled. Sizes and names must match the description, and the bytes of both files the SHA-256 that it
+states under ``sha256``; files of older versions state none.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
-from torch import Tensor
+from torch import Tensor, nn
 
 from ogm.deep.description import FORMAT, description_checksum, grid_of, read_description
 from ogm.deep.network import NetworkConfig, PillarNetwork
@@ -25,10 +25,9 @@ from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.io.reading import read_bytes
 from ogm.storage.files import OgmError, atomic_write
 
-__all__ = ["FORMAT", "load_network", "load_radar_network", "save_network"]
+__all__ = ["FORMAT", "load_any_network", "load_network", "load_radar_network", "save_network"]
 
-
-Made = TypeVar("Made", PillarNetwork, RadarNetwork)
+Made = TypeVar("Made", bound=nn.Module)
 
 
 def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNetwork, facts: Mapping[str, Any]) -> Path:
@@ -37,7 +36,7 @@ def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNet
     Parameters
     ----------
     path : path
-        Of the weights; ends in ``.safetensors``. The description stands beside it, ending in ``.json``.
+        Name of the weights, ending in ``.safetensors``. The description has the same name, ending in ``.json``.
     network : PillarNetwork or RadarNetwork
     facts : mapping
         More for the description, as JSON holds it: provenance, recipe, results.
@@ -84,25 +83,34 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
     OgmError
         If a file is damaged, of another kind, or does not fit the other.
     """
-
-    def make(description: dict[str, Any]) -> PillarNetwork:
-        config = NetworkConfig.from_dict(description["network"])
-        _check_config(config)
-        return PillarNetwork(config, grid_of(description))
-
-    return _load(path, make)
+    return _load(path, _pillar_network)
 
 
 def load_radar_network(path: str | os.PathLike[str]) -> tuple[RadarNetwork, dict[str, Any]]:
-    """Read a network of radar that `save_network` wrote; the result and the errors are those of `load_network`."""
+    """Read a network of radars that `save_network` wrote; see `load_network` for results and errors."""
+    return _load(path, _radar_network)
 
-    def make(description: dict[str, Any]) -> RadarNetwork:
-        config, place = RadarConfig.from_dict(description["network"]), description["spec"]
-        if not (_are_sizes([], config.blocks) and 0 <= config.dropout < 1):
-            raise ValueError(f"a size is out of its limits in {config}")
-        return RadarNetwork(config, RadarGrid(tuple(place["shape"]), place["range_step"], place["azimuth_step"]))
 
-    return _load(path, make)
+def load_any_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork | RadarNetwork, dict[str, Any]]:
+    """Read a network of lidars or radars that `save_network` wrote; see `load_network` for results and errors."""
+    return _load(path, _any_network)
+
+
+def _pillar_network(description: dict[str, Any]) -> PillarNetwork:
+    config = NetworkConfig.from_dict(description["network"])
+    _check_config(config)
+    return PillarNetwork(config, grid_of(description))
+
+
+def _radar_network(description: dict[str, Any]) -> RadarNetwork:
+    config, place = RadarConfig.from_dict(description["network"]), description["spec"]
+    if not (_are_sizes([], config.blocks) and 0 <= config.dropout < 1):
+        raise ValueError(f"a size is out of its limits in {config}")
+    return RadarNetwork(config, RadarGrid(tuple(place["shape"]), place["range_step"], place["azimuth_step"]))
+
+
+def _any_network(description: dict[str, Any]) -> PillarNetwork | RadarNetwork:
+    return _radar_network(description) if "range_step" in description["spec"] else _pillar_network(description)
 
 
 def _load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) -> tuple[Made, dict[str, Any]]:

@@ -23,7 +23,7 @@ from ogm.jit import kernel
 from ogm.scan import Frame, Scan
 from ogm.state import CellState
 
-__all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "PillarDataset", "augment", "training_ranges"]
+__all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "FrameDataset", "PillarDataset", "augment", "training_ranges"]
 
 
 @dataclass(frozen=True)
@@ -104,13 +104,34 @@ class Batch(NamedTuple):
 
 
 @dataclass(eq=False)
-class PillarDataset(Dataset[Batch]):
-    """Frames as batches of one.
+class FrameDataset(Dataset[Any]):
+    """Frames as batches of one, for a network.
 
     Parameters
     ----------
     frames : sequence of Frame
-        With scan, mount and truth: what ``ogm.datasets.open_dataset(path, split="training")`` gives.
+        Frames with scan, mount and truth, see ``ogm.datasets.open_dataset(path, split="training")``.
+    """
+
+    frames: Sequence[Frame]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def shards(self) -> NDArray[np.int64] | None:
+        """The shard of each frame, if their data set knows it."""
+        return getattr(self.frames, "shards", None)
+
+
+@dataclass(eq=False)
+class PillarDataset(FrameDataset):
+    """Frames of lidars as batches of one.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        See `FrameDataset`.
     spec : GridSpec
         The network's grid, around the sensor.
     augmentation : Augmentation
@@ -123,7 +144,6 @@ class PillarDataset(Dataset[Batch]):
         Whether the network takes the masses of rays.
     """
 
-    frames: Sequence[Frame]
     spec: GridSpec
     augmentation: Augmentation = PLAIN
     z_range: tuple[float, float] = (-3.0, 8.0)
@@ -131,14 +151,6 @@ class PillarDataset(Dataset[Batch]):
     most_pillars: int = 0
     most_points: int = 0
     rays: bool = False
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    @property
-    def shards(self) -> NDArray[np.int64] | None:
-        """Which frames lie together, if their data set knows."""
-        return getattr(self.frames, "shards", None)
 
     def __getitem__(self, key: "int | tuple[int, int]") -> Batch:
         """Return frame i, as augmented in an epoch if the key is (epoch, i)."""

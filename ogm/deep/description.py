@@ -1,4 +1,4 @@
-"""The description of weights: NAME.json beside NAME.safetensors, and in an exported network."""
+"""The description of weights: NAME.json of NAME.safetensors, and in an exported network."""
 
 import hashlib
 import json

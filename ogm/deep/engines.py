@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ENGINES", "SHIPPED", "load_engine", "weights_of"]
 
-SHIPPED = ("lite",)  # weights in the package, also exported
+SHIPPED = ("lite", "radar")  # weights in the package, also exported
 ENGINES = ("onnxruntime", "openvino", "torch")
 _TORCH = (
     'pip install "ogm-toolkit[train]" adds it (on a machine without an NVIDIA GPU install PyTorch\'s CPU build first), '
@@ -48,7 +48,7 @@ def load_engine(
         Weights that come with the package, a file of weights (``.safetensors``) or a run's folder, for its best ones,
         or an exported network (``.onnx``).
     engine : "onnxruntime", "openvino" or "torch", optional
-        What computes. By default ONNX Runtime if the weights are exported, as those that come with the package are;
+        Package that computes. By default ONNX Runtime if the weights are exported, as the weights in the package are;
         else, and for another `device` or `compile`, torch.
     precision, threads, device, compile
         Of `ogm.deep.onnx_engine.OnnxEngine` and of `ogm.deep.torch_engine.TorchEngine`. ``threads`` is not torch's
@@ -63,7 +63,7 @@ def load_engine(
     FileNotFoundError
         If there are no such weights.
     OgmError
-        If a file is damaged or of another kind, or the exported network is that of other weights.
+        If a file is damaged or of another kind, or the network was exported from other weights.
     ValueError
         If there is no such engine, or it lacks an option.
     ImportError
@@ -118,7 +118,7 @@ def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _usual(path: Path) -> str:
-    """Return the engine for weights: torch if they have no exported network beside them that is theirs."""
+    """Return the engine for weights: torch if no network exported from them lies in their folder."""
     from ogm.deep.onnx_file import exported_from
 
     beside = path.with_suffix(".onnx")
@@ -127,7 +127,7 @@ def _usual(path: Path) -> str:
 
 
 def _exported(path: Path) -> Path:
-    """Return the exported network of weights, which stands beside them."""
+    """Return the exported network of weights, which lies in their folder."""
     from ogm.deep.onnx_file import exported_from
 
     exported = path.with_suffix(".onnx")

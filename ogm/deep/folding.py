@@ -1,7 +1,7 @@
 """A network for inference: its normalisation folded into the layers before it."""
 
 import copy
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import nn
@@ -10,7 +10,9 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from ogm.deep.network import PillarNetwork
 
-__all__ = ["ConvReLU", "fold_norms", "fused"]
+__all__ = ["ConvReLU", "folded", "fused"]
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 class ConvReLU(nn.Module):
@@ -39,8 +41,7 @@ _ONEDNN = _onednn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_poi
 
 def fused(network: PillarNetwork) -> PillarNetwork:
     """Return a copy for inference: normalisation folded into the layers before it, channels last in memory."""
-    result = copy.deepcopy(network).eval()
-    fold_norms(result)
+    result = folded(network)
     pillar: Any = result.pillar
     pillar.linear = fuse_linear_bn_eval(pillar.linear, pillar.norm)
     pillar.linear.weight.data *= pillar.scale
@@ -50,9 +51,10 @@ def fused(network: PillarNetwork) -> PillarNetwork:
     return converted
 
 
-def fold_norms(network: nn.Module) -> None:
-    """Fold the normalisation of a network in evaluation mode into the convolutions before it, in place."""
-    for module in network.modules():
+def folded(network: Network) -> Network:
+    """Return a copy for inference: normalisation folded into the convolutions before it."""
+    result = copy.deepcopy(network).eval()
+    for module in result.modules():
         if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):
             conv: Any = module[0]
             transposed = isinstance(conv, nn.ConvTranspose2d)
@@ -60,3 +62,4 @@ def fold_norms(network: nn.Module) -> None:
             module[0], module[1] = conv, nn.Identity()
             if not transposed:
                 module[0], module[2] = ConvReLU(conv), nn.Identity()
+    return result

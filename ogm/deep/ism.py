@@ -65,7 +65,7 @@ class DeepISM:
     sensor. Intensities are in [0, 1], Velodyne's calibrated value / 255. A scan without intensities (three columns, or
     all 0) is mapped without them.
 
-    A scan unlike those of the training is mapped too, with one warning in the log for each reason. Intensities whose
+    A scan unlike the training scans is mapped too, with one warning in the log for each reason. Intensities whose
     mean lies outside the training's range are left out, since manufacturers calibrate differently. A scan of over 1.2
     times the most points of the training is thinned to that number, by the same random choice every time. A scan of a
     tenth of the fewest points of the training, or less, gives an unknown grid.
@@ -114,12 +114,12 @@ class DeepISM:
         device: Any = "cpu",
         compile: bool = False,
     ) -> Self:
-        """Load weights: those that come with the package by name, or what `ogm train` or `ogm export` wrote.
+        """Load weights: shipped weights by name, or a file of `ogm train` or `ogm export`.
 
         Parameters
         ----------
         source : "lite", or path
-            A ``.safetensors`` file with its ``.json`` beside it, or a run's folder, for its best weights, or an
+            A ``.safetensors`` file with its ``.json``, or a run's folder, for its best weights, or an
             exported network, ``.onnx``.
         spec, mount
             As of the class.
@@ -173,7 +173,7 @@ class DeepISM:
         return f"DeepISM({self.engine!r}, {self.spec}, {self.mount})"
 
     def _at(self, mount: Mount) -> "_Placed":
-        """Return what a mount decides; that of the last mounts is kept."""
+        """Return the parts of the model for a mount; they are kept for the last mounts."""
         if mount not in self._placed:
             low, high = self._height_range
             if not low - 0.1 <= mount.sensor_height <= high + 0.1:
@@ -207,7 +207,7 @@ class DeepISM:
         return len(pillars.features) <= 0.1 * self._point_range[0]
 
     def _compare(self, pillars: Any) -> None:
-        """Compare a scan with those of the training; leave out intensities of another calibration."""
+        """Compare a scan with the training scans; leave out intensities of another calibration."""
         features = pillars.features
         if self._has_too_few(pillars):
             self._warn("few", f"a scan with {len(features)} points on the grid: all cells are unknown")

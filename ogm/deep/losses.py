@@ -5,7 +5,7 @@ probabilities that the truth is free and occupied; the rest to one is `unknown`,
 It returns float32, or float64 if `evidence` is, per cell, (...). Half precision is computed in float32, and only
 shapes and types are checked: a NaN in is a NaN out.
 
-The default is `reverse_kl`; the others are those of the literature, for comparison::
+The default is `reverse_kl`; the others are losses of the literature, for comparison::
 
     target, valid = targets(state)
     loss = masked_mean(reverse_kl(evidence, target), valid)
@@ -36,7 +36,6 @@ __all__ = [
     "reverse_kl",
     "sum_of_squares",
     "targets",
-    "undo_class_weights",
     "uniform_kl",
 ]
 
@@ -70,7 +69,7 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
 
     Notes
     -----
-    Malinin and Gales 2019. Value and gradient are those of `ogm.evidence.dirichlet`; there is no second derivative.
+    Malinin and Gales 2019. Value and gradient: see `ogm.evidence.dirichlet`; there is no second derivative.
     A cell whose loss is not used has the gradient 0 even where its evidence is NaN.
     """
     _check_positive("strength", strength)
@@ -186,47 +185,13 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
 
 
 def class_weights(target: Tensor, occupied: float) -> Tensor:
-    """Return a weight per cell, 1 but for occupied cells; for soft targets the expected one. The paper has 100.
+    """Return a weight per cell, 1 except for occupied cells; for soft targets its mean. The paper has 100.
 
-    The weight is greater than 0, and `undo_class_weights` undoes it. Returns (...), with the target's dtype.
+    The weight is greater than 0. Returns (...), with the target's dtype.
     """
     _check_positive("class weight", occupied)
     _check_states(target, "target")
     return 1 + (occupied - 1) * target[..., 1]
-
-
-def undo_class_weights(evidence: Tensor, occupied: float, strength: float = 10.0) -> Tensor:
-    """Return the evidence that minimises `reverse_kl` without the weight of occupied cells.
-
-    With weights w the loss is least at e = E w P / sum(w P); so P is proportional to e / w for free and
-    occupied, and to E - sum e for unknown. For the other losses there is no such closed form.
-
-    Parameters
-    ----------
-    evidence : (..., 2) floating point
-        At least 0. Where the sum exceeds E, P(unknown) is 0 and the sum is kept.
-    occupied : float
-        The weight given to `class_weights`.
-    strength : float
-        E of `reverse_kl`.
-
-    Returns
-    -------
-    (..., 2), with the evidence's dtype
-        E P. Exact for labels that are certain (targets of 0 and 1), as the weight of a soft target is a mean.
-
-    Raises
-    ------
-    ValueError
-        If the weight or `strength` is not finite and greater than 0.
-    """
-    _check_positive("class weight", occupied)
-    _check_positive("strength", strength)
-    _check_states(evidence, "evidence")
-    known = evidence.sum(-1, keepdim=True)
-    total = known.clamp(min=strength)
-    share = evidence / evidence.new_tensor([1.0, occupied])
-    return total * share / (share.sum(-1, keepdim=True) + total - known)
 
 
 class _ReverseKL(torch.autograd.Function):

@@ -25,7 +25,7 @@ __all__ = ["LITE", "PAPER", "AddNeck", "NetworkConfig", "PillarNetwork", "copy_w
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes and choices of a network; JSON holds them beside the weights.
+    """Sizes and choices of a network, kept as JSON with the weights.
 
     Parameters
     ----------
@@ -270,13 +270,13 @@ def _layer(before: int, after: int, stride: int = 1, dropout: float = 0.0) -> nn
 
 
 def down_block(before: int, after: int, count: int, dropout: float) -> nn.Sequential:
-    """Return so many convolutions from `before` to `after` channels, the first of which halves the resolution."""
+    """Return a block of convolutions from `before` to `after` channels, the first of which halves the resolution."""
     layers = (_layer(after if k else before, after, 1 if k else 2, dropout) for k in range(count))
     return nn.Sequential(*layers)
 
 
 @torch.no_grad()
-def copy_weights(source: PillarNetwork, target: PillarNetwork) -> None:
+def copy_weights(source: nn.Module, target: nn.Module) -> None:
     """Give a network the weights of another of the same layers; channels that only the target has get weights of 0.
 
     Raises

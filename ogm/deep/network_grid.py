@@ -9,7 +9,7 @@ __all__ = ["check_resolution", "check_sides", "sensor_coords"]
 
 
 def check_sides(spec: GridSpec, multiple: int) -> None:
-    """Raise a ValueError if a side of the grid is no whole multiple of so many cells."""
+    """Raise a ValueError if a side of the grid is no whole multiple of a number of cells."""
     if any(n % multiple for n in spec.shape):
         nx, ny = (-(-n // multiple) * multiple for n in spec.shape)
         length, width = nx * spec.resolution, ny * spec.resolution
@@ -20,7 +20,7 @@ def check_sides(spec: GridSpec, multiple: int) -> None:
 
 
 def check_resolution(spec: GridSpec, trained: GridSpec) -> None:
-    """Raise a ValueError if the cells are not those of the grid that the network was trained on."""
+    """Raise a ValueError if the resolution differs from the training's."""
     if spec.resolution != trained.resolution:
         cells = f"cells of {trained.resolution} m, got {spec.resolution} m"
         raise ValueError(f"the network was trained on {cells}; train another, or use that resolution")

@@ -126,7 +126,7 @@ def weights_sum(path: str | os.PathLike[str]) -> str:
 
 
 def exported_from(path: Path, weights: Path) -> bool:
-    """Return whether an exported network is that of a file of weights."""
+    """Return whether a network was exported from a file of weights."""
     return read_onnx(path).weights_sum == weights_sum(weights)
 
 
@@ -152,7 +152,7 @@ def _checked(data: bytes, description: Any, given: Mapping[str, Any], of_weights
 
 
 def _read_model(data: bytes) -> dict[str, str]:
-    """Return the metadata of a model, all of whose parts are those of an export."""
+    """Return the metadata of a model; raise a ValueError if an export writes no such part."""
     metadata = {}
     graphs = 0
     for number, value in _fields(memoryview(data)):

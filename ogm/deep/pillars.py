@@ -33,13 +33,10 @@ class Pillars(NamedTuple):
 
     Attributes
     ----------
-    features : (N, 9) float32
-        Of each point: x, y, z [m] (z above the ground), intensity [0, 1]; x, y, z less the mean of the pillar's
-        points [m]; x, y less the center of the cell [m].
-    lengths : (P,) int64
-        Number of points of each pillar, at least one.
+    features, lengths
+        See `ogm.deep.points.SortedPoints`.
     cells : (P,) int64
-        The cell of each pillar, ascending: ``(scan * nx + ix) * ny + iy``.
+        Cell of each pillar, ascending: ``(scan * nx + ix) * ny + iy``.
     batch : int
         Number of scans.
     rays : (batch, nx, ny, 2) float32, optional
@@ -68,15 +65,15 @@ def pillarize(
 ) -> Pillars:
     """Sort the points of a scan into pillars.
 
-    Parameters and errors are those of `ogm.deep.points.sort_points`.
+    Parameters and errors: see `ogm.deep.points.sort_points`.
 
     Returns
     -------
     Pillars
         On the CPU.
     """
-    features, lengths, cells = sort_points(points, spec, z_range, ego_footprint, T)
-    return Pillars(torch.from_numpy(features), torch.from_numpy(lengths), torch.from_numpy(cells))
+    features, lengths, cells = map(torch.from_numpy, sort_points(points, spec, z_range, ego_footprint, T))
+    return Pillars(features, lengths, cells)
 
 
 def pillarize_torch(
@@ -147,7 +144,7 @@ def ray_masses(scan: Scan, spec: GridSpec, height: float, ego_footprint: Rectang
 
 
 def cap_pillars(pillars: Pillars, rng: np.random.Generator, most_pillars: int, most_points: int) -> Pillars:
-    """Keep at most so many pillars, and points of each, chosen at random: the limits of van Kempen et al. 2021.
+    """Keep a random choice of pillars, and points of each, up to the limits of van Kempen et al. 2021.
 
     The offsets from the pillar's mean stay those from the mean of all its points, as in the paper's code.
     """

@@ -1,13 +1,12 @@
 """A trained network of radar as an inverse sensor model, with the same interface as the geometric ones."""
 
 import os
-from importlib.resources import as_file, files
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.deep.engines import weights_of
 from ogm.deep.polar import RadarGrid, RadarNoise, polar_features, view_of, write_masses
 from ogm.deep.radar_onnx import RadarOnnxEngine
 from ogm.grid import EvidentialGrid, GridSpec
@@ -18,12 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["DeepRadarISM"]
 
-SHIPPED = "radar"  # weights in the package, exported
 DEFAULT_MOUNT = Mount(0.6)
 
 
 class _Engine(Protocol):
-    """What computes: `RadarOnnxEngine`, or `ogm.deep.radar_export.TorchRadarEngine`."""
+    """What computes: `RadarOnnxEngine`, or `ogm.deep.torch_engine.TorchRadarEngine`."""
 
     polar: RadarGrid
     description: dict[str, Any]
@@ -92,20 +90,20 @@ class DeepRadarISM:
     @classmethod
     def load(
         cls,
-        source: str | os.PathLike[str] = SHIPPED,
+        source: str | os.PathLike[str] = "radar",
         *,
         spec: GridSpec | None = None,
         mount: Mount | None = None,
         noise: RadarNoise | None = None,
         threads: int | None = None,
     ) -> Self:
-        """Load weights: those that come with the package by name, or what `train_radar` or an export wrote.
+        """Load weights: shipped weights by name, or a file of `ogm train` or `ogm export`.
 
         Parameters
         ----------
         source : "radar", or path
-            An exported network (``.onnx``), which needs no torch; a ``.safetensors`` file with its ``.json`` beside it,
-            or a run's folder, for its best weights, by torch.
+            An exported network (``.onnx``), which needs no torch; a ``.safetensors`` file with its ``.json``, or a
+            run's folder, for its best weights, by torch.
         spec, mount, noise
             As of the class.
         threads : int, optional
@@ -116,17 +114,14 @@ class DeepRadarISM:
         FileNotFoundError, OgmError, ImportError
             If there are no such weights, they are damaged, or the package that runs them is not installed.
         """
-        if str(source) == SHIPPED:
-            with as_file(files("ogm") / "data" / f"{SHIPPED}.onnx") as path:
-                return cls(RadarOnnxEngine(path, threads=threads), spec, mount, noise)
-        path = Path(source)
-        if path.suffix == ".onnx":
-            return cls(RadarOnnxEngine(path, threads=threads), spec, mount, noise)
-        from ogm.deep.checkpoint import load_radar_network
-        from ogm.deep.radar_export import TorchRadarEngine
+        with weights_of(source) as path:
+            exported = path.with_suffix(".onnx") if str(source) == "radar" else path
+            if exported.suffix == ".onnx":
+                return cls(RadarOnnxEngine(exported, threads=threads), spec, mount, noise)
+            from ogm.deep.checkpoint import load_radar_network
+            from ogm.deep.torch_engine import TorchRadarEngine
 
-        network, description = load_radar_network(path / "best.safetensors" if path.is_dir() else path)
-        return cls(TorchRadarEngine(network, description), spec, mount, noise)
+            return cls(TorchRadarEngine(*load_radar_network(path)), spec, mount, noise)
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one sweep.
@@ -156,6 +151,6 @@ class DeepRadarISM:
 
 
 def _of_torch(network: Any) -> _Engine:
-    from ogm.deep.radar_export import TorchRadarEngine
+    from ogm.deep.torch_engine import TorchRadarEngine
 
     return TorchRadarEngine(network)

@@ -1,37 +1,22 @@
 """Training data of radar: sweeps on polar grids, and the truth at places that the radar sees."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import Dataset
 
-from ogm.deep.data import PLAIN, Augmentation
+from ogm.deep.data import PLAIN, Augmentation, FrameDataset
 from ogm.deep.polar import CHANNELS, RadarGrid, RadarNoise, polar_features, polar_places
-from ogm.scan import Frame, Scan
+from ogm.scan import Scan
 from ogm.state import CellState
 
-__all__ = ["RadarBatch", "RadarDataset", "RadarFrame"]
+__all__ = ["RadarBatch", "RadarDataset"]
 
 STEP = 3  # cells of the truth from one place of the loss to the next
 DECIBEL = 10 / np.log(10)  # per factor e of power
-
-
-class RadarFrame(NamedTuple):
-    """A sweep with its truth, and what its radar sees.
-
-    Attributes
-    ----------
-    frame : Frame
-        With scan, mount and truth; the truth's grid is in the mount's vehicle frame.
-    noise : RadarNoise
-    """
-
-    frame: Frame
-    noise: RadarNoise
 
 
 class RadarBatch(NamedTuple):
@@ -74,25 +59,25 @@ class RadarBatch(NamedTuple):
 
 
 @dataclass(eq=False)
-class RadarDataset(Dataset[RadarBatch]):
-    """Sweeps as batches of one.
+class RadarDataset(FrameDataset):
+    """Sweeps of radars as batches of one.
 
     Parameters
     ----------
-    frames : sequence of RadarFrame
+    frames : sequence of Frame
+        See `FrameDataset`. The truth's grid is in the mount's vehicle frame.
     polar : RadarGrid
+    noise : callable, optional
+        Returns field of view and errors of a radar by the name of its sensor; by default `RadarNoise` of all.
     augmentation : Augmentation
         `mirror`, `points` and `gain` are used: left and right exchanged, detections lost, cross sections changed.
     seed : int
     """
 
-    frames: Sequence[RadarFrame]
     polar: RadarGrid
+    noise: Callable[[str], RadarNoise] | None = None
     augmentation: Augmentation = PLAIN
     seed: int = 0
-
-    def __len__(self) -> int:
-        return len(self.frames)
 
     def __getitem__(self, key: "int | tuple[int, int]") -> RadarBatch:
         """Return frame i, as augmented in an epoch if the key is (epoch, i).
@@ -101,9 +86,10 @@ class RadarDataset(Dataset[RadarBatch]):
         """
         epoch, i = key if isinstance(key, tuple) else (0, key)
         rng = np.random.default_rng((self.seed, epoch, i))
-        (frame, noise), a = self.frames[i], self.augmentation
+        frame, a = self.frames[i], self.augmentation
         if frame.truth is None:
-            raise ValueError(f"frame {frame.name!r} has no truth to train on")
+            raise ValueError(f"frame {frame.name!r} has no truth to train on; open a data set that has")
+        noise = RadarNoise() if self.noise is None else self.noise(frame.scan.sensor)
         mirrored, lost = rng.random() < a.mirror, rng.uniform(0, 0.3) * (rng.random() < a.points)
         decibels = a.gain * DECIBEL * rng.standard_normal()
         scan = _changed(frame.scan, rng.random(len(frame.scan)) >= lost, decibels)

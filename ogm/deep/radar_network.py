@@ -15,7 +15,7 @@ __all__ = ["RADAR", "RadarConfig", "RadarNetwork"]
 
 @dataclass(frozen=True)
 class RadarConfig:
-    """Sizes of the network; JSON holds them beside the weights.
+    """Sizes of the network, kept as JSON with the weights.
 
     Parameters
     ----------

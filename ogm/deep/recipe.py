@@ -30,7 +30,7 @@ LOSSES: dict[str, Callable[[Tensor, Tensor, float], Tensor]] = {  # evidence, ta
 
 @dataclass(frozen=True)
 class Recipe:
-    """The settings of a training; kept beside the weights.
+    """The settings of a training, kept with the weights.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and 
 RADAR_RECIPE = Recipe(  # that of the shipped weights of radar
     RADAR, epochs=8, batch=8, average=0.995, augmentation=replace(PLAIN, mirror=0.5, points=0.25, gain=0.3)
 )
-PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE}
+PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE, "radar": RADAR_RECIPE}
 
 
 def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:

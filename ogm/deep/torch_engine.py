@@ -1,4 +1,4 @@
-"""A network as torch has it, ready to run: for weights that were not exported, for accelerators, for comparison."""
+"""Networks that torch runs: for weights that were not exported, for accelerators, for comparison."""
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
@@ -8,13 +8,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ogm.deep.folding import fused
+from ogm.deep.folding import folded, fused
 from ogm.deep.network import PillarNetwork
 from ogm.deep.pillars import Pillars, collate, pillarize, pillarize_torch
 from ogm.deep.points import Rectangle
+from ogm.deep.polar import RadarGrid
+from ogm.deep.radar_network import RadarNetwork
 from ogm.grid import GridSpec
 
-__all__ = ["TorchEngine"]
+__all__ = ["TorchEngine", "TorchRadarEngine"]
 
 
 class TorchEngine:
@@ -36,7 +38,7 @@ class TorchEngine:
     Attributes
     ----------
     spec : GridSpec
-        The grid around the sensor; at first that of the network.
+        The grid around the sensor; at first the network's grid.
     rays : bool
         Whether the network takes the masses of `ogm.geometric.RayISM` too.
     network : PillarNetwork
@@ -104,6 +106,35 @@ class TorchEngine:
         evidence = self._evidence(feature_map.to(self._dtype))
         mass = evidence / (evidence[..., :1] + evidence[..., 1:] + 2)  # Sec. II: b = e / S
         return mass.cpu().numpy()
+
+
+class TorchRadarEngine:
+    """A network of radars that torch runs.
+
+    Parameters
+    ----------
+    network : RadarNetwork
+        See `ogm.deep.checkpoint.load_radar_network`.
+    description : mapping, optional
+        Description of the weights.
+
+    Attributes
+    ----------
+    polar : RadarGrid
+    description : dict
+    """
+
+    polar: RadarGrid
+    description: dict[str, Any]
+    network: RadarNetwork
+
+    def __init__(self, network: RadarNetwork, description: Mapping[str, Any] | None = None) -> None:
+        self.polar, self.description, self.network = network.spec, dict(description or {}), folded(network).cpu()
+
+    @torch.inference_mode()
+    def evidence(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return evidence (2, ranges, azimuths) of free and occupied from features (channels, ranges, azimuths)."""
+        return self.network.evidence(torch.from_numpy(features)[None])[0].contiguous().numpy()
 
 
 def _device(name: str | torch.device) -> torch.device:

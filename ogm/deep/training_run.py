@@ -52,7 +52,7 @@ _MODULES = ("network", "average", "optimizer")
 
 
 class TrainingRun:
-    """A training: all that a step or the end of an epoch changes, and that a resumed run needs.
+    """State of a training, which steps and ends of epochs change, and a resumed run needs.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class TrainingRun:
         The run's folder.
     training, validation : int
         Numbers of frames.
-    initial : PillarNetwork, optional
+    initial : PillarNetwork or RadarNetwork, optional
         Network whose weights the training begins with; see `ogm.deep.network.copy_weights`.
 
     Attributes
@@ -96,7 +96,7 @@ class TrainingRun:
         out: Path,
         training: int,
         validation: int,
-        initial: PillarNetwork | None = None,
+        initial: nn.Module | None = None,
     ) -> None:
         self.fabric, self.recipe, self.out = fabric, recipe, out
         self.steps_per_epoch = training // fabric.world_size // recipe.batch
@@ -258,7 +258,7 @@ def _update_ema(average: nn.Module, network: nn.Module, decay: float) -> None:
 
 
 def _add_row(path: Path, row: Mapping[str, float]) -> None:
-    """Write a row for an epoch after those of earlier epochs; a stopped run may have written this one before."""
+    """Write the row of an epoch after the rows of earlier epochs; a stopped run may have written it before."""
     rows: list[dict[str, Any]] = []
     if path.exists():
         with open(path, newline="") as file:

@@ -1,4 +1,8 @@
-"""Argoverse 2: one log of the sensor data set, with boxes, poses, and a map of the ground (Wilson et al. 2021)."""
+"""Argoverse 2: one log of the sensor data set, with boxes, poses, and a map of the ground (Wilson et al. 2021).
+
+>>> from ogm.io.argoverse2 import read_argoverse2
+>>> boxes = read_argoverse2("av2/val/LOG").boxes(0)                         # doctest: +SKIP
+"""
 
 import os
 import struct

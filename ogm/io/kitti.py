@@ -1,4 +1,9 @@
-"""KITTI: boxes of the object and the tracking recordings, calibrations, and times of scans."""
+"""KITTI: boxes of the object and the tracking recordings, calibrations, and times of scans.
+
+>>> from ogm.io.kitti import read_calibration, read_kitti_objects
+>>> T_camera_lidar = read_calibration("calib/000007.txt")                   # doctest: +SKIP
+>>> boxes = read_kitti_objects("label_2/000007.txt", T_camera_lidar)        # doctest: +SKIP
+"""
 
 import os
 import re

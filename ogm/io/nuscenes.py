@@ -1,4 +1,9 @@
-"""nuScenes: key frames with boxes and poses, from its own tables or from mmdetection3d's info (as JSON)."""
+"""nuScenes: key frames with boxes and poses, from its own tables or from mmdetection3d's info (as JSON).
+
+>>> from ogm.io.nuscenes import read_nuscenes
+>>> frames = read_nuscenes("nuscenes/v1.0-mini").frames                     # doctest: +SKIP
+>>> boxes = frames[0].read_boxes()                                          # doctest: +SKIP
+"""
 
 import os
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,8 @@
-"""RadarScenes: detections of four radars and the vehicle's odometry, in HDF5 and JSON."""
+"""RadarScenes: detections of four radars and the vehicle's odometry, in HDF5 and JSON.
+
+>>> from ogm.io.radarscenes import read_radarscenes
+>>> sequence = read_radarscenes("RadarScenes/data/sequence_1")              # doctest: +SKIP
+"""
 
 import math
 import os

@@ -1,4 +1,10 @@
-"""Range images with a class for every beam, as networks that label scans are trained on."""
+"""Range images with a class for every beam, as networks that label scans are trained on.
+
+>>> from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
+>>> NUSCENES_ELEVEN[0]
+'road'
+>>> points = read_range_image("nuscenes/frame.npy", NUSCENES_ELEVEN)        # doctest: +SKIP
+"""
 
 import os
 from collections.abc import Mapping

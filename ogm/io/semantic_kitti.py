@@ -1,4 +1,10 @@
-"""SemanticKITTI: a class for every point of KITTI's odometry scans (Behley et al. 2019)."""
+"""SemanticKITTI: a class for every point of KITTI's odometry scans (Behley et al. 2019).
+
+>>> from ogm.io.semantic_kitti import SEMANTIC_KITTI, read_semantic_kitti
+>>> SEMANTIC_KITTI[40]
+'road'
+>>> points = read_semantic_kitti("velodyne/000000.bin", "labels/000000.label")  # doctest: +SKIP
+"""
 
 import os
 

@@ -1,4 +1,8 @@
-"""SUSTechPOINTS: boxes as its annotation tool writes them (Li et al. 2020)."""
+"""SUSTechPOINTS: boxes as its annotation tool writes them (Li et al. 2020).
+
+>>> from ogm.io.sustech import read_sustech
+>>> boxes = read_sustech("label/000965.json")                               # doctest: +SKIP
+"""
 
 import os
 from pathlib import Path

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ogm.fusion import FusionStep, Mapper
-from ogm.io.messages import foxglove_grid, ros_stamp
+from ogm.io.messages import foxglove_grid
+from ogm.io.messages.plain import ros_stamp
 from ogm.io.messages.poses import pose_message
 from ogm.io.reading import optional
 from ogm.pose import inverse, pose

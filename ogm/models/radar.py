@@ -3,14 +3,17 @@
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.scan import InverseSensorModel, Mount, Scan
 from ogm.simulation.radars import RADARS
 from ogm.storage.files import OgmError
 
-__all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "RadarBySensor", "load_radar_model", "radar_numbers"]
+if TYPE_CHECKING:
+    from ogm.deep import RadarNoise
+
+__all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "RadarBySensor", "load_radar_model", "radar_noise", "radar_numbers"]
 
 RADAR, DEEP_RADAR = "radar", "deep-radar"
 RADAR_MODELS = {  # name: description
@@ -83,10 +86,9 @@ def _model(radar: RadarBySensor, sensor: str) -> InverseSensorModel:
         from ogm.geometric import RadarISM
 
         return RadarISM(radar.spec, radar.mount, keep_moving=True, **numbers)
-    from ogm.deep import DeepRadarISM, RadarNoise
+    from ogm.deep import DeepRadarISM
 
-    noise = RadarNoise(numbers["half_width"], azimuth_noise=numbers["azimuth_noise"])
-    return DeepRadarISM(radar.engine, radar.spec, radar.mount, noise)
+    return DeepRadarISM(radar.engine, radar.spec, radar.mount, radar_noise(sensor))
 
 
 def radar_numbers(sensor: str) -> dict[str, float]:
@@ -97,3 +99,11 @@ def radar_numbers(sensor: str) -> dict[str, float]:
     widest = RADARS[kind].widest
     along, across = widest.noise
     return {"half_width": widest.half_width, "range_noise": along, "azimuth_noise": across} | _REACH.get(kind, {})
+
+
+def radar_noise(sensor: str) -> "RadarNoise":
+    """Return field of view and errors of a radar for `DeepRadarISM` and its training; see `radar_numbers`."""
+    from ogm.deep import RadarNoise
+
+    numbers = radar_numbers(sensor)
+    return RadarNoise(numbers["half_width"], azimuth_noise=numbers["azimuth_noise"])

@@ -7,7 +7,9 @@ from ogm import GridSpec
 from ogm.datasets import truth_from_neighbours
 from ogm.datasets.frames import kinds_of
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, find_ground
-from ogm.io import NUSCENES_ELEVEN, SEMANTIC_KITTI, SEMANTIC_KITTI_TRAINING, LabelledPoints
+from ogm.io.labels import LabelledPoints
+from ogm.io.range_images import NUSCENES_ELEVEN
+from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_TRAINING
 from ogm.pose import pose
 from ogm.scan import Boxes
 from ogm.state import CellState

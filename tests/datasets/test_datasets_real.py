@@ -8,14 +8,10 @@ import pytest
 
 from ogm import GridSpec
 from ogm.datasets import open_dataset
-from ogm.io import (
-    SEMANTIC_KITTI,
-    SEMANTIC_KITTI_TRAINING,
-    read_calibration,
-    read_kitti_tracks,
-    read_points,
-    read_range_image,
-)
+from ogm.io import read_calibration, read_points
+from ogm.io.kitti import read_kitti_tracks
+from ogm.io.range_images import read_range_image
+from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_TRAINING
 from ogm.state import CellState
 from ogm.truth import TRUTH_SPEC, cells_in_boxes
 

@@ -14,14 +14,13 @@ from ogm import Frame, GridSpec, Mount, Scan
 from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.deep.checkpoint import load_network, load_radar_network
 from ogm.deep.data import PLAIN
+from ogm.deep.export import export_onnx
 from ogm.deep.onnx_file import read_metadata, weights_sum
 from ogm.deep.polar import BEAM, CHANNELS, RadarGrid, polar_features, polar_places, view_of, write_masses
-from ogm.deep.radar_data import STEP, RadarBatch, RadarDataset, RadarFrame
-from ogm.deep.radar_export import export_radar_onnx
+from ogm.deep.radar_data import STEP, RadarBatch, RadarDataset
 from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.deep.radar_onnx import FORMAT
-from ogm.deep.radar_training import train_radar
-from ogm.deep.recipe import RADAR_RECIPE, Recipe
+from ogm.deep.recipe import LITE_RECIPE, RADAR_RECIPE, Recipe
 from ogm.deep.training import train
 from ogm.evidence import check_mass
 from ogm.fusion import EvidentialMapper
@@ -154,7 +153,7 @@ def test_masses_of_cells_are_interpolated_between_polar_cells(mount: Mount) -> N
 def test_training_and_inference_see_the_same_evidence(network: RadarNetwork) -> None:
     """The evidence that the loss is taken of is that of the grid's cells."""
     noise, truth = RadarNoise(), Truth(SPEC, np.zeros(SPEC.shape, np.uint8))
-    (batch,) = RadarDataset([RadarFrame(Frame(sweep(5), CORNER, None, truth), noise)], SMALL)
+    (batch,) = RadarDataset([Frame(sweep(5), CORNER, None, truth)], SMALL)
     with torch.no_grad():
         evidence = network(batch.inputs(torch.device("cpu")))[0].numpy()
     mass = DeepRadarISM(network, SPEC, CORNER, noise)(sweep(5)).mass
@@ -220,7 +219,7 @@ def test_what_is_repeated_from_one_place_does_not_accumulate(network: RadarNetwo
 # ------------------------------------------------------------------------------------------------ training and export
 
 
-def frames(count: int) -> list[RadarFrame]:
+def frames(count: int) -> list[Frame]:
     """All up to the nearest detection is free, the rest is unknown."""
     spec, result = GridSpec(1.0, (96, 96), (-48.0, -48.0)), []
     x, y = np.broadcast_arrays(*spec.cell_centers)
@@ -228,7 +227,7 @@ def frames(count: int) -> list[RadarFrame]:
         scan = sweep(seed, 12)
         near = np.hypot(*scan.points[:, :2].T).min() + 10
         state = np.where(np.hypot(x - 3.7, y) < near, np.uint8(CellState.FREE), np.uint8(CellState.UNKNOWN))
-        result.append(RadarFrame(Frame(scan, FRONT, None, Truth(spec, state), name=str(seed)), RadarNoise()))
+        result.append(Frame(scan, FRONT, None, Truth(spec, state), name=str(seed)))
     return result
 
 
@@ -240,8 +239,8 @@ def recipe() -> Recipe:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, recipe: Recipe) -> Path:
     out = tmp_path_factory.mktemp("run")
-    options = {"polar": SMALL, "accelerator": "cpu", "workers": 0, "progress": False, "precision": "32-true"}
-    train_radar(frames(16), frames(4), out, recipe, facts={"data": "made up"}, **options)
+    options = {"accelerator": "cpu", "workers": 0, "progress": False, "precision": "32-true"}
+    train(frames(16), frames(4), SMALL, out, recipe, facts={"data": "made up"}, **options)
     return out
 
 
@@ -256,7 +255,7 @@ def test_training_learns_and_states_where_the_weights_come_from(run: Path) -> No
 def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from ogm.deep.training_run import TrainingRun
 
-    options = {"polar": SMALL, "accelerator": "cpu", "workers": 0, "progress": False, "precision": "32-true"}
+    options = {"accelerator": "cpu", "workers": 0, "progress": False, "precision": "32-true"}
     save = TrainingRun.save
 
     def stop_later(this: TrainingRun) -> float:
@@ -267,17 +266,19 @@ def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, mon
 
     monkeypatch.setattr(TrainingRun, "save", stop_later)
     with pytest.raises(KeyboardInterrupt):
-        train_radar(frames(16), frames(4), tmp_path, recipe, **options)
+        train(frames(16), frames(4), SMALL, tmp_path, recipe, **options)
     monkeypatch.setattr(TrainingRun, "save", save)
-    train_radar(frames(16), frames(4), tmp_path, recipe, resume=True, **options)
+    train(frames(16), frames(4), SMALL, tmp_path, recipe, resume=True, **options)
     found, wanted = (load_radar_network(path / "best.safetensors")[0].state_dict() for path in (tmp_path, run))
     for name, value in wanted.items():
         torch.testing.assert_close(found[name], value, rtol=0, atol=0)
 
 
 def test_a_recipe_of_radar_is_not_for_lidars(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="train_radar"):
-        train([], [one.frame for one in frames(1)], SPEC, tmp_path, RADAR_RECIPE)
+    with pytest.raises(ValueError, match="networks of radars a RadarGrid"):
+        train([], frames(1), SPEC, tmp_path, RADAR_RECIPE)
+    with pytest.raises(ValueError, match="networks of lidars take a GridSpec"):
+        train([], frames(1), SMALL, tmp_path, LITE_RECIPE)
 
 
 def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
@@ -292,7 +293,7 @@ def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
 @pytest.fixture(scope="module")
 def exported(run: Path) -> Path:
     network, description = load_radar_network(run / "best.safetensors")
-    export_radar_onnx(network, run / "radar.onnx", description=description, weights=run / "best.safetensors")
+    export_onnx(network, run / "radar.onnx", description=description, weights=run / "best.safetensors")
     return run / "radar.onnx"
 
 
@@ -322,10 +323,10 @@ def test_mirrored_sweeps_have_mirrored_places() -> None:
     """Exchanging left and right before the features are made is the same as the augmentation."""
     scan, noise = sweep(10), RadarNoise()
     state = np.random.default_rng(1).integers(0, 3, SPEC.shape).astype(np.uint8)
-    frame = RadarFrame(Frame(scan, FRONT, None, Truth(SPEC, state)), noise)
+    frame = Frame(scan, FRONT, None, Truth(SPEC, state))
     from dataclasses import replace
 
-    (got,) = RadarDataset([frame], SMALL, replace(PLAIN, mirror=1.0))
+    (got,) = RadarDataset([frame], SMALL, augmentation=replace(PLAIN, mirror=1.0))
     points = scan.points * np.array([1, -1, 1, 1], np.float32)
     other = Scan(points, doppler=scan.doppler, rcs=scan.rcs)
     np.testing.assert_allclose(got.features[0].numpy(), polar_features(other, FRONT, noise, SMALL), atol=1e-3)

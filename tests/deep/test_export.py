@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from ogm.deep.export import _Masses, export_onnx
+from ogm.deep.export import export_onnx
+from ogm.deep.export_parts import _Masses
 from ogm.deep.folding import fused
 from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork
 from ogm.deep.onnx_engine import OnnxEngine
@@ -169,7 +170,7 @@ def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
     path = tmp_path / "lite.onnx"
     path.write_bytes(b"before")
 
-    def fail(network: PillarNetwork, metadata: dict[str, str]) -> None:
+    def fail(parts: object) -> None:
         raise RuntimeError("no")
 
     monkeypatch.setattr("ogm.deep.export._model", fail)

@@ -18,7 +18,6 @@ from ogm.deep.losses import (
     reverse_kl,
     sum_of_squares,
     targets,
-    undo_class_weights,
     uniform_kl,
 )
 from ogm.evidence import dirichlet_kl
@@ -359,16 +358,14 @@ def test_reverse_kl_of_a_batch_is_least_at_the_evidence_of_its_frequencies(stren
 
 @pytest.mark.parametrize("weight", [1, 100, 0.5])
 @pytest.mark.parametrize("chances", [(0.6, 0.1, 0.3), (0.05, 0.9, 0.05), (0.2, 0.01, 0.79), (0.5, 0.5, 0)])
-def test_undoing_class_weights_gives_the_optimum_without_them(weight: float, chances: tuple) -> None:
+def test_the_optimum_under_class_weights(weight: float, chances: tuple) -> None:
     weights = (1, weight, 1)
     weighted = torch.from_numpy(optimum(reverse_kl, chances, weights))
     shares = np.multiply(weights, chances)
     assert weighted.numpy() == pytest.approx(10 * shares[:2] / shares.sum(), abs=1e-5)
-    plain = undo_class_weights(weighted, weight)
-    assert plain.numpy() == pytest.approx(10 * np.array(chances[:2]), abs=1e-4)
 
 
-def test_class_weights_move_the_optimum_of_a_batch_as_the_undo_expects() -> None:
+def test_class_weights_move_the_optimum_of_a_batch() -> None:
     state = torch.from_numpy(np.random.default_rng(1).choice(3, 4000, p=[0.5, 0.4, 0.1]).astype(np.uint8))
     target, valid = targets(state)
     weight = class_weights(target, 30)
@@ -377,21 +374,6 @@ def test_class_weights_move_the_optimum_of_a_batch_as_the_undo_expects() -> None
     evidence.requires_grad_()
     masked_mean(reverse_kl(evidence.expand(4000, 2), target), valid, weight).backward()
     torch.testing.assert_close(evidence.grad, torch.zeros(2, dtype=torch.float64), rtol=0, atol=1e-6)
-    plain = undo_class_weights(evidence.detach(), 30)
-    torch.testing.assert_close(plain, 10 * target.double().mean(0), rtol=1e-5, atol=1e-5)
-
-
-def test_undoing_a_weight_of_one_changes_nothing_however_much_the_evidence() -> None:
-    evidence, _ = cells(1000, seed=7)
-    torch.testing.assert_close(undo_class_weights(evidence, 1), evidence)
-
-
-def test_undoing_keeps_a_vacuous_cell_vacuous_and_the_shape_and_type() -> None:
-    evidence = torch.zeros(2, 3, 2, dtype=torch.bfloat16)
-    plain = undo_class_weights(evidence, occupied=100)
-    assert plain.dtype == torch.bfloat16
-    assert plain.shape == (2, 3, 2)
-    assert (plain == 0).all()
 
 
 # --- targets, mask, weights ---
@@ -483,8 +465,6 @@ def test_losses_refuse_what_does_not_fit(loss: Callable[[Tensor, Tensor], Tensor
 def test_strength_must_be_a_positive_number(strength: float) -> None:
     with pytest.raises(ValueError, match="strength must be finite and greater than 0"):
         reverse_kl(torch.zeros(2), torch.zeros(2), strength)
-    with pytest.raises(ValueError, match="strength must be finite and greater than 0"):
-        undo_class_weights(torch.zeros(2), 1, strength)
 
 
 def test_other_bad_input_is_refused() -> None:
@@ -499,7 +479,5 @@ def test_other_bad_input_is_refused() -> None:
     for weight in (0, -1, math.nan, math.inf):
         with pytest.raises(ValueError, match="class weight must be finite and greater than 0"):
             class_weights(torch.zeros(2), weight)
-        with pytest.raises(ValueError, match="class weight must be finite and greater than 0"):
-            undo_class_weights(torch.zeros(2), weight)
     with pytest.raises(ValueError, match=r"2 states .* got shape \(3,\)"):
         class_weights(torch.zeros(3), 2)

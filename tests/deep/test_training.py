@@ -177,7 +177,7 @@ def test_a_run_goes_on_with_another_learning_rate(go, recipe, frames, tmp_path):
 
 
 def test_an_epoch_is_validated_even_if_its_validation_was_interrupted(go, monkeypatch, tmp_path):
-    from ogm.deep import training as module
+    from ogm.deep import training_loop as module
 
     def stop(*_):
         raise KeyboardInterrupt

@@ -11,9 +11,15 @@ from radarscenes_files import write_sequence
 from seed_points import feather, npy, sweep
 from targets import Target, check_poses, check_scan, cloud
 
-import ogm.io as oio
 from ogm import GridSpec
 from ogm.datasets import open_dataset
+from ogm.io import read_poses
+from ogm.io.argoverse2 import read_argoverse2
+from ogm.io.kitti import read_calibration, read_kitti_objects, read_kitti_stamps, read_kitti_tracks
+from ogm.io.nuscenes import read_mmdet3d, read_nuscenes
+from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
+from ogm.io.semantic_kitti import read_semantic_kitti
+from ogm.io.sustech import read_sustech
 from ogm.simulation.exchange import read_label, write_label
 from ogm.state import Truth
 
@@ -118,7 +124,7 @@ def _nuscenes(content: Any) -> None:
 
 
 def _argoverse(folder: Path) -> None:
-    log = oio.read_argoverse2(folder)
+    log = read_argoverse2(folder)
     for n, stamp in enumerate(log.stamps):
         check_poses(log.poses[stamp])
         log.boxes(n)
@@ -128,7 +134,7 @@ def _argoverse(folder: Path) -> None:
 
 
 def _poses(path: Path) -> None:
-    found = oio.read_poses(path)
+    found = read_poses(path)
     check_poses(found.poses)
     assert found.stamps is None or (np.diff(found.stamps) > 0).all(), "stamps do not increase"
 
@@ -197,17 +203,17 @@ def _radarscenes(storage: dict[str, Any], folder: Path) -> Target:
 
 _STAMPS = b"".join(b"2011-09-26 13:02:2%d.964389445\n" % k for k in range(5))
 _KITTI = {
-    "calibration": ("calib.txt", lambda: CALIBRATION, lambda path: check_poses(oio.read_calibration(path))),
-    "kitti-objects": ("l.txt", lambda: LABEL * 3, lambda path: oio.read_kitti_objects(path, CAMERA)),
-    "kitti-tracks": ("l.txt", lambda: TRACKS, lambda path: oio.read_kitti_tracks(path, CAMERA)),
-    "kitti-stamps": ("t.txt", lambda: _STAMPS, oio.read_kitti_stamps),
-    "range-image": ("r.npy", _range_image, lambda path: _labelled(oio.read_range_image(path, oio.NUSCENES_ELEVEN))),
-    "sustech": ("0.json", _sustech, oio.read_sustech),
-    "mmdet3d": ("info.json", mmdet3d_info, lambda path: _nuscenes(oio.read_mmdet3d(path))),
+    "calibration": ("calib.txt", lambda: CALIBRATION, lambda path: check_poses(read_calibration(path))),
+    "kitti-objects": ("l.txt", lambda: LABEL * 3, lambda path: read_kitti_objects(path, CAMERA)),
+    "kitti-tracks": ("l.txt", lambda: TRACKS, lambda path: read_kitti_tracks(path, CAMERA)),
+    "kitti-stamps": ("t.txt", lambda: _STAMPS, read_kitti_stamps),
+    "range-image": ("r.npy", _range_image, lambda path: _labelled(read_range_image(path, NUSCENES_ELEVEN))),
+    "sustech": ("0.json", _sustech, read_sustech),
+    "mmdet3d": ("info.json", mmdet3d_info, lambda path: _nuscenes(read_mmdet3d(path))),
 }
 _FOLDERS: dict[str, tuple[Files, str, Callable[[Path], object]]] = {
-    "semantic-kitti": (_semantic, "", lambda f: _labelled(oio.read_semantic_kitti(f / "0.bin", f / "0.label"))),
-    "nuscenes": (nuscenes_tables, ".json", lambda folder: _nuscenes(oio.read_nuscenes(folder))),
+    "semantic-kitti": (_semantic, "", lambda f: _labelled(read_semantic_kitti(f / "0.bin", f / "0.label"))),
+    "nuscenes": (nuscenes_tables, ".json", lambda folder: _nuscenes(read_nuscenes(folder))),
     "dataset-nuscenes": (nuscenes_tables, "sample", _frames),
     "dataset-argoverse2": (argoverse_log, ".", _frames),
     "argoverse2": (argoverse_log, ".", _argoverse),

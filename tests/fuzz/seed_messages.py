@@ -25,8 +25,6 @@ from ogm.io.messages import (
     layers_from_grid_map,
     occupancy_grid,
     point_cloud2,
-    ros_stamp,
-    rotation_from_imu,
     scan_from_continental,
     scan_from_livox,
     scan_from_point_cloud2,
@@ -34,9 +32,9 @@ from ogm.io.messages import (
     scan_from_velodyne_scan,
     tf_message,
     transform_from_odometry,
-    transform_from_pose,
     transforms_from_tf,
 )
+from ogm.io.messages.plain import ros_stamp
 from ogm.pose import pose
 from ogm.scan import Scan
 
@@ -83,13 +81,6 @@ def _odometry() -> Any:
     twist = SimpleNamespace(twist=SimpleNamespace(linear=zero, angular=zero), covariance=covariance)
     placed = SimpleNamespace(pose=_placed(), covariance=covariance)
     return SimpleNamespace(header=HEADER, child_frame_id="base_link", pose=placed, twist=twist)
-
-
-def _imu() -> Any:
-    zero, covariance = SimpleNamespace(x=0.0, y=0.0, z=0.0), np.zeros(9)
-    names = ("orientation_covariance", "angular_velocity_covariance", "linear_acceleration_covariance")
-    rest = dict.fromkeys(names, covariance) | {"angular_velocity": zero, "linear_acceleration": zero}
-    return SimpleNamespace(header=HEADER, orientation=_placed().orientation, **rest)
 
 
 def _radar() -> Any:
@@ -184,12 +175,6 @@ _MESSAGES: dict[str, tuple[str, Callable[[], Any], Callable[[Any], object]]] = {
     "livox": ("livox_ros_driver2/msg/CustomMsg", _livox, lambda message: check_scan(scan_from_livox(message))),
     "tf": (TF, _transforms, lambda message: _tf(transforms_from_tf(message))),
     "odometry": ("nav_msgs/msg/Odometry", _odometry, lambda message: _tf([transform_from_odometry(message)])),
-    "pose": (
-        "geometry_msgs/msg/PoseStamped",
-        lambda: SimpleNamespace(header=HEADER, pose=_placed()),
-        lambda message: _tf([transform_from_pose(message, "base_link")]),
-    ),
-    "imu": ("sensor_msgs/msg/Imu", _imu, rotation_from_imu),
     "occupancy": (
         "nav_msgs/msg/OccupancyGrid",
         lambda: occupancy_grid(evidential(), **_GRIDS),

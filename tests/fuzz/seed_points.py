@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from targets import Target, check_scan, cloud
 
-from ogm.io import read_nuscenes_radar, read_scan_file
+from ogm.io import read_scan_file
 
 
 def pcd(encoding: str, organised: bool = False) -> bytes:
@@ -103,26 +103,6 @@ def sweep(compression: str) -> bytes:
     return feather(columns | {"offset_ns": np.arange(len(p), dtype=np.int32) * 4_000_000}, compression)
 
 
-def nuscenes_radar() -> bytes:
-    """Return a sweep of nuScenes' radar."""
-    fields = "x y z dyn_prop id rcs vx vy vx_comp vy_comp is_quality_valid ambig_state x_rms y_rms invalid_state pdh0"
-    names, types = f"{fields} vx_rms vy_rms".split(), [*["f4"] * 3, "i1", "i2", *["f4"] * 5, *["i1"] * 8]
-    rows = np.zeros(24, np.dtype([*zip(names, types, strict=True)]))
-    for name, column in zip("xyz", cloud().T, strict=False):
-        rows[name] = column
-    rows["ambig_state"], rows["vx"], rows["rcs"] = 3, 1.5, -4
-    entries = {
-        "FIELDS": names, "SIZE": [one[1] for one in types], "TYPE": [one[0].upper() for one in types],
-        "COUNT": ["1"] * 18, "WIDTH": ["24"], "HEIGHT": ["1"], "POINTS": ["24"], "DATA": ["binary"],
-    }  # fmt: skip
-    head = "".join(f"{key} {' '.join(words)}\n" for key, words in entries.items())
-    return f"VERSION 0.7\n{head}".encode() + rows.tobytes()
-
-
-def _nuscenes_radar(folder: Path) -> Target:
-    return Target({"a.pcd": nuscenes_radar()}, lambda files: check_scan(read_nuscenes_radar(files / "a.pcd")))
-
-
 def _scan(name: str, make: Callable[[], bytes], folder: Path) -> Target:
     return Target({name: make()}, lambda files: check_scan(read_scan_file(files / name)[0]))
 
@@ -144,4 +124,3 @@ _SCANS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "pcd-gz": ("a.pcd.gz", lambda: gzip.compress(pcd("ascii"))),
 }
 TARGETS: dict[str, Callable[[Path], Target]] = {name: partial(_scan, *given) for name, given in _SCANS.items()}
-TARGETS["nuscenes-radar"] = _nuscenes_radar

@@ -7,26 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ogm.io import (
-    NUSCENES_ELEVEN,
-    SEMANTIC_KITTI,
-    SEMANTIC_KITTI_MOVING,
-    SEMANTIC_KITTI_TRAINING,
-    LabelledPoints,
-    read_argoverse2,
-    read_calibration,
-    read_kitti_objects,
-    read_kitti_stamps,
-    read_kitti_tracks,
-    read_mmdet3d,
-    read_nuscenes,
-    read_points,
-    read_range_image,
-    read_scan,
-    read_semantic_kitti,
-    read_sustech,
-)
-from ogm.io.labels import BoxRow, boxes_of
+from ogm.io import read_calibration, read_points, read_scan
+from ogm.io.argoverse2 import read_argoverse2
+from ogm.io.kitti import read_kitti_objects, read_kitti_stamps, read_kitti_tracks
+from ogm.io.labels import BoxRow, LabelledPoints, boxes_of
+from ogm.io.nuscenes import read_mmdet3d, read_nuscenes
+from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
+from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_MOVING, SEMANTIC_KITTI_TRAINING, read_semantic_kitti
+from ogm.io.sustech import read_sustech
 from ogm.storage.files import OgmError
 
 TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])

@@ -13,7 +13,7 @@ from radarscenes_files import MOUNTS, START, detections, odometry, write_sequenc
 from ogm.datasets import open_dataset
 from ogm.geometric import RadarISM, sensor_velocity
 from ogm.grid import GridSpec
-from ogm.io import read_radarscenes
+from ogm.io.radarscenes import read_radarscenes
 from ogm.pose import transform_points
 from ogm.storage.files import OgmError
 from ogm.storage.limits import set_limits

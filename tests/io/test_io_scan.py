@@ -5,15 +5,8 @@ import logging
 import numpy as np
 import pytest
 
-from ogm.io import (
-    AXES,
-    describe,
-    estimate_sensor_height,
-    plausible_sensor_height,
-    read_points,
-    read_scan,
-    read_scan_file,
-)
+from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan, read_scan_file
+from ogm.io.sensor_height import plausible_sensor_height
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 

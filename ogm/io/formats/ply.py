@@ -31,10 +31,8 @@ def parse_ply(data: bytes, path: Path) -> Table:
 
     Parameters
     ----------
-    data : bytes
-        The whole file, unpacked.
-    path : Path
-        Its name, for messages.
+    data, path
+        See `ogm.io.formats.parse`.
     """
     encoding, elements, body = _split(data, path)
     for name, count, fields in elements:

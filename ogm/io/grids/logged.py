@@ -17,9 +17,9 @@ from ogm.io.messages import (
     grid_from_occupancy_grid,
     grid_map,
     occupancy_grid,
-    stamp_seconds,
     tf_message,
 )
+from ogm.io.messages.plain import stamp_seconds
 from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 

@@ -133,6 +133,26 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
     """
     if hint := update_hint(found := dataset.attrs.get("format"), _FORMAT):
         raise OgmError(f"the dataset has the format {found}, this version of ogm reads {_FORMAT}{hint}")
+    layers = _needed(dataset)
+    try:
+        _check_sizes(layers)
+        spec, order = _spec(dataset, (int(layers.sizes["x"]), int(layers.sizes["y"])))
+        read = {str(name): _values(layer)[order] for name, layer in layers.data_vars.items()}
+        T = np.asarray(dataset.attrs.get("T_frame_grid", pose(z=float(dataset.attrs.get("height", 0.0)))), np.float64)
+        stamp = dataset.attrs.get("stamp")
+        return PlacedGrid(
+            grid_from_layers(LayeredGrid(spec, read), nan_is_unknown=True),
+            T.reshape(4, 4) if T.size == 16 else T,
+            str(dataset.attrs.get("frame_id", "map"))[:256],
+            None if stamp is None else float(stamp),
+            _crs(dataset),
+        )
+    except (ValueError, TypeError, ArithmeticError) as error:
+        raise error if isinstance(error, OgmError) else OgmError(str(error)) from error
+
+
+def _needed(dataset: "Dataset") -> "Dataset":
+    """Return the variables that make a grid, or raise OgmError where one is missing or of another kind."""
     try:
         names = needed_layers([str(name) for name in dataset.data_vars])
     except KeyError as error:
@@ -143,36 +163,33 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
         layer = layers[name]
         if set(layer.dims) != {"x", "y"} or layer.dtype.kind != "f":
             raise OgmError(f"{name} must be float of dims (y, x), got {layer.dtype} of {layer.dims}")
-    nx, ny = int(layers.sizes["x"]), int(layers.sizes["y"])
-    try:
-        GridSpec(1.0, (nx, ny), (0.0, 0.0))  # not too many cells, before they are read
-        size = sum(layers[name].dtype.itemsize for name in names) * nx * ny
-        if size > current_limits().grid:
-            raise too_large("the dataset", size, "grid")
-        _check_chunks(layers)
-        stated = float(dataset.attrs.get("resolution", "nan"))
-        x, y = _axis(dataset, "x", stated), _axis(dataset, "y", stated)
-        resolution = x.step or y.step or stated
-        if not resolution > 0:
-            raise OgmError("a dataset of one cell must state its resolution [m]")
-        if not math.isclose(resolution, y.step or resolution, rel_tol=_SAME_STEP):
-            raise OgmError(f"cells must be squares, got steps of {x.step:g} m in x and {y.step:g} m in y")
-        order = slice(None, None, -1 if x.decreases else 1), slice(None, None, -1 if y.decreases else 1)
-        read = {name: _values(layers[name])[order] for name in names}
-        origin = nanometres(x.first - resolution / 2), nanometres(y.first - resolution / 2)
-        spec = GridSpec(resolution, (nx, ny), origin)
-        lifted = pose(z=float(dataset.attrs.get("height", 0.0)))
-        T = np.asarray(dataset.attrs.get("T_frame_grid", lifted), np.float64)
-        stamp, crs = dataset.attrs.get("stamp"), _crs(dataset)
-        return PlacedGrid(
-            grid_from_layers(LayeredGrid(spec, read), nan_is_unknown=True),
-            T.reshape(4, 4) if T.size == 16 else T,
-            str(dataset.attrs.get("frame_id", "map"))[:256],
-            None if stamp is None else float(stamp),
-            crs,
-        )
-    except (ValueError, TypeError, ArithmeticError) as error:
-        raise error if isinstance(error, OgmError) else OgmError(str(error)) from error
+    return layers
+
+
+def _check_sizes(layers: "Dataset") -> None:
+    """Refuse more cells than a grid has, and chunks that are larger: a file of a few bytes can promise them."""
+    GridSpec(1.0, (int(layers.sizes["x"]), int(layers.sizes["y"])), (0.0, 0.0))
+    size = sum(layer.nbytes for layer in layers.data_vars.values())
+    if size > current_limits().grid:
+        raise too_large("the dataset", size, "grid")
+    for layer in layers.data_vars.values():
+        chunks = layer.encoding.get("chunks") or layer.encoding.get("chunksizes") or ()
+        if layer.dtype.itemsize * math.prod(max(int(one), 1) for one in chunks) > current_limits().grid:
+            raise OgmError(f"chunks of {chunks} cells are larger than any grid; it is not unpacked")
+
+
+def _spec(dataset: "Dataset", shape: tuple[int, int]) -> tuple[GridSpec, tuple[slice, slice]]:
+    """Return the cells of a dataset, and the order in which its arrays [ix, iy] become increasing."""
+    stated = float(dataset.attrs.get("resolution", "nan"))
+    x, y = _axis(dataset, "x", stated), _axis(dataset, "y", stated)
+    resolution = x.step or y.step or stated
+    if not resolution > 0:
+        raise OgmError("a dataset of one cell must state its resolution [m]")
+    if not math.isclose(resolution, y.step or resolution, rel_tol=_SAME_STEP):
+        raise OgmError(f"cells must be squares, got steps of {x.step:g} m in x and {y.step:g} m in y")
+    origin = nanometres(x.first - resolution / 2), nanometres(y.first - resolution / 2)
+    order = slice(None, None, -1 if x.decreases else 1), slice(None, None, -1 if y.decreases else 1)
+    return GridSpec(resolution, shape, origin), order
 
 
 def _values(layer: "DataArray") -> NDArray[np.floating[Any]]:
@@ -236,14 +253,6 @@ def _crs(dataset: "Dataset") -> str | None:
         return str(CRS.from_wkt(str(wkt)).to_string())
     except CRSError:
         return None
-
-
-def _check_chunks(layers: "Dataset") -> None:
-    """Refuse chunks that are larger than any grid: a file of a few bytes can promise them."""
-    for layer in layers.data_vars.values():
-        chunks = layer.encoding.get("chunks") or layer.encoding.get("chunksizes") or ()
-        if layer.dtype.itemsize * math.prod(max(int(one), 1) for one in chunks) > current_limits().grid:
-            raise OgmError(f"chunks of {chunks} cells are larger than any grid; it is not unpacked")
 
 
 def write_scientific(path: Path, placed: PlacedGrid) -> None:

@@ -18,21 +18,13 @@ from ogm.io.messages.fill import fill_message
 from ogm.io.messages.foxglove import foxglove_grid, grid_from_foxglove_grid
 from ogm.io.messages.layers import grid_from_grid_map, grid_map, layers_from_grid_map
 from ogm.io.messages.livox import scan_from_livox
-from ogm.io.messages.occupancy import grid_from_occupancy_grid, mass_from_occupancy, occupancy_grid, occupancy_values
-from ogm.io.messages.plain import ros_stamp, stamp_seconds
-from ogm.io.messages.poses import (
-    rotation_from_imu,
-    tf_message,
-    transform_from_odometry,
-    transform_from_pose,
-    transforms_from_tf,
-)
+from ogm.io.messages.occupancy import grid_from_occupancy_grid, occupancy_grid
+from ogm.io.messages.poses import tf_message, transform_from_odometry, transforms_from_tf
 from ogm.io.messages.radars import scan_from_continental, scan_from_radar_scan
-from ogm.io.messages.velodyne import VELODYNE_MODELS, scan_from_velodyne_scan
+from ogm.io.messages.velodyne import scan_from_velodyne_scan
 from ogm.io.transforms import StampedTransform
 
 __all__ = [
-    "VELODYNE_MODELS",
     "StampedTransform",
     "fill_message",
     "foxglove_grid",
@@ -41,21 +33,15 @@ __all__ = [
     "grid_from_occupancy_grid",
     "grid_map",
     "layers_from_grid_map",
-    "mass_from_occupancy",
     "occupancy_grid",
-    "occupancy_values",
     "point_cloud2",
-    "ros_stamp",
-    "rotation_from_imu",
+    "scan_from_continental",
     "scan_from_livox",
     "scan_from_point_cloud2",
-    "scan_from_continental",
     "scan_from_radar_scan",
     "scan_from_velodyne_scan",
     "scans_from_pcap",
-    "stamp_seconds",
     "tf_message",
     "transform_from_odometry",
-    "transform_from_pose",
     "transforms_from_tf",
 ]

@@ -102,14 +102,12 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
     Parameters
     ----------
     message : object
-        With the fields of the message, as protobuf decodes it.
+        Message with the fields that protobuf decodes.
 
     Returns
     -------
-    grid : EvidentialGrid, or DynamicGrid where there are all of its fields
-        Cells that have no value (NaN) are unknown.
-    T_frame_grid : (4, 4) float64
-        Turns and lifts the grid; identity if the message does neither.
+    grid, T_frame_grid
+        See `ogm.io.messages.grid_from_grid_map`.
 
     Raises
     ------

@@ -37,12 +37,8 @@ def grid_map(
     ----------
     grid : EvidentialGrid or DynamicGrid
         The latter with all its layers; velocities are along the grid's axes.
-    frame_id : str
-        Frame of the header.
-    stamp : float, optional
-        [s]; 0 by default.
-    T_frame_grid : (4, 4) array, optional
-        Takes the grid's coordinates to that frame; identity by default.
+    frame_id, stamp, T_frame_grid
+        See `ogm.io.messages.occupancy_grid`.
     layers : mapping of str to (nx, ny) array, optional
         Further layers, such as conflict; those of a `LayeredGrid` are its ``layers``. NaN where there is no value.
 

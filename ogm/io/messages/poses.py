@@ -11,17 +11,8 @@ from ogm.io.messages.plain import describe_message, frame_of, header, reads_mess
 from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
 from ogm.pose import check_pose, matrix_to_quaternion
-from ogm.storage.files import OgmError
 
-__all__ = [
-    "pose_message",
-    "rotation_from_imu",
-    "tf_message",
-    "transform_from_odometry",
-    "transform_from_pose",
-    "transform_of_pose",
-    "transforms_from_tf",
-]
+__all__ = ["pose_message", "tf_message", "transform_from_odometry", "transform_of_pose", "transforms_from_tf"]
 
 
 @reads_message
@@ -56,45 +47,6 @@ def transform_from_odometry(message: Any) -> StampedTransform:
     T = _rigid(placed.position, placed.orientation, describe_message(message, "Odometry"))
     child = str(message.child_frame_id).lstrip("/")
     return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
-
-
-@reads_message
-def transform_from_pose(message: Any, child: str) -> StampedTransform:
-    """Return the pose of a ``geometry_msgs/PoseStamped`` or ``PoseWithCovarianceStamped``.
-
-    Parameters
-    ----------
-    message : object
-    child : str
-        The frame whose pose it is, which the message does not hold.
-
-    Raises
-    ------
-    OgmError
-        If a position is not finite, or a quaternion has not length 1.
-    """
-    placed = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-    T = _rigid(placed.position, placed.orientation, describe_message(message, "PoseStamped"))
-    return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
-
-
-@reads_message
-def rotation_from_imu(message: Any) -> NDArray[np.float64]:
-    """Return the orientation of a ``sensor_msgs/Imu``: (3, 3), takes coordinates of its frame to the world's.
-
-    The world has z up and, for most drivers, x to the east or where the sensor pointed when it started.
-
-    Raises
-    ------
-    OgmError
-        If the message has no orientation (``orientation_covariance[0]`` is -1, or the quaternion 0), or one that has
-        not length 1.
-    """
-    where = describe_message(message, "Imu")
-    q = message.orientation
-    if message.orientation_covariance[0] == -1 or not any((q.x, q.y, q.z, q.w)):
-        raise OgmError(f"{where} has no orientation, only rates and accelerations: give poses of another topic")
-    return _rigid(SimpleNamespace(x=0.0, y=0.0, z=0.0), q, where)[:3, :3]
 
 
 def tf_message(transforms: Iterable[StampedTransform]) -> SimpleNamespace:

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from ogm.cli import app
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import PlacedGrid, read_grid, read_placed_grid, write_grid
-from ogm.io.messages import occupancy_values
+from ogm.io.messages.occupancy import occupancy_values
 from ogm.pose import pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError

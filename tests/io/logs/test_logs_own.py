@@ -9,7 +9,8 @@ import pytest
 from small_drive import CLOUD, SCANS, START, TF, drive, plain
 
 from ogm.io.logs import LogWriter, open_log
-from ogm.io.messages import ros_stamp, tf_message
+from ogm.io.messages import tf_message
+from ogm.io.messages.plain import ros_stamp
 from ogm.storage.files import OgmError
 
 KINDS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]

@@ -16,12 +16,12 @@ from ogm.io.messages import (
     grid_from_occupancy_grid,
     grid_map,
     occupancy_grid,
-    occupancy_values,
     point_cloud2,
     scan_from_point_cloud2,
     tf_message,
     transforms_from_tf,
 )
+from ogm.io.messages.occupancy import occupancy_values
 from ogm.pose import pose
 from ogm.scan import Scan
 

@@ -17,10 +17,9 @@ from ogm.io.messages import (
     grid_from_occupancy_grid,
     grid_map,
     layers_from_grid_map,
-    mass_from_occupancy,
     occupancy_grid,
-    occupancy_values,
 )
+from ogm.io.messages.occupancy import mass_from_occupancy, occupancy_values
 from ogm.plot.colours import colours
 from ogm.pose import pose
 from ogm.state import CellState, predict_state

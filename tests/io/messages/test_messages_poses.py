@@ -1,4 +1,4 @@
-"""Stamps, transforms, odometry, poses and IMU."""
+"""Stamps, transforms and odometry."""
 
 from types import SimpleNamespace
 
@@ -7,16 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm.io.messages import (
-    StampedTransform,
-    ros_stamp,
-    rotation_from_imu,
-    stamp_seconds,
-    tf_message,
-    transform_from_odometry,
-    transform_from_pose,
-    transforms_from_tf,
-)
+from ogm.io.messages import StampedTransform, tf_message, transform_from_odometry, transforms_from_tf
+from ogm.io.messages.plain import ros_stamp, stamp_seconds
 from ogm.io.transforms import TransformBuffer
 from ogm.pose import pose
 from ogm.storage.files import OgmError
@@ -75,38 +67,6 @@ def test_odometry(ros, sent):
     np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-12)  # forward is to the left
 
 
-@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])
-def test_poses(kind, sent):
-    inner = placed() if kind == "PoseStamped" else N(pose=placed(), covariance=np.zeros(36))
-    arrived = sent(N(header=head("map"), pose=inner), f"geometry_msgs/msg/{kind}")
-    parent, child, stamp, T = transform_from_pose(arrived, "base")
-    assert (parent, child, stamp) == ("map", "base", 7.5)
-    np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-12)
-
-
-def imu(quaternion, first=0.0):
-    covariance = np.zeros(9)
-    covariance[0] = first
-    rate = N(x=0.0, y=0.0, z=0.0)
-    return N(
-        header=head("imu"),
-        orientation=placed(quaternion=quaternion).orientation,
-        orientation_covariance=covariance,
-        angular_velocity=rate,
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=rate,
-        linear_acceleration_covariance=np.zeros(9),
-    )
-
-
-def test_imu(sent):
-    arrived = sent(imu((0.0, 0.0, HALF, HALF)), "sensor_msgs/msg/Imu")
-    np.testing.assert_allclose(rotation_from_imu(arrived), [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
-    for none in (imu((0.0, 0.0, 0.0, 1.0), first=-1.0), imu((0.0, 0.0, 0.0, 0.0))):
-        with pytest.raises(OgmError, match="Imu of imu at 7.500000 s has no orientation"):
-            rotation_from_imu(none)
-
-
 def test_every_reader_gets_the_transforms_that_were_sent(sent, by_mcap, ros1_class, stores):
     rng = np.random.default_rng(4)
     several = [
@@ -131,11 +91,13 @@ def test_every_reader_gets_the_transforms_that_were_sent(sent, by_mcap, ros1_cla
 
 
 def test_quaternions_that_turn_nothing_are_refused():
+    def read(**place):
+        return transform_from_odometry(N(header=head(), child_frame_id="base", pose=N(pose=placed(**place))))
+
     for quaternion in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0), (np.nan, 0.0, 0.0, 1.0)):
-        broken = N(header=head(), pose=placed(quaternion=quaternion))
-        with pytest.raises(OgmError, match="PoseStamped of odom at 7.500000 s must have .* a quaternion of length 1"):
-            transform_from_pose(broken, "base")
+        with pytest.raises(OgmError, match="Odometry of odom at 7.500000 s must have .* a quaternion of length 1"):
+            read(quaternion=quaternion)
     with pytest.raises(OgmError, match="finite position"):
-        transform_from_pose(N(header=head(), pose=placed(position=(np.inf, 0, 0))), "base")
-    near = transform_from_pose(N(header=head(), pose=placed(quaternion=(0.0, 0.0, 0.7071, 0.7071))), "base")
+        read(position=(np.inf, 0, 0))
+    near = read(quaternion=(0.0, 0.0, 0.7071, 0.7071))
     np.testing.assert_allclose(near.T_parent_child[:3, :3] @ near.T_parent_child[:3, :3].T, np.eye(3), atol=1e-12)

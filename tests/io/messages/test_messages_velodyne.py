@@ -11,7 +11,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from ogm.io import read_scan
-from ogm.io.messages import VELODYNE_MODELS, scan_from_velodyne_scan, scans_from_pcap
+from ogm.io.messages import scan_from_velodyne_scan, scans_from_pcap
+from ogm.io.messages.velodyne import VELODYNE_MODELS
 from ogm.pose import pose, transform_points
 from ogm.storage.files import OgmError
 

@@ -1,0 +1,187 @@
+"""The parts of networks that are exported: modules of operations that ONNX has, their arrays and metadata."""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import nn
+from torch.nn.functional import pixel_shuffle
+
+from ogm.deep.folding import folded, fused
+from ogm.deep.network import PillarNetwork
+from ogm.deep.onnx_file import FORMAT
+from ogm.deep.points import FEATURES
+from ogm.deep.polar import CHANNELS
+from ogm.deep.radar_network import RadarNetwork
+from ogm.deep.radar_onnx import FORMAT as RADAR_FORMAT
+
+__all__ = ["ExportParts", "lidar_parts", "radar_parts"]
+
+
+class ExportParts(NamedTuple):
+    """A network as it is exported.
+
+    Attributes
+    ----------
+    module : Module
+        Computes the output from the inputs.
+    inputs : dict of str to Tensor
+        Example inputs by name.
+    output : str
+        Name of the output.
+    shapes : dict, optional
+        Axes that are not fixed, as `torch.onnx.export` takes them.
+    metadata : dict of str to str
+        Metadata of the file. Entries with the name of an input or output become its documentation, too.
+    about : str
+        Documentation of the model.
+    facts : dict of str to str
+        Names and values that describe the file, to be printed.
+    """
+
+    module: nn.Module
+    inputs: dict[str, torch.Tensor]
+    output: str
+    shapes: dict[str, Any] | None
+    metadata: dict[str, str]
+    about: str
+    facts: dict[str, str]
+
+
+def lidar_parts(network: PillarNetwork, given: Mapping[str, str]) -> ExportParts:
+    """Return the parts of a network of lidars, from the feature map to belief masses.
+
+    Parameters
+    ----------
+    network : PillarNetwork
+    given : mapping
+        Further metadata: description and checksum of the weights.
+    """
+    module = _Masses(network).eval()
+    config, spec, channels = network.config, network.spec, _channels(network)
+    kx, ky = torch.export.Dim("nx"), torch.export.Dim("ny")  # in units of the multiple
+    multiple = config.stride
+    nx, ny = 4 * multiple, 2 * multiple
+    inputs = {"feature_map": torch.zeros(1, nx, ny, channels)}
+    shapes: dict[str, dict[int, Any]] = {"feature_map": {1: multiple * kx, 2: multiple * ky}}
+    facts = {"feature_map": f"(1, {spec.shape[0]}, {spec.shape[1]}, {channels}) float32, from (points, {FEATURES})"}
+    if config.bearings:
+        inputs["sensor_coords"] = torch.zeros(1, 4, nx // 4, ny // 4)
+        shapes["sensor_coords"] = {2: multiple // 4 * kx, 3: multiple // 4 * ky}
+        facts["sensor_coords"] = f"(1, 4, {spec.shape[0] // 4}, {spec.shape[1] // 4}) float32"
+    facts |= {
+        "mass": f"({spec.shape[0]}, {spec.shape[1]}, 2) float32: free, occupied",
+        "grid": f"{spec.length:g} x {spec.width:g} m, cells of {spec.resolution:g} m",
+    }
+    metadata = _documentation(network) | _input(module.network) | dict(given)
+    return ExportParts(module, inputs, "mass", shapes, metadata, "One lidar scan to an evidential grid map.", facts)
+
+
+def radar_parts(network: RadarNetwork, given: Mapping[str, str]) -> ExportParts:
+    """Return the parts of a network of radars, from polar features to evidence; see `lidar_parts`."""
+    polar, shape = network.spec, (1, len(CHANNELS), *network.spec.shape)
+    metadata = {
+        "format": RADAR_FORMAT,
+        "channels": json.dumps(CHANNELS),
+        **given,
+        "features": "[0, channel, range, azimuth]: see ogm.deep.polar.polar_features.",
+        "evidence": "[state, range, azimuth]: free, then occupied. Mass is evidence / (free + occupied + 2).",
+    }
+    step = math.degrees(polar.azimuth_step)
+    facts = {
+        "features": f"{shape} float32, see ogm.deep.polar.polar_features",
+        "evidence": f"{(2, *polar.shape)} float32: free, occupied",
+        "grid": f"{polar.reach:g} m x {2 * math.degrees(polar.edge):g} degrees, cells of {polar.range_step:g} m x "
+        f"{step:g} degrees",
+    }
+    about = "One sweep of a radar to evidence on its polar grid."
+    inputs = {"features": torch.zeros(shape)}
+    return ExportParts(_Evidence(network).eval(), inputs, "evidence", None, metadata, about, facts)
+
+
+class _Masses(nn.Module):
+    """From the feature map to belief masses, of operations that ONNX has."""
+
+    def __init__(self, network: PillarNetwork) -> None:
+        super().__init__()
+        if isinstance(network.pillar.norm, nn.Identity):
+            raise ValueError("the network is fused already: give the one that load_network returns")
+        self.network = fused(network).cpu()
+
+    def forward(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
+        x = self.network.quarters(feature_map.permute(0, 3, 1, 2), sensor_coords)
+        e = _softplus(x) if self.network.config.evidence == "softplus" else torch.relu(x)
+        e = pixel_shuffle(e, 2)
+        free, occupied = torch.split(e, 1, dim=1)
+        return (e / (free + occupied + 2))[0].permute(1, 2, 0)  # Sec. II: b = e / S
+
+
+class _Evidence(nn.Module):
+    """From polar features to evidence, of operations that ONNX has."""
+
+    def __init__(self, network: RadarNetwork) -> None:
+        super().__init__()
+        self.network = folded(network).cpu()
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        return pixel_shuffle(_softplus(self.network.quarters(features)), 2)[0]
+
+
+def _softplus(x: torch.Tensor) -> torch.Tensor:
+    """Return ln(1 + exp(x)), of operations that the runtimes have vectorised."""
+    return torch.relu(torch.relu(x) + torch.log(1 + torch.exp(-torch.abs(x))))  # OpenVINO's ln(1) is -1e-6
+
+
+def _input(network: PillarNetwork) -> dict[str, str]:
+    """Return the metadata from which the feature map is made; of a fused network."""
+    linear = network.pillar.linear
+    numbers = {
+        "weight": [[float(f"{value:.9g}") for value in row] for row in linear.weight.detach().T.tolist()],
+        "bias": [float(f"{value:.9g}") for value in linear.bias.detach().tolist()],
+        "rays": _has_rays(network),
+        "z_range": list(network.config.z_range),
+        "multiple": network.config.stride,
+    }
+    return {"input": json.dumps(numbers)}
+
+
+def _channels(network: PillarNetwork) -> int:
+    """Return the channels of the feature map: the inputs of the first convolution."""
+    block: Any = network.blocks[0]
+    first = block[0][0]
+    return int(getattr(first, "conv", first).in_channels)
+
+
+def _has_rays(network: PillarNetwork) -> bool:
+    return _channels(network) == network.config.pillar + 2
+
+
+def _documentation(network: PillarNetwork) -> dict[str, str]:
+    """Return the metadata that explain the arrays."""
+    spec, (nx, ny), (low, high) = network.spec, network.spec.shape, network.config.z_range
+    return {
+        "format": FORMAT,
+        "features": (
+            "Of each point: x, y, z [m], intensity [0, 1]; x, y, z less the mean of all points in the point's cell "
+            "[m]; x, y less the center of the cell [m]. x is forward, y left, z up; x = y = 0 at the sensor, z = 0 "
+            f"on the ground below it. Only points with {low} <= z < {high}, on the grid, finite, and not of the ego "
+            f"vehicle. The cell: ix = floor((x - ({spec.origin[0]})) / {spec.resolution}) in 0 ... {nx - 1}, "
+            f"iy = floor((y - ({spec.origin[1]})) / {spec.resolution}) in 0 ... {ny - 1}; other grids of the same "
+            f"resolution may be given, of whole multiples of {network.config.stride} cells."
+        ),
+        "feature_map": (
+            "[0, ix, iy, c]: of the points in the cell the largest max(0, features @ weight[:, c] + bias[c]), with "
+            "weight and bias from the metadata 'input'; 0 where no point is. If its 'rays' is true, two more channels: "
+            "the masses free and occupied of ogm.geometric.RayISM."
+        ),
+        "sensor_coords": (
+            "[0, k, ix // 4, iy // 4]: of each 4 x 4 cells r / 40 m, ln(r / 10 m), x / r and y / r, with x, y and "
+            "r = sqrt(x**2 + y**2), at least one cell's side, of their middle. Wanted by networks with bearings."
+        ),
+        "mass": (
+            "Belief masses of each cell, [ix, iy, state]: free, then occupied. Unknown is 1 less both. "
+            "Evidence is 2 * mass / unknown."
+        ),
+    }

@@ -1,0 +1,172 @@
+"""An exported network, opened by ONNX Runtime or by OpenVINO: inference without torch."""
+
+import hashlib
+import importlib
+import os
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from types import ModuleType
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.storage.files import OgmError
+
+__all__ = ["ExportedNetwork", "default_threads"]
+
+Inputs = Mapping[str, NDArray[np.float32]]
+Run = Callable[[Inputs], NDArray[np.float32]]
+
+
+class ExportedNetwork(ABC):
+    """An exported network that is ready to run: of lidars (`OnnxEngine`) or of radars (`RadarOnnxEngine`).
+
+    Parameters
+    ----------
+    path : path
+        File that `ogm.deep.export.export_onnx` wrote.
+    runtime : "onnxruntime" or "openvino"
+        Package that computes.
+    precision : "float32" or "bfloat16"
+        Number format of the convolutions. ONNX Runtime knows float32 alone.
+    threads : int, optional
+        Number of threads that compute one scan. By default `default_threads`.
+
+    Attributes
+    ----------
+    description : dict
+        Description of the weights.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OgmError
+        If the file is damaged or of another kind.
+    ValueError
+        If the runtime lacks the precision.
+    ImportError
+        If the runtime is not installed; the message holds the pip command that adds it.
+
+    Notes
+    -----
+    Threads may share a network. It is pickled by its path. The same scan gives the same result, bit by bit, on the same
+    machine with the same number of threads.
+    """
+
+    description: dict[str, Any]
+    inputs: ClassVar[tuple[set[str], ...]]  # names of the inputs, one set for each kind of network
+    output: ClassVar[str]
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        runtime: str = "onnxruntime",
+        precision: str = "float32",
+        threads: int | None = None,
+    ) -> None:
+        if precision not in ("float32", "bfloat16"):
+            raise ValueError(f"the precision is float32 or bfloat16, got {precision!r}")
+        if runtime == "onnxruntime" and precision != "float32":
+            raise ValueError(f"ONNX Runtime computes in float32, got {precision!r}; openvino and torch know it")
+        threads = default_threads() if threads is None else threads
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        data = self._read(path)
+        self._path, self._sha256 = os.fspath(path), hashlib.sha256(data).hexdigest()
+        self._arguments = os.path.abspath(path), runtime, precision, threads
+        try:
+            if runtime == "openvino":
+                self._session, self._names = _openvino(data, self.output, precision, threads)
+            else:
+                self._session, self._names = _onnxruntime(data, self.output, threads)
+        except ImportError:
+            raise
+        except Exception as error:  # those of the runtimes have no other parent
+            raise OgmError(f"{path} cannot be run by {runtime}: {error}") from error
+        if self._names not in self.inputs:
+            wanted = ", or ".join(" and ".join(sorted(names)) for names in self.inputs)
+            raise OgmError(f"{path} takes {' and '.join(sorted(self._names))}, wanted {wanted}")
+
+    @abstractmethod
+    def _read(self, path: str | os.PathLike[str]) -> bytes:
+        """Read and check the file, keep its description, and return its bytes."""
+
+    def _run(self, inputs: Inputs, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        """Return the output of the network, an array of a shape; raise OgmError if it gives something else."""
+        try:
+            result = self._session(inputs)
+        except Exception as error:  # those of the runtimes have no other parent
+            raise OgmError(f"{self._path} does not fit the input that it describes: {error}") from error
+        if result.shape != shape or result.dtype != np.float32:
+            raise OgmError(f"{self._path} gives {result.dtype} {result.shape}, wanted float32 {shape}")
+        return result
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._sha256[:16]}, {', '.join(self._arguments[1:3])})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopened, (type(self), *self._arguments)
+
+
+@lru_cache(4)
+def _reopened(kind: type[ExportedNetwork], path: str, runtime: str, precision: str, threads: int) -> ExportedNetwork:
+    """Return a pickled network in another process, which opens its file once."""
+    return kind(path, runtime=runtime, precision=precision, threads=threads)
+
+
+def default_threads() -> int:
+    """Return the number of threads for a scan: ``OMP_NUM_THREADS``, as for torch, or the cores of the process."""
+    given = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _onnxruntime(data: bytes, output: str, threads: int) -> tuple[Run, set[str]]:
+    runtime = _package("onnxruntime", "deep")
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3  # errors; they are raised as well
+    # Threads that wait sleep: spinning, the default, takes the cores from whatever else runs on the vehicle.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+
+    def run(inputs: Inputs) -> NDArray[np.float32]:
+        result: NDArray[np.float32] = session.run([output], inputs)[0]
+        return result
+
+    return run, {one.name for one in session.get_inputs()}
+
+
+def _openvino(data: bytes, output: str, precision: str, threads: int) -> tuple[Run, set[str]]:
+    openvino = _package("openvino", "openvino")
+    core = openvino.Core()
+    options = {
+        "INFERENCE_PRECISION_HINT": {"float32": "f32", "bfloat16": "bf16"}[precision],
+        "INFERENCE_NUM_THREADS": threads,
+        "PERFORMANCE_HINT": "LATENCY",
+        "ENABLE_CPU_PINNING": False,
+    }
+    compiled = core.compile_model(core.read_model(data, b""), "CPU", options)
+    request, lock = compiled.create_infer_request(), threading.Lock()
+
+    def run(inputs: Inputs) -> NDArray[np.float32]:
+        with lock:  # a request serves one thread at a time
+            result: NDArray[np.float32] = request.infer(dict(inputs), share_inputs=True)[output].copy()
+            return result
+
+    return run, {one.any_name for one in compiled.inputs}
+
+
+def _package(name: str, extra: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        pip = f'pip install "ogm-toolkit[{extra}]"'
+        raise ImportError(f"the engine {name} needs its package, which is missing ({error}): {pip}") from error

@@ -1,0 +1,228 @@
+"""The steps and epochs of a training, with validation, learning curve and saved states: `run_training`."""
+
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from functools import partial
+from multiprocessing.util import Finalize
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import torch
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from torch import nn
+from torch.utils.data import DataLoader
+
+from ogm.deep import losses
+from ogm.deep.order import EpochSampler, ShardSampler
+from ogm.deep.recipe import Recipe, mean_loss
+from ogm.deep.training_run import TrainingBatch, TrainingRun
+from ogm.evidence import evidence_to_mass
+from ogm.state import predict_state
+from ogm.storage.locks import locked
+
+__all__ = ["Frames", "ValidationScores", "make_loader", "refuse_other_run", "run_training", "validate"]
+
+_SAVE_EVERY = 120.0  # [s]
+# In errors of torch.distributed
+_PEER_ENDED = ("Connection closed by peer", "Connection reset by peer", "ncclRemoteError")
+
+
+class Frames(Protocol):
+    """Frames as batches of one: `PillarDataset`, or `ogm.deep.radar_data.RadarDataset`."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, key: Any) -> "TrainingBatch": ...
+
+
+class ValidationScores(NamedTuple):
+    """Scores of a network on some frames; all cells of all frames have the same weight.
+
+    Attributes
+    ----------
+    loss : float
+        Mean of the recipe's loss.
+    kl : float
+        Mean of KL[prediction || truth] at the recipe's strength, divided by it, whatever the loss.
+    free, occupied : float
+        Intersection over union of the cells that `ogm.state.predict_state` gives this state.
+    """
+
+    loss: float
+    kl: float
+    free: float
+    occupied: float
+
+    def __str__(self) -> str:
+        return f"validation {self.loss:.4f}, IoU free {self.free:.2f} occupied {self.occupied:.2f}"
+
+
+def run_training(
+    run: TrainingRun,
+    frames: Frames,
+    fixed: Frames,
+    facts: Mapping[str, Any],
+    *,
+    draw: Callable[[Path, Any], None] | None = None,
+    picture_every: int = 0,
+    resume: bool = False,
+    workers: int | None = None,
+    progress: bool = True,
+) -> Path:
+    """Do all steps of a training that are left, and return the path of its best weights.
+
+    Parameters
+    ----------
+    run : TrainingRun
+        Not begun yet; the state in its folder is taken over.
+    frames, fixed : dataset of batches of one
+        Frames for training, and frames to choose the weights by. `frames` takes keys (epoch, i), see `PillarDataset`.
+    facts : mapping
+        Provenance, written to ``best.json``.
+    draw : callable, optional
+        Draws the predictions of a network into a file.
+    picture_every, resume, workers, progress
+        See `ogm.deep.training.train`.
+    """
+    recipe, fabric, out = run.recipe, run.fabric, run.out
+    place, shards = (recipe.seed, fabric.global_rank, fabric.world_size), getattr(frames, "shards", None)
+    order = EpochSampler(len(frames), *place)
+    if shards is not None:
+        order = ShardSampler(shards, *place, batch=recipe.batch)
+    loader = make_loader(frames, order, recipe.batch, workers)
+    out.mkdir(parents=True, exist_ok=True)
+    with locked(out) if fabric.is_global_zero else nullcontext():
+        refuse_other_run(out, resume)
+        if (out / "state.pt").exists():
+            run.restore()
+        bar = _bar(progress and fabric.is_global_zero, run.steps, run.step)
+        with bar as show, _memory_advice(recipe):
+            try:
+                pictures = draw if picture_every else None
+                _train_epochs(run, loader, order, fixed, (pictures, picture_every), facts, show)
+            except KeyboardInterrupt:
+                if run.consistent:  # else the state that was saved before is the one to resume from
+                    run.save()
+                raise
+            except RuntimeError as error:
+                if not any(text in str(error) for text in _PEER_ENDED):
+                    raise
+                if run.consistent:
+                    run.save()
+                text = f"another process of the training in {out} ended: start all again with --resume"
+                raise OSError(text) from error
+    return out / "best.safetensors"
+
+
+def _train_epochs(
+    run: TrainingRun,
+    loader: DataLoader[Any],
+    order: EpochSampler,
+    fixed: Frames,
+    pictures: tuple[Callable[[Path, Any], None] | None, int],
+    facts: Mapping[str, Any],
+    show: Callable[..., None],
+) -> None:
+    """Do all steps that are left; score, record and save after every epoch."""
+    recipe, fabric, out = run.recipe, run.fabric, run.out
+    saved = time.monotonic()
+    while run.epoch < recipe.epochs:
+        began, first = time.monotonic(), run.step
+        order.epoch, order.skip = run.epoch, (first - run.epoch * run.steps_per_epoch) * recipe.batch
+        for batch in loader:
+            run.do_step(batch)
+            show(completed=run.step, loss=run.recent_loss, epoch=run.step / run.steps_per_epoch)
+            if time.monotonic() - saved > _SAVE_EVERY:
+                saved = run.save()
+        if fabric.is_global_zero:
+            speed = (run.step - first) / (time.monotonic() - began)  # [steps / s]
+            scores = validate(run.average, fixed, recipe, fabric.device)
+            run.record(scores._asdict(), speed, facts)
+            show(scores=scores)
+            draw, every = pictures
+            if draw is not None and (run.epoch + 1) % every == 0:
+                draw(out / f"epoch-{run.epoch + 1:03d}.png", run.average)
+        run.epoch += 1
+        saved = run.save()
+        fabric.barrier()
+
+
+@torch.no_grad()
+def validate(network: nn.Module, dataset: Frames, recipe: Recipe, device: torch.device) -> ValidationScores:
+    """Score a network on frames, by the loss as it is after all annealing, so that epochs can be compared."""
+    network.eval()
+    loss = kl = cells = 0.0
+    counts = np.zeros((3, 3))  # true state, predicted state
+    for i in range(len(dataset)):
+        batch = dataset[i]
+        evidence, state = network(batch.inputs(device)), batch.state.to(device)
+        target, valid = losses.targets(state)
+        count = int(valid.sum())
+        loss += count * float(mean_loss(evidence, state, recipe, math.inf))
+        kl += count * float(losses.masked_mean(losses.reverse_kl(evidence, target, recipe.strength), valid))
+        cells += count
+        predicted = predict_state(evidence_to_mass(evidence.cpu().numpy()))
+        pairs = (3 * batch.state.numpy() + predicted)[valid.cpu().numpy()]
+        counts += np.bincount(pairs, minlength=9).reshape(3, 3)
+    iou = np.diag(counts) / np.maximum(counts.sum(0) + counts.sum(1) - np.diag(counts), 1)
+    return ValidationScores(loss / max(cells, 1), kl / max(cells, 1), float(iou[1]), float(iou[2]))
+
+
+def make_loader(frames: Frames, order: EpochSampler, batch: int, workers: int | None) -> DataLoader[Any]:
+    """Return a loader of batches in an order, by a number of further processes; None takes half the cores."""
+    if workers is None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+        workers = min(12, max(1, cores // 2))
+    ahead: Any = 4 if workers else None
+    options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": _joined}
+    if workers and isinstance(order, ShardSampler):  # connections do not survive a fork
+        options |= {"multiprocessing_context": "spawn", "persistent_workers": True, "worker_init_fn": _end_at_once}
+    options["drop_last"] = True
+    given: Any = frames
+    return DataLoader(given, batch, sampler=order, **options)
+
+
+def _joined(batches: Sequence[Any]) -> Any:
+    return type(batches[0]).joined(batches)
+
+
+def _end_at_once(worker: int) -> None:
+    """Let this loading process end when its queues are flushed: one in eight is aborted when C++ objects are freed."""
+    Finalize(None, os._exit, args=(0,), exitpriority=-100)
+
+
+@contextmanager
+def _memory_advice(recipe: Recipe) -> Iterator[None]:
+    """Turn torch's errors about too little memory into one with the way out."""
+    try:
+        yield
+    except RuntimeError as error:  # torch.OutOfMemoryError among them
+        killed = "alloc" in str(error) or "DataLoader worker" in str(error)  # by the operating system
+        if not (isinstance(error, torch.OutOfMemoryError) or killed):
+            raise
+        text = f"out of memory with batches of {recipe.batch}: use a smaller --batch, or fewer --workers"
+        raise MemoryError(text) from error
+
+
+@contextmanager
+def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
+    """Show a progress bar; the function that is returned updates its fields."""
+    columns = (
+        TextColumn("epoch {task.fields[epoch]:.1f}"),
+        BarColumn(),
+        TextColumn("loss {task.fields[loss]:.4f}  {task.fields[scores]}"),
+        TimeRemainingColumn(elapsed_when_finished=True, compact=True),
+    )
+    with Progress(*columns, disable=not visible) as bar:
+        task = bar.add_task("training", total=total, completed=done, loss=math.nan, epoch=0.0, scores="")
+        yield partial(bar.update, task)
+
+
+def refuse_other_run(out: Path, resume: bool) -> None:
+    """Raise a ValueError if a folder holds a run that is not to be resumed."""
+    if not resume and (out / "state.pt").exists():
+        raise ValueError(f"{out} holds a run already; go on with --resume, or give another --out")
