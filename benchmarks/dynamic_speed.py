@@ -7,7 +7,6 @@ are two. Writes benchmarks/results/dynamic_speed.json and docs/pictures/dynamic_
 """
 
 import _run as run  # first: it sets the number of threads
-from _dynamic_numpy import NumpyFilter
 
 # isort: split
 import argparse
@@ -30,6 +29,7 @@ from ogm import EvidentialGrid, GridSpec
 from ogm.datasets import open_dataset
 from ogm.fusion import DynamicMapper, DynamicSettings
 from ogm.fusion.dynamic.hashed_noise import scan_key
+from ogm.fusion.dynamic.reference import NumpyFilter
 from ogm.geometric import RayISM
 from ogm.pose import pose
 

@@ -1,7 +1,8 @@
-"""The dynamic map's filter in plain numpy: the reference of `ogm.fusion.DynamicMapper`, and the yardstick of its speed.
+"""Slow reference of the filter of `ogm.fusion.DynamicMapper`, in plain numpy.
 
-Its formulas are those of the documentation, its sums are numpy's, and its particles are sorted by argsort; the random
-numbers are the same hash, so that both filters hold the same particles up to rounding.
+It follows the formulas of the documentation with the sums of numpy and sorts particles by argsort. Its random numbers
+are those of the kernels (`hashed_noise`), so that both filters hold the same particles up to rounding. Tests compare
+the two, and `benchmarks/dynamic_speed.py` times one against the other.
 """
 
 import math
@@ -12,14 +13,16 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import multivariate_normal
 
-from ogm.fusion import DynamicSettings
+from ogm.fusion.dynamic.settings import DynamicSettings
+
+__all__ = ["Groups", "NumpyFilter"]
 
 Array = NDArray[np.floating]
 TABLE = ndtri((np.arange(4096) + 0.5) / 4096)
 TABLE = (TABLE / TABLE.std()).astype(np.float32)
 
 
-def split_mix(number: NDArray[np.uint64], key: np.uint64) -> NDArray[np.uint64]:
+def split_mix(number: NDArray[np.integer], key: np.uint64) -> NDArray[np.uint64]:
     """Return the hash of numbers and a key (SplitMix64)."""
     z = (number.astype(np.uint64) + key) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -99,7 +102,7 @@ class NumpyFilter:
         root = math.sqrt(seconds)
         position = np.float32(self.settings.position_noise * root)
         velocity = np.float32(self.settings.velocity_noise * root)
-        by = np.float32([[one * self.resolution] for one in shift])
+        by = np.array([[cells * self.resolution] for cells in shift], np.float32)
         self.state[:2] = self.state[:2] + self.state[2:] * np.float32(seconds) + position * noise[:2] - by
         self.state[2:] += velocity * noise[2:]
         u = np.floor(self.state[:2] * (np.float32(1) / np.float32(self.resolution))).astype(np.int64)
@@ -107,7 +110,8 @@ class NumpyFilter:
         cell = u[0, inside] * self.shape[1] + u[1, inside]
         order = np.argsort(cell, kind="stable")
         self.state = self.state[:, inside][:, order]
-        return cell[order]
+        sorted_cells: NDArray[np.int64] = cell[order]
+        return sorted_cells
 
     def _update_cells(self, z: Array, seconds: float, cell: NDArray[np.int64]) -> tuple[Array, Array]:
         """Combine prediction and scan; return the masses of dynamic that survive and that appear."""
