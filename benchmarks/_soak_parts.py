@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import _run as run
 import numpy as np
 from _contenders import STREET_HEIGHT, street
+from _timing import resident
 from numpy.typing import NDArray
 
 from ogm import GridSpec, Mount, Scan, open_dataset
@@ -104,11 +105,11 @@ def many_scans(name: str, count: int) -> dict[str, Any]:
     wall, core, memory = np.empty(count), np.empty(count), []
     for k in range(count):
         if k % HUNDRED == 0:
-            memory.append(live.resident("self"))
+            memory.append(resident())
         start, start_core = time.perf_counter(), time.process_time()
         step(WARM_UP + k)
         core[k], wall[k] = time.process_time() - start_core, time.perf_counter() - start
-    memory.append(live.resident("self"))
+    memory.append(resident())
     del step
     gc.collect()
     after = live.open_handles("self")
@@ -204,7 +205,7 @@ def many_points(count: int) -> dict[str, Any]:
         ism(base)
         gc.collect()
         Path("/proc/self/clear_refs").write_text("5")  # peaks begin anew
-        before, start, start_core = live.resident("self"), time.perf_counter(), time.process_time()
+        before, start, start_core = resident(), time.perf_counter(), time.process_time()
         try:
             grid, error = ism(scan), ""
         except (ValueError, MemoryError) as refused:

@@ -11,10 +11,9 @@ import os
 
 os.environ.setdefault("OGM_CORES", "2")
 
-from _run import OURS, PEER, PICTURES, RESULTS, caption, environment, save_picture, write_json
+import _run as run
 
 # isort: split
-import argparse
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _charts import OURS, PEER, caption, save_picture
 from matplotlib.figure import Figure
 
 from ogm import GridSpec
@@ -54,15 +54,15 @@ NOTE = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("data", type=Path)
     parser.add_argument("--samples", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=10)
     parser.add_argument("--frames", type=int, default=100, help="to evaluate, of the validation split")
-    parser.add_argument("--runs", type=Path, default=Path("runs/losses"), help="folder of the trainings")
+    parser.add_argument("--runs", type=Path, default=run.RUNS / "losses", help="folder of the trainings")
     parser.add_argument("--only", nargs="+", choices=RECIPES, default=list(RECIPES))
     options = parser.parse_args()
-    record = environment()
+    record = run.environment()
     training, validation = (open_dataset(options.data, split=name) for name in ("training", "validation"))
     # Spread over all drives; weights are chosen by other validation frames than those that are evaluated.
     chosen = np.linspace(0, len(training) - 1, options.samples).astype(int)
@@ -81,6 +81,7 @@ def main() -> None:
         models[name] = str(folder / "best.safetensors")
     result = evaluate(models, validation, SPEC, frames=frames)
     record |= {
+        "weights": run.weights_of(models),
         "note": NOTE,
         "samples": options.samples,
         "epochs": options.epochs,
@@ -97,11 +98,9 @@ def main() -> None:
             if name != "reverse KL" and "reverse KL" in models
         },
     }
-    for name, scores in record["scores"].items():
-        print(f"{name:38}", "  ".join(f"{metric} {value['value']:.3f}" for metric, value in scores.items()))
     if options.only == list(RECIPES):
-        write_json(RESULTS / "deep_losses.json", record)
-        picture(PICTURES / "deep_losses.png", record)
+        run.write_record(options.out, record)
+        picture(options.picture, record)
 
 
 def picture(path: Path, record: Mapping[str, Any]) -> None:

@@ -19,16 +19,16 @@ The models:
 All get the sensor's height and tilt, except height-band-released, whose mount is built in.
 """
 
-from _run import PICTURES, RESULTS, caption, environment, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from _charts import caption
 from rich.progress import track
 from scipy.ndimage import binary_opening
 
@@ -127,16 +127,14 @@ def weighed(method: SingleScanMethod, dataset: Dataset) -> dict[str, dict[str, f
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("data", type=Path, help="data set that `ogm simulate` made")
     parser.add_argument("--split", default="test", help="part of it (default test, for the final figure only)")
     parser.add_argument("--lite", default="lite", help="weights instead of the shipped ones: a file or a run")
-    parser.add_argument("--samples", type=int, help="evaluate the first so many only")
-    parser.add_argument("--out", type=Path, default=RESULTS / "deep_quality.json", help="where the figures go")
-    parser.add_argument("--picture", type=Path, default=PICTURES / "deep_quality.png", help="where the picture goes")
+    parser.add_argument("--samples", type=int, help="evaluate the first N only")
     options = parser.parse_args()
 
-    record = environment()
+    record = run.environment()
     dataset = open_dataset(options.data, split=options.split)[: options.samples]
     part = Store.open(options.data)[dataset.facts["split"]]
     samples = [part[k] for k in dataset.facts["samples"][: options.samples]]
@@ -159,19 +157,11 @@ def main() -> None:
     left = ("format", "versions", "data", "frames")
     record |= {key: value for key, value in found.items() if key not in left}
     print(result)
-    for row in record["wanted"]:
-        print(f"{'met   ' if row['met'] else 'MISSED'} {row['what']}: {row['value']} (wanted {row['wanted']})")
     others = open_dataset(options.data, split="validation")[::15]  # a choice that the test part must not be used for
     record["occupied cells weighed more, 20 validation frames, pooled"] = weighed(methods[deep], others)
-    for weight, scores in record["occupied cells weighed more, 20 validation frames, pooled"].items():
-        print(f"occupied x {weight:4}", "  ".join(f"{name} {value:.3f}" for name, value in scores.items()))
-    for name, kinds in record["occupied cells by what stands there, pooled"].items():
-        parts = (f"{kind}: " + ", ".join(f"{k} {v:.3g}" for k, v in one.items()) for kind, one in kinds.items())
-        print(f"{name:22} {'   '.join(parts)}")
-    write_json(options.out, record)
+    run.write_record(options.out, record)
     title = f"{options.split}, {record['extent']}: quartiles and 5 to 95 % over frames; dot and number: mean"
     draw_metrics(options.picture, result, title, note=caption(record))
-    print(f"\nwrote {options.out} and {options.picture}")
 
 
 if __name__ == "__main__":

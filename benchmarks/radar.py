@@ -15,24 +15,24 @@ benchmarks/results/radar.json and docs/pictures/radar.png.
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from _quality_record import write
+from _timing import Contender, measure
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.optimize import minimize
-from scipy.stats import t as student
 
 from ogm import EvidentialGrid, GridSpec, Mount, OgmError, Scan
 from ogm.deep import DeepRadarISM, RadarNoise
+from ogm.evaluation import compare_paired
 from ogm.evidence import discount
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
@@ -40,7 +40,7 @@ from ogm.metrics import ConfusionSums, accumulate, score
 from ogm.models.radar import radar_numbers
 from ogm.plot import Panel, dots_panel, mass_panel, show
 from ogm.pose import inverse, pose
-from ogm.simulation.dataset import make_sample, set_up
+from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.mounts import PLACES
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.radar import Origin, RadarSweep, sweep
@@ -75,26 +75,31 @@ class Frame(NamedTuple):
     seconds: dict[str, float]
 
 
-def frames(plan: DatasetPlan, split: str, numbers: Sequence[int]) -> Iterator[Frame]:
-    """Simulate moments, those of one town after each other."""
+def ego_footprint(here: SceneSetup) -> tuple[float, ...]:
+    """Return the edges of the ego vehicle around the lidar (x_min, x_max, y_min, y_max) [m]."""
     body = ego_body().mesh.vertices
+    edges = ((axis, edge) for axis in (0, 1) for edge in (body[:, axis].min(), body[:, axis].max()))
+    return tuple(float(edge - here.T_vehicle_sensor[axis, 3]) for axis, edge in edges)
+
+
+def velocities_of(here: SceneSetup) -> NDArray[np.float64]:
+    """Return the velocities of the traffic participants, (N, 3)."""
+    return np.array([participant.velocity for participant in here.objects]).reshape(-1, 3)
+
+
+def frames(plan: DatasetPlan, split: str, numbers: Sequence[int]) -> Iterator[Frame]:
+    """Simulate moments, the moments of one town after each other."""
     for k in sorted(numbers, key=lambda k: (moment(plan, split, k).town, k)):
         sample, here = make_sample(plan, split, k, 1), set_up(plan, split, k, 1)
         T_world_radar = here.state.ego @ AT
         T_grid_radar = inverse(here.T_world_sensor) @ T_world_radar
-        edges = [
-            edge - here.T_vehicle_sensor[axis, 3]
-            for axis in (0, 1)
-            for edge in (body[:, axis].min(), body[:, axis].max())
-        ]
-        mount = Mount(AT[2, 3], T_grid_radar, ego_footprint=tuple(float(edge) for edge in edges))
+        mount = Mount(AT[2, 3], T_grid_radar, ego_footprint=ego_footprint(here))
         x, y = np.broadcast_arrays(*SPEC.cell_centers)
         off = np.abs(np.arctan2(y - mount.origin[1], x - mount.origin[0]))
-        velocities = np.array([one.velocity for one in here.objects]).reshape(-1, 3)
         sweeps, truth, seconds = {}, {}, {}
         for n, (name, spec) in enumerate(RADARS.items()):
             rng, start = np.random.default_rng([plan.seed, k, n]), time.process_time()
-            options: Any = {"velocity": here.state.ego_velocity, "velocities": velocities}
+            options: Any = {"velocity": here.state.ego_velocity, "velocities": velocities_of(here)}
             sweeps[name] = sweep(here.world.scene, spec, T_world_radar, rng, **options)
             seconds[name] = time.process_time() - start
             seen = off <= max(mode.half_width for mode in spec.modes)
@@ -173,18 +178,12 @@ def timed() -> dict[str, float]:
     r, azimuth = rng.uniform(3, 60, 300), rng.uniform(-1, 1, 300)
     points[:, 0], points[:, 1] = r * np.cos(azimuth), r * np.sin(azimuth)
     scan = Scan(points, doppler=-8 * np.cos(azimuth), rcs=rng.uniform(-20, 20, 300))
-    mount, spec, result = Mount(0.6, AT), GridSpec.centered(), {}
+    mount, spec = Mount(0.6, AT), GridSpec.centered()
     models: dict[str, Any] = {"RadarISM": RadarISM(spec, mount)}
     if weights() is not None:
         models["learned"] = DeepRadarISM(weights(), spec, mount)
-    for title, model in models.items():
-        times = []
-        for _ in range(200):
-            start = time.perf_counter()
-            model(scan)
-            times.append(time.perf_counter() - start)
-        result[title] = 1e3 * float(np.median(times[10:]))
-    return result
+    times = measure({title: Contender(lambda _, model=model: model(scan)) for title, model in models.items()}, 20)
+    return {title: one.median for title, one in times.items()}
 
 
 def pooled(counts: Iterable[ConfusionSums]) -> dict[str, float]:
@@ -207,11 +206,8 @@ def fit(found: Sequence[Frame], name: str) -> dict[str, float]:
         options: Any = numbers(x) | {"keep_moving": True}
         grids = (radar_model(name, one.mount, **options)(one.sweeps[name].scan()) for one in found)
         scores = pooled(accumulate(grid.mass, one.truth[name]) for grid, one in zip(grids, found, strict=True))
-        return (
-            scores["nll"]
-            + 10 * max(scores["false_free"] - MOST_FREE, 0) ** 2
-            + max(scores["false_free"] - MOST_FREE, 0)
-        )
+        excess = max(scores["false_free"] - MOST_FREE, 0)
+        return scores["nll"] + 10 * excess**2 + excess
 
     first = RadarISM(SPEC, found[0].mount)
     shares = np.array([getattr(first, key) / HIGH[key] for key in FITTED])
@@ -222,24 +218,15 @@ def fit(found: Sequence[Frame], name: str) -> dict[str, float]:
 
 def paired(counts: dict[str, list[ConfusionSums]], drives: Sequence[int], metric: str) -> dict[str, list[float]]:
     """Return the difference of RadarISM's score from the others', mean over drives with its 95 % interval."""
-    result = {}
-    for other in counts:
-        if other == "RadarISM":
-            continue
-        rows = []
-        for drive in sorted(set(drives)):
-            mine, theirs = (
-                pooled(one for one, number in zip(counts[model], drives, strict=True) if number == drive)[metric]
-                for model in ("RadarISM", other)
-            )
-            rows.append(mine - theirs)
-        half = (
-            student.ppf(0.975, len(rows) - 1) * np.std(rows, ddof=1) / math.sqrt(len(rows))
-            if len(rows) > 1
-            else math.nan
-        )
-        result[other] = [float(np.mean(rows)), float(np.mean(rows) - half), float(np.mean(rows) + half)]
-    return result
+    each = {
+        model: [
+            pooled(one for one, k in zip(sums, drives, strict=True) if k == drive)[metric]
+            for drive in sorted(set(drives))
+        ]
+        for model, sums in counts.items()
+    }
+    mine = each.pop("RadarISM")
+    return {other: list(compare_paired(mine, theirs, "lower").difference) for other, theirs in each.items()}
 
 
 def detections(found: Sequence[Frame], spec: RadarSpec) -> dict[str, Any]:
@@ -276,7 +263,7 @@ def histograms(scans: Sequence[Scan]) -> dict[str, list[float]]:
     }
 
 
-def draw(found: Sequence[Frame], real: Scan | None) -> None:
+def draw(path: Path, found: Sequence[Frame], real: Scan | None) -> None:
     """Draw one frame by all models, and the recorded one."""
     one = max(found, key=lambda frame: len(frame.sweeps["ars548"].xyz))
     state = one.truth["ars548"]
@@ -300,26 +287,25 @@ def draw(found: Sequence[Frame], real: Scan | None) -> None:
     picture = Image.new("RGB", (max(row.width for row in rows), sum(row.height for row in rows)), "white")
     picture.paste(rows[0], (0, 0))
     picture.paste(rows[1], (0, rows[0].height))
-    with atomic_write(run.PICTURES / "radar.png") as file:
+    path.parent.mkdir(exist_ok=True)
+    with atomic_write(path) as file:
         picture.save(file, "PNG", optimize=True)
 
 
 def main() -> None:
     """Simulate, map, score, and write the record."""
-    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--frames", type=int, default=48)
     parser.add_argument("--fit", action="store_true")
-    parser.add_argument("--quick", action="store_true", help="few frames, and no files")
     given = parser.parse_args()
     count = 4 if given.quick else given.frames
-    record: dict[str, Any] = {"environment": run.environment(), "fit": {}, "radars": {}}
-    if (run.RESULTS / "radar.json").exists():
-        record["fit"] = json.loads((run.RESULTS / "radar.json").read_text())["fit"]
+    record: dict[str, Any] = {"environment": run.environment("deep-radar"), "fit": {}, "radars": {}}
+    if given.out.exists():
+        record["fit"] = json.loads(given.out.read_text())["fit"]
     if given.fit:
         training = list(frames(TRAINING, "training", range(0, 5 * count, 5)))
         for name in RADARS:
             record["fit"][name] = fit(training, name)
-            print(name, {key: round(value, 4) for key, value in record["fit"][name].items()}, flush=True)
     if weights() is not None:
         MODELS["learned"] = learned
         MODELS["learned, discounted"] = lambda name, one: discounted(learned(name, one))
@@ -337,20 +323,14 @@ def main() -> None:
                 metric: paired(counts, drives, metric) for metric in ("nll", "brier", "iou_free", "false_free")
             },
         }
-        for title, scores in record["radars"][name]["scores"].items():
-            print(f"{name:8} {title:18}", {key: round(value, 3) for key, value in scores.items()})
-        print(f"{name:8}", record["radars"][name]["detections"], flush=True)
     record["ms per sweep, 512 x 352 cells"] = timed()
-    print(record["ms per sweep, 512 x 352 cells"])
     record |= {"frames": len(test), "drives": len(set(drives))}
     real = recorded()
     if real is not None:
         record["ARS548, recorded"] = {"detections": len(real)} | histograms([real])
         record["ARS548, simulated"] = histograms([one.sweeps["ars548"].scan() for one in test])
-        print(record["ARS548, recorded"], record["ARS548, simulated"])
-    if not given.quick:
-        write(run.RESULTS / "radar.json", record)
-        draw(test, real)
+    run.write_record(given.out, record)
+    draw(given.picture, test, real)
 
 
 if __name__ == "__main__":

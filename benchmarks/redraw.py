@@ -15,7 +15,8 @@ from typing import Any
 import _paper_facts
 import _quality_pictures
 import paper_curves
-from _run import PICTURES, RESULTS, caption
+from _charts import caption
+from _run import PICTURES, RESULTS
 
 
 def main() -> None:

@@ -9,10 +9,9 @@ import os
 
 os.environ["OGM_CORES"] = "2"  # before _run, which pins to one core otherwise
 
-from _run import RESULTS, environment, write_json  # noqa: E402
+import _run as run  # noqa: E402
 
 # isort: split
-import argparse  # noqa: E402
 import statistics  # noqa: E402
 import tempfile  # noqa: E402
 import time  # noqa: E402
@@ -172,17 +171,15 @@ def reading(path: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, quick=True)
     parser.add_argument("--moments", type=int, default=6, help="moments of samples that are timed (default 6)")
     parser.add_argument("--repeats", type=int, default=3, help="times each (default 3)")
     parser.add_argument("--samples", type=int, default=80, help="made to compare workers (default 80)")
     parser.add_argument("--store", type=Path, help="data set to read (default: the one made for the workers)")
-    parser.add_argument("--quick", action="store_true", help="two moments, twenty samples; not worth quoting")
-    parser.add_argument("--out", type=Path, default=RESULTS / "simulation.json", help="where the figures go")
     options = parser.parse_args()
     chosen = (options.moments, options.repeats, options.samples)
     moments, repeats, samples = (2, 1, 20) if options.quick else chosen
-    record = environment()
+    record = run.environment()
     plan = DatasetPlan(mounts=only("vlp-32c"))
     with tempfile.TemporaryDirectory() as folder:
         record["one sample"] = cost(plan, moments, repeats, Path(folder))
@@ -191,10 +188,7 @@ def main() -> None:
         store = options.store or Path(folder) / "by2"
         record["reading"] = reading(store)
     record["note"] = NOTE
-    write_json(options.out, record)
-    for name in ("one sample", "gen2", "two workers", "reading"):
-        print(f"{name}: {record[name]}")
-    print(f"wrote {options.out}")
+    run.write_record(options.out, record)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ Definitions
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -96,12 +95,10 @@ RULES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("fit", type=Path)
     parser.add_argument("report", type=Path)
     parser.add_argument("--every", type=int, default=1, help="take every N-th scan of FIT (1)")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "world_rules.json")
-    parser.add_argument("--picture", type=Path, default=run.PICTURES / "world_rules.png")
     options = parser.parse_args()
     record: dict[str, Any] = run.environment() | {"chosen": CHOSEN}
     with tempfile.TemporaryDirectory() as folder:
@@ -109,8 +106,7 @@ def main() -> None:
             found = [prepare(*one, Path(folder)) for one in towns_of(path, every)]
             record[part] = summary(found)
     picture(*found[0], record, options.picture)
-    run.write_json(options.out, record)
-    print(f"written {options.out} and {options.picture}")
+    run.write_record(options.out, record)
 
 
 def prepare(

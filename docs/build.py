@@ -596,7 +596,7 @@ def pythons() -> str:
             by_system = [f"{', '.join(one)} ({system})" for system, one in lacking.items() if one]
             cells.append("yes" if not any(texts) else f"no: {next(iter(texts)) if len(texts) == 1 else by_system[0]}")
         rows.append([f"`{name}`" if name != "base" else "the base", *cells])
-    note = f"*`{found['command']}`, {found['date']}, uv {found['uv']}; [record](../benchmarks/results/pythons.json).*"
+    note = f"*`{found['command']}`, {found['date'].split()[0]}, uv {found['uv']}; [record](../benchmarks/results/pythons.json).*"
     return table(["", *versions], rows).replace("---:", "---") + "\n\n" + note
 
 
