@@ -6,22 +6,17 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 
 KEYS = {"access_key_id": "test", "secret_access_key": "test", "region": "us-east-1"}
-
-
-def free_port() -> int:
-    """Return a port of this machine that is free now."""
-    with closing(socket.socket()) as place:
-        place.bind(("127.0.0.1", 0))
-        return int(place.getsockname()[1])
 
 
 @contextmanager
 def s3_server(bucket: str) -> Iterator[dict[str, str]]:
     """Start a server with an empty bucket; yield its address and keys as `ogm.storage.remote` takes them."""
-    port = free_port()
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
     endpoint = f"http://127.0.0.1:{port}"
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:

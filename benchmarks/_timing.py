@@ -113,3 +113,9 @@ def resident(pid: int | str = "self") -> float:
     except (OSError, IndexError):
         return 0.0
     return pages * resource.getpagesize() / 1e6
+
+
+def peak_memory() -> float:
+    """Return the greatest memory of this process [MB] (Linux), since its peak was last cleared."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(status["VmHWM"].split()[0]) * 1024 / 1e6

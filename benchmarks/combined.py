@@ -13,9 +13,9 @@ Writes benchmarks/results/combined.json; docs/build.py makes tables of it.
 import _run as run  # first: it sets the number of threads
 from _evaluation_record import means_of, pair
 from _recordings import recordings
+from _timing import Contender, once
 
 # isort: split
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -74,16 +74,12 @@ def cost(scan: Scan, mount: Mount) -> dict[str, float]:
     """Return the least milliseconds of each model on a scan, and of what combining adds, measured in turns."""
     models: dict[str, Any] = {name: load_model(name, SPEC, mount) for name in (RAY, LITE, COMBINED)}
     masses = [models[name](scan).mass for name in (RAY, LITE)]
-    models = {name: (lambda model=model: model(scan)) for name, model in models.items()}
+    calls = {name: Contender(lambda _, model=model: model(scan)) for name, model in models.items()}
     both = CombinedISM([load_model(name, SPEC, mount) for name in (RAY, LITE)], **COMBINATION)
-    models |= {"combining alone": lambda: both.combine(masses), "copy of both grids": lambda: np.array(masses)}
-    best = dict.fromkeys(models, float("inf"))
-    for _ in range(CALLS):
-        for name, call in models.items():
-            start = time.perf_counter()
-            call()
-            best[name] = min(best[name], 1e3 * (time.perf_counter() - start))
-    return best
+    calls["combining alone"] = Contender(lambda _: both.combine(masses))
+    calls["copy of both grids"] = Contender(lambda _: np.array(masses))
+    rounds = [{name: once(call)[0] for name, call in calls.items()} for _ in range(CALLS)]
+    return {name: 1e3 * min(seconds[name] for seconds in rounds) for name in calls}
 
 
 def validation_frames(words: str) -> tuple[Dataset, str, list[int]]:

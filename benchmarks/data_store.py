@@ -13,11 +13,12 @@ os.environ["OGM_CORES"] = str(len(os.sched_getaffinity(0)))
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import multiprocessing
 import resource
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -114,29 +115,15 @@ def measured(large: bool, *words: Any) -> dict[str, Any]:
 
 def two_ranks(*words: Any) -> list[float]:
     """Return the samples/s of two training processes at the same time, each with one that loads."""
-    both = [started(row, *words, f"rank {rank} of 2", 1) for rank in range(2)]
-    return [wait()["samples_per_s"] for wait in both]
+    with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
+        both = [pool.submit(row, *words, f"rank {rank} of 2", 1) for rank in range(2)]
+        return [waiting.result()["samples_per_s"] for waiting in both]
 
 
 def in_process(function: Callable[..., Any], *words: Any) -> Any:
     """Call a function in a process of its own, which has all modules but no connections, threads or data."""
-    return started(function, *words)()
-
-
-def started(function: Callable[..., Any], *words: Any) -> Callable[[], Any]:
-    """Start a function in a process of its own; return what waits for its result."""
-    context = multiprocessing.get_context("fork")
-    here, there = context.Pipe()
-    process = context.Process(target=lambda: there.send(function(*words)))
-    process.start()
-    there.close()
-
-    def wait() -> Any:
-        result = here.recv()
-        process.join()
-        return result
-
-    return wait
+    with ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
+        return pool.submit(function, *words).result()
 
 
 def row(place: str, storage: dict[str, str], count: int, seconds: float, order: str, loaders: int) -> dict[str, Any]:

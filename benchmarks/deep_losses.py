@@ -15,14 +15,12 @@ import _run as run
 
 # isort: split
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _charts import OURS, PEER, caption, save_picture
-from matplotlib.figure import Figure
+from _charts import caption
 
 from ogm import GridSpec
 from ogm.datasets import open_dataset
@@ -30,7 +28,7 @@ from ogm.deep import LITE
 from ogm.deep.recipe import Recipe
 from ogm.deep.training import train
 from ogm.evaluation import evaluate
-from ogm.metrics import METRICS
+from ogm.evaluation.figures import draw_metrics
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.32)
 OTHER: dict[str, Any] = {"uniform_kl": 1.0}
@@ -98,25 +96,11 @@ def main() -> None:
             if name != "reverse KL" and "reverse KL" in models
         },
     }
+    print(result)
     if options.only == list(RECIPES):
         run.write_record(options.out, record)
-        picture(options.picture, record)
-
-
-def picture(path: Path, record: Mapping[str, Any]) -> None:
-    figure = Figure(figsize=(11, 6.9), layout="constrained")
-    names = list(record["scores"])
-    for ax, metric in zip(figure.subplots(3, 4, sharey=True).ravel(), SHOWN, strict=True):
-        ones = [record["scores"][name][metric] for name in names]
-        values = np.array([one["value"] for one in ones])
-        errors = np.abs(np.array([[one["low"], one["high"]] for one in ones]).T - values)
-        colours = [OURS if name == "reverse KL" else PEER for name in names]
-        ax.barh(range(len(names)), values, xerr=errors, color=colours, error_kw={"lw": 0.8})
-        ax.set_title(f"{METRICS[metric].title} ({METRICS[metric].better} is better)", fontsize=8)
-        ax.set_yticks(range(len(names)), names, fontsize=7)
-        ax.tick_params(axis="x", labelsize=7)
-    ax.invert_yaxis()  # of all: they share it
-    save_picture(figure, path, caption(record), dpi=130)
+        title = f"{len(result.frames)} validation frames: quartiles and 5 to 95 %; dot and number: mean"
+        draw_metrics(options.picture, result, title, note=caption(record))
 
 
 if __name__ == "__main__":

@@ -59,30 +59,28 @@ NOTE = (
 
 
 def wanted(result: Evaluation, record: Mapping[str, Any], deep: str) -> list[dict[str, Any]]:
-    """Compare the network's figures with what was wanted of it."""
+    """Return the figures of the network beside their limits."""
     mean = {name: result.macro(name) for name in result.methods}
     band, ray, own = (mean[name] for name in ("height-band", "ray", deep))
     pairs = record["paired"][f"{deep} against height-band"]
-    wins = pairs["kl_e10"]["wins"] / pairs["kl_e10"]["frames"]
     least_bad = 1 - max(band["iou_free"], ray["iou_free"])
-    rows = [("kl_e10: share of frames won against height-band", wins, ">=", 1.0)]
-    for name, most in (("kl_e10", 0.4), ("kl_e1", 0.4), ("kl_e1_scaled", 0.4), ("legacy_kl", 0.35)):
-        rows.append((f"{name}: ratio to height-band", own[name] / band[name], "<=", most))
-    for name in ("iou_occupied", "iou_occupied_known"):
-        ratio = own[name] / max(band[name], ray[name])
-        rows.append((f"{name}: ratio to the better geometric model", ratio, ">=", 1.5))
-    rows += [
-        ("1 - iou_free: ratio to the better geometric model", (1 - own["iou_free"]) / least_bad, "<=", 0.6),
-        ("auroc_unknown", own["auroc_unknown"], ">=", 0.95),
-        ("ece", own["ece"], "<=", 0.03),
-        ("ece_relative", own["ece_relative"], "<=", 0.03),
-        ("false_free: ratio to height-band", own["false_free"] / band["false_free"], "<=", 0.5),
-        ("false_free: ratio to ray", own["false_free"] / ray["false_free"], "<=", 0.5),
-    ]
-    facts = ((what, float(value), sign, bar) for what, value, sign, bar in rows)
+    limits = {"kl_e10": 0.4, "kl_e1": 0.4, "kl_e1_scaled": 0.4, "legacy_kl": 0.35}
+    better = {name: own[name] / max(band[name], ray[name]) for name in ("iou_occupied", "iou_occupied_known")}
+    rows = [
+        ("kl_e10: share of frames won against height-band", pairs["kl_e10"]["wins"] / pairs["kl_e10"]["frames"], 1.0),
+        *((f"{name}: ratio to height-band", own[name] / band[name], -limit) for name, limit in limits.items()),
+        *((f"{name}: ratio to the better geometric model", ratio, 1.5) for name, ratio in better.items()),
+        ("1 - iou_free: ratio to the better geometric model", (1 - own["iou_free"]) / least_bad, -0.6),
+        ("auroc_unknown", own["auroc_unknown"], 0.95),
+        ("ece", own["ece"], -0.03),
+        ("ece_relative", own["ece_relative"], -0.03),
+        ("false_free: ratio to height-band", own["false_free"] / band["false_free"], -0.5),
+        ("false_free: ratio to ray", own["false_free"] / ray["false_free"], -0.5),
+    ]  # a negative limit is an upper one
     return [
-        {"what": w, "value": round(v, 4), "wanted": f"{s} {bar}", "met": v >= bar if s == ">=" else v <= bar}
-        for w, v, s, bar in facts
+        {"what": what, "value": round(value, 4), "wanted": f"{sign} {abs(limit)}", "met": met}
+        for what, value, limit in rows
+        for sign, met in [(">=", value >= limit) if limit > 0 else ("<=", value <= -limit)]
     ]
 
 

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 import torch
 from _charts import FLOOR, OURS, PEER, TWIN, caption, save_picture
+from _contenders import thinned
 from _timing import Contender, Times, measure
 from matplotlib.figure import Figure
 from torch import nn
@@ -64,8 +65,7 @@ NOTE = "Both networks have random weights. 'convolutions' run alone, each on its
 
 def scan() -> np.ndarray:
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
-        points = read_scan(path, axes=("+y", "-x", "+z")).points
-    return points[np.sort(np.random.default_rng(0).choice(len(points), POINTS, replace=False))]
+        return thinned(read_scan(path, axes=("+y", "-x", "+z")).points, POINTS)
 
 
 def convolutions(network: PillarNetwork, feature_map: torch.Tensor) -> tuple[Callable[[], Any], float]:
@@ -213,7 +213,7 @@ def main() -> None:
     record |= {"note": NOTE, "points": POINTS, "summary": summary(times, operations)}
     record["differences in mass"] = differences(scan())
     record["loading, first import to first grid"] = starting(scan(), 1 if options.quick else 7)
-    record["times [ms]"] = {name: one._asdict() for name, one in times.items()}
+    record["times [ms]"] = times
     if options.data:
         record["reading and augmenting, one process"] = loading(options.data)
     run.write_record(options.out, record)

@@ -210,7 +210,7 @@ def main() -> None:
         "environment": found,
         "note": NOTE,
         "cells": list(SPEC.shape),
-        "times [ms]": {name: one._asdict() for name, one in times.items()},
+        "times [ms]": times,
         "two cores, lower quartiles [ms]": threads,
         "long drive": far,
         "verdicts": verdicts(times, threads, far),

@@ -169,8 +169,8 @@ def main() -> None:
         "note": NOTE,
         "points": len(points),
         "cells": list(SPEC.shape),
-        "times [ms]": {name: one._asdict() for name, one in times.items()},
-        "alone [ms]": {name: one._asdict() for name, one in alone.items()},
+        "times [ms]": times,
+        "alone [ms]": alone,
         "long drive": far,
         "verdicts": verdicts(times, far),
     }

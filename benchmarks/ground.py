@@ -67,20 +67,19 @@ def count(obstacle: NDArray[np.bool_], ground: NDArray[np.bool_], predicted: NDA
 
 def score(counts: NDArray[np.int64]) -> dict[str, float]:
     """Turn counts into precision and recall; where only obstacles are labelled (boxes), into their recall."""
-    hit, false, missed, ground = (int(n) for n in counts)
-    share = lambda part, rest: part / (part + rest) if part + rest else 0.0  # noqa: E731
-    if not false + ground:
-        return {"obstacle recall": share(hit, missed), "obstacle points": hit + missed}
-    return {
-        "obstacle precision": share(hit, false),
-        "obstacle recall": share(hit, missed),
-        "obstacle F1": share(2 * hit, false + missed),
-        "ground precision": share(ground, missed),
-        "ground recall": share(ground, false),
-        "ground F1": share(2 * ground, false + missed),
-        "obstacle points": hit + missed,
-        "ground points": ground + false,
+    hit, false, missed, ground = map(int, counts)
+    shares = {
+        "obstacle precision": (hit, false),
+        "obstacle recall": (hit, missed),
+        "obstacle F1": (2 * hit, false + missed),
+        "ground precision": (ground, missed),
+        "ground recall": (ground, false),
+        "ground F1": (2 * ground, false + missed),
     }
+    found = {name: part / max(part + rest, 1) for name, (part, rest) in shares.items()}
+    if not false + ground:
+        return {"obstacle recall": found["obstacle recall"], "obstacle points": hit + missed}
+    return found | {"obstacle points": hit + missed, "ground points": ground + false}
 
 
 def evaluate(scans: list[LabelledScan], with_patchwork: bool) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from _charts import OURS, PEER, TWIN, caption, save_picture
 from _timing import resident
 from matplotlib.figure import Figure
@@ -144,10 +145,12 @@ def observe(drive: Path, seconds: float, stay: float = math.inf) -> dict[str, An
             raise SystemExit("".join(lines))
         viewer, start, memory, handles = Viewer(port, stay), time.monotonic(), [], []
         viewer.start()
+        watched = psutil.Process(process.pid)
         while process.poll() is None:
-            before = time.monotonic()
-            memory.append((before - start, resident(process.pid)))
-            handles.append((before - start, *open_handles(process.pid), processor_seconds(process.pid)))
+            with contextlib.suppress(psutil.Error):  # it may have ended
+                used, at = watched.cpu_times(), time.monotonic() - start
+                handles.append((at, watched.num_fds(), watched.num_threads(), used.user + used.system))
+                memory.append((at, resident(process.pid)))
             time.sleep(1.0)
         last = process.stdout.read()
         reader.join()
@@ -172,23 +175,6 @@ def observe(drive: Path, seconds: float, stay: float = math.inf) -> dict[str, An
             "longest time between maps [ms]": round(1e3 * float(np.diff(viewer.maps).max(initial=0.0)), 1),
         },
     }
-
-
-def open_handles(pid: int | str) -> tuple[int, int]:
-    """Return how many files and threads a process has now; 0 when it has ended."""
-    try:
-        return len(os.listdir(f"/proc/{pid}/fd")), len(os.listdir(f"/proc/{pid}/task"))
-    except OSError:
-        return 0, 0
-
-
-def processor_seconds(pid: int) -> float:
-    """Return the processor time that a process has taken so far [s]; 0 when it has ended."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def verdicts(found: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from _charts import PEER, caption, draw_times, save_picture
-from _timing import Contender, measure
+from _timing import Contender, measure, peak_memory
 from matplotlib.figure import Figure
 from mcap_ros2.reader import read_ros2_messages
 from numpy.typing import NDArray
@@ -119,7 +119,7 @@ def mapping(path: Path, out: Path) -> Contender:
     return Contender(step, gc.collect)
 
 
-def peak_memory(path: Path) -> float:
+def reading_memory(path: Path) -> float:
     """Return the greatest memory of a process that reads a whole log [MB]."""
     words = [sys.executable, __file__, "--only-read", str(path)]
     return float(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
@@ -144,7 +144,7 @@ def measured(folder: Path, scans: int, rounds: int) -> dict[str, Any]:
     per_scan = {name: one.median / scans for name, one in times.items()}
     longer = folder / "longer.mcap"
     write_log(longer, "", 4 * scans)
-    memory = {str(scans): peak_memory(paths["MCAP"]), str(4 * scans): peak_memory(longer)}
+    memory = {str(scans): reading_memory(paths["MCAP"]), str(4 * scans): reading_memory(longer)}
     written = 1e3 / per_scan["ogm, RayISM, map, written: MCAP"]
     rows = [
         ("read a scan of a plain MCAP", per_scan["ogm, read: MCAP"], "<=", 12.0, "ms"),
@@ -153,7 +153,7 @@ def measured(folder: Path, scans: int, rounds: int) -> dict[str, Any]:
     return {
         "scans": scans,
         "points": POINTS,
-        "times [ms]": {name: one._asdict() for name, one in times.items()},
+        "times [ms]": times,
         "times per scan [ms]": per_scan,
         "peak memory by number of scans [MB]": memory,
         "verdicts": run.verdicts(rows),
@@ -169,8 +169,7 @@ def main() -> None:
     if given.only_read is not None:
         for _ in read_by_ogm(given.only_read):
             pass
-        status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-        print(int(status["VmHWM"].split()[0]) / 1e3)  # ru_maxrss would be that of the process which started this one
+        print(peak_memory())  # ru_maxrss would be that of the process which started this one
         return
     found = run.environment()
     with tempfile.TemporaryDirectory() as folder:

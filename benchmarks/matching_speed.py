@@ -75,7 +75,7 @@ def main() -> None:
     match = match_velocities(now, moving, earlier, SIDE)
     record["moving groups"], record["cells in them"] = len(match.valid), int((match.label > 0).sum())
     record["matched"], record["occupied cells"] = int(match.valid.sum()), int(now.sum())
-    record["milliseconds"] = {name: each._asdict() for name, each in times.items()}
+    record["milliseconds"] = times
     run.write_record(given.out, record)
 
 

@@ -7,8 +7,8 @@ simulate --seed 3 --test 240 --drives 24 --test-towns 6 --spacing 10`, against t
 the radar's field of view. `--fit` first fits RadarISM's masses to sweeps in the five training towns of seed 1, by log
 loss with at most 4 % false free, and prints them; the defaults of `RadarISM` are such a fit, rounded. Also counts
 detections, and compares the sweep of an ARS548 with the one recorded frame that may be shared. Without `--fit`, the
-fits of the record stay. The learned model is `DeepRadarISM.load("radar")`, left out where it cannot be loaded; Werber's
-marks only, and the rays are those of a lidar. Writes
+fits of the record stay. The learned model is `DeepRadarISM.load("radar")`; Werber's marks only, and the rays are of a
+lidar. Writes
 benchmarks/results/radar.json and docs/pictures/radar.png.
 """
 
@@ -19,7 +19,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,23 +30,26 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.optimize import minimize
 
-from ogm import EvidentialGrid, GridSpec, Mount, OgmError, Scan
-from ogm.deep import DeepRadarISM, RadarNoise
+from ogm import EvidentialGrid, GridSpec, Mount, Scan
+from ogm.deep import DeepRadarISM
 from ogm.evaluation import compare_paired
 from ogm.evidence import discount
+from ogm.fusion import resample_to
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
+from ogm.models import load_model
 from ogm.models.radar import radar_numbers
-from ogm.plot import Panel, dots_panel, mass_panel, show
+from ogm.plot import dots_panel, mass_panel, show
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.mounts import PLACES
 from ogm.simulation.plan import DatasetPlan, moment
+from ogm.simulation.preview import truth_panel
 from ogm.simulation.radar import Origin, RadarSweep, sweep
 from ogm.simulation.radars import RADARS, RadarSpec
 from ogm.simulation.traffic import ego_body
-from ogm.state import CellState
+from ogm.state import CellState, Truth
 from ogm.storage.files import atomic_write
 from ogm.truth import TRUTH_SPEC
 
@@ -73,6 +76,13 @@ class Frame(NamedTuple):
     mount: Mount
     drive: int
     seconds: dict[str, float]
+
+    def scan(self, name: str) -> Scan:
+        """Return the sweep of a radar as a scan."""
+        return replace(self.sweeps[name].scan(sensor=name), mount=self.mount)
+
+
+Model = Callable[[str, Frame], EvidentialGrid]
 
 
 def ego_footprint(here: SceneSetup) -> tuple[float, ...]:
@@ -107,18 +117,13 @@ def frames(plan: DatasetPlan, split: str, numbers: Sequence[int]) -> Iterator[Fr
         yield Frame(sweeps, truth, mount, moment(plan, split, k).scenario, seconds)
 
 
-def radar_model(name: str, mount: Mount, **numbers: Any) -> RadarISM:
-    """Return RadarISM with a radar's field of view and errors."""
-    return RadarISM(SPEC, mount, **radar_numbers(name) | numbers)
-
-
-def werber(scan: Scan, snr: NDArray[np.float32], mount: Mount) -> EvidentialGrid:
+def werber(scan: Scan, snr: NDArray[np.float32]) -> EvidentialGrid:
     """Map by Werber et al. 2015, as published code has it: plausibilities from 1/2 to 1, and no free space."""
     distance = np.hypot(scan.points[:, 0], scan.points[:, 1]).astype(np.float64)
     strength = np.sqrt(10 ** (snr / 10) / np.maximum(distance, 1) ** 4)
     likely = np.clip(np.exp(-0.02 * distance**2) + 1 / (1 + np.exp(-0.05 * strength)), 0.5, 1)
     x, y = np.broadcast_arrays(*SPEC.cell_centers)
-    T, none = mount.T_vehicle_points, np.ones(SPEC.shape)
+    T, none = scan.mount.T_vehicle_points, np.ones(SPEC.shape)
     places = scan.points[:, :3] @ T[:3, :3].T + T[:3, 3]
     for (px, py, _), belief, r in zip(places, 2 * likely - 1, distance, strict=True):
         width = max(0.01 * r, 0.2)
@@ -129,24 +134,11 @@ def werber(scan: Scan, snr: NDArray[np.float32], mount: Mount) -> EvidentialGrid
     return EvidentialGrid(SPEC, mass)
 
 
-def as_lidar(scan: Scan, mount: Mount) -> EvidentialGrid:
+def as_lidar(scan: Scan) -> EvidentialGrid:
     """Map the detections as if each were a return of a lidar at the height of the sensor, over flat ground."""
     points = scan.points.copy()
     points[:, 2] = 0
-    return RayISM(SPEC, mount, ground=flat_ground)(points)
-
-
-MODELS: dict[str, Callable[[str, Frame], EvidentialGrid]] = {
-    "RadarISM": lambda name, one: radar_model(name, one.mount, keep_moving=True)(one.sweeps[name].scan()),
-    "RadarISM, static": lambda name, one: radar_model(name, one.mount)(one.sweeps[name].scan()),
-    "rays (RayISM)": lambda name, one: as_lidar(one.sweeps[name].scan(), one.mount),
-    "Werber 2015": lambda name, one: werber(one.sweeps[name].scan(), one.sweeps[name].snr, one.mount),
-}
-
-
-def learned(name: str, one: Frame) -> EvidentialGrid:
-    """Map by the network."""
-    return network(name, one.mount)(one.sweeps[name].scan())
+    return RayISM(SPEC, scan.mount, ground=flat_ground)(points)
 
 
 def discounted(grid: EvidentialGrid) -> EvidentialGrid:
@@ -154,22 +146,17 @@ def discounted(grid: EvidentialGrid) -> EvidentialGrid:
     return EvidentialGrid(grid.spec, discount(grid.mass, RELIABILITY))
 
 
-@cache
-def network(name: str, mount: Mount) -> DeepRadarISM:
-    """Return the learned model for a radar."""
-    widest = RADARS[name].widest
-    noise = RadarNoise(widest.half_width, azimuth_noise=widest.noise[1])
-    return DeepRadarISM(weights(), SPEC, mount, noise)
-
-
-@cache
-def weights() -> Any:
-    """Return the engine of the learned model; None where it cannot be loaded."""
-    try:
-        return DeepRadarISM.load("radar", threads=1).engine
-    except (OSError, ImportError, OgmError) as error:
-        print(f"without the learned model: {error}")
-        return None
+def all_models() -> dict[str, Model]:
+    """Return the models by name; each maps the sweep of a radar in a frame."""
+    by_numbers, network = (load_model(name, SPEC) for name in ("radar", "deep-radar"))
+    return {
+        "RadarISM": lambda name, one: by_numbers(one.scan(name)),
+        "RadarISM, static": lambda name, one: RadarISM(SPEC, **radar_numbers(name))(one.scan(name)),
+        "rays (RayISM)": lambda name, one: as_lidar(one.scan(name)),
+        "Werber 2015": lambda name, one: werber(one.scan(name), one.sweeps[name].snr),
+        "learned": lambda name, one: network(one.scan(name)),
+        "learned, discounted": lambda name, one: discounted(network(one.scan(name))),
+    }
 
 
 def timed() -> dict[str, float]:
@@ -179,9 +166,7 @@ def timed() -> dict[str, float]:
     points[:, 0], points[:, 1] = r * np.cos(azimuth), r * np.sin(azimuth)
     scan = Scan(points, doppler=-8 * np.cos(azimuth), rcs=rng.uniform(-20, 20, 300))
     mount, spec = Mount(0.6, AT), GridSpec.centered()
-    models: dict[str, Any] = {"RadarISM": RadarISM(spec, mount)}
-    if weights() is not None:
-        models["learned"] = DeepRadarISM(weights(), spec, mount)
+    models = {"RadarISM": RadarISM(spec, mount), "learned": DeepRadarISM.load("radar", spec=spec, mount=mount)}
     times = measure({title: Contender(lambda _, model=model: model(scan)) for title, model in models.items()}, 20)
     return {title: one.median for title, one in times.items()}
 
@@ -204,7 +189,8 @@ def fit(found: Sequence[Frame], name: str) -> dict[str, float]:
 
     def cost(x: NDArray[np.float64]) -> float:
         options: Any = numbers(x) | {"keep_moving": True}
-        grids = (radar_model(name, one.mount, **options)(one.sweeps[name].scan()) for one in found)
+        model = RadarISM(SPEC, **radar_numbers(name) | options)
+        grids = (model(one.scan(name)) for one in found)
         scores = pooled(accumulate(grid.mass, one.truth[name]) for grid, one in zip(grids, found, strict=True))
         excess = max(scores["false_free"] - MOST_FREE, 0)
         return scores["nll"] + 10 * excess**2 + excess
@@ -263,18 +249,11 @@ def histograms(scans: Sequence[Scan]) -> dict[str, list[float]]:
     }
 
 
-def draw(path: Path, found: Sequence[Frame], real: Scan | None) -> None:
-    """Draw one frame by all models, and the recorded one."""
+def draw(path: Path, models: dict[str, Model], found: Sequence[Frame], real: Scan | None) -> None:
+    """Draw one frame by some models, and the recorded one."""
     one = max(found, key=lambda frame: len(frame.sweeps["ars548"].xyz))
-    state = one.truth["ars548"]
-    truth = np.stack([state == CellState.FREE, state == CellState.OCCUPIED], axis=-1).astype(np.float32)
-
-    def ahead(grid: EvidentialGrid, title: str) -> Panel:
-        (i, j), (nx, ny) = SPEC.index(0.5 * AHEAD.resolution, AHEAD.origin[1] + 0.5 * AHEAD.resolution), AHEAD.shape
-        return mass_panel(EvidentialGrid(AHEAD, grid.mass[i : i + nx, j : j + ny]), title)
-
-    panels = [ahead(EvidentialGrid(SPEC, truth), "truth, in the field of view")]
-    panels += [ahead(MODELS[name]("ars548", one), name) for name in PICTURED if name in MODELS]
+    panels = [truth_panel(Truth(SPEC, one.truth["ars548"]).crop(AHEAD), "truth, in the field of view")]
+    panels += [mass_panel(resample_to(models[name]("ars548", one), AHEAD), name) for name in PICTURED]
     caught, colours = one.sweeps["ars548"], dict(zip(PARTS, COLOURS, strict=True))
     T = one.mount.T_vehicle_points
     places = caught.xyz @ T[:3, :3].T + T[:3, 3]
@@ -282,7 +261,7 @@ def draw(path: Path, found: Sequence[Frame], real: Scan | None) -> None:
     if real is not None:
         mount = Mount(0.641, pose(0.0, 0.0, 0.641), ego_footprint=(-5.0, 0.1, -1.0, 1.0))
         noise: Any = {"range_noise": 0.2, "azimuth_noise": math.radians(0.5), "doppler_noise": 0.25}
-        panels.append(ahead(RadarISM(SPEC, mount, **noise)(real), "RadarISM, recorded frame"))
+        panels.append(mass_panel(resample_to(RadarISM(SPEC, mount, **noise)(real), AHEAD), "RadarISM, recorded frame"))
     rows = [show(*panels[:3]), show(*panels[3:])]
     picture = Image.new("RGB", (max(row.width for row in rows), sum(row.height for row in rows)), "white")
     picture.paste(rows[0], (0, 0))
@@ -306,15 +285,12 @@ def main() -> None:
         training = list(frames(TRAINING, "training", range(0, 5 * count, 5)))
         for name in RADARS:
             record["fit"][name] = fit(training, name)
-    if weights() is not None:
-        MODELS["learned"] = learned
-        MODELS["learned, discounted"] = lambda name, one: discounted(learned(name, one))
-    test = list(frames(TEST, "test", range(0, 5 * count, 5)))
+    models, test = all_models(), list(frames(TEST, "test", range(0, 5 * count, 5)))
     drives = [one.drive for one in test]
     for name, spec in RADARS.items():
         counts = {
             title: [accumulate(model(name, one).mass, one.truth[name]) for one in test]
-            for title, model in MODELS.items()
+            for title, model in models.items()
         }
         record["radars"][name] = {
             "detections": detections(test, spec),
@@ -330,7 +306,7 @@ def main() -> None:
         record["ARS548, recorded"] = {"detections": len(real)} | histograms([real])
         record["ARS548, simulated"] = histograms([one.sweeps["ars548"].scan() for one in test])
     run.write_record(given.out, record)
-    draw(given.picture, test, real)
+    draw(given.picture, models, test, real)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ DRIVES holds drives that `ogm simulate --sequences N --lidar vlp-32c --radar ars
 `DynamicMapper`s of the same cells; scans of all sensors are fused in the order of time. After every scan of the lidar,
 from the tenth on, a map is compared with the truth: motion and times to detect on the cells that the lidar's scan shows
 (see `dynamic.py`), and masses on all cells of the paper's grid. `--choose` tries reliabilities of radar instead, for
-drives that are not tested on. Intervals are over drives. Writes benchmarks/results/radar_fusion.json; with `--film`,
-also docs/pictures/radar_fusion.webp of a drive.
+drives that are not tested on, and writes to runs/. Intervals are over drives. Writes
+benchmarks/results/radar_fusion.json; with `--film`, docs/pictures/radar_fusion.webp of a drive instead.
 """
 
 import _run as run  # first: it sets the number of threads
@@ -196,8 +196,7 @@ def main() -> None:
             if method != "lidar" and len(numbers) > 1
         },
     }
-    if not given.choose:
-        run.write_record(given.out, record)
+    run.write_record(run.RUNS / "radar_reliability.json" if given.choose else given.out, record)
 
 
 if __name__ == "__main__":

@@ -6,9 +6,9 @@ With --store, the samples of a data set that `ogm simulate --recipe` made take t
 in clear weather with all beams measured. Its figures belong into files of their own (--out, --picture).
 
 Needs recordings that cannot be shipped; benchmarks/README.md names them and where they go. Writes
-benchmarks/results/realism.json, benchmarks/results/realism.md (the tables) and docs/pictures/realism.png. The same
-picture with a real scan and a published truth grid beside the simulated ones, which may not be passed on, goes to
-runs/realism/side_by_side.png.
+benchmarks/results/realism.json and docs/pictures/realism.png; `python docs/realism_tables.py` makes tables of the
+record. The same picture with a real scan and a published truth grid beside the simulated ones, which may not be passed
+on, goes to runs/realism/side_by_side.png.
 """
 
 import _run as run  # first: it sets the number of threads
@@ -175,7 +175,6 @@ def stored(
             yield names[sample.lidar], sweep, sample.truth.crop(SPEC).state
 
 
-PUBLISHED = {"free": (25, 36), "occupied": (0.9, 2.5), "unknown": (63, 74)}  # [%] of labels that were published
 RADII = (0, 3, 6, 10, 15, 20, 30, 50)  # [m]
 
 
@@ -247,42 +246,6 @@ def compare(real: Mapping[str, list[dict[str, float]]], fake: list[dict[str, flo
     return rows
 
 
-def digits(value: float | None) -> str:
-    if value is None:
-        return ""
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 9.95 else f"{value:.2g}"
-
-
-def table(heads: list[str], rows: Mapping[str, list[Any]]) -> list[str]:
-    """Return a table in Markdown; a spread is written as its median and its ends."""
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    for name, row in rows.items():
-        spans = (
-            f"{digits(one['median'])} ({digits(one['p10'])} to {digits(one['p90'])})" if isinstance(one, dict) else one
-            for one in row
-        )
-        lines.append(f"| {name} | {' | '.join(map(str, spans))} |")
-    return lines
-
-
-def tables(record: Mapping[str, Any]) -> str:
-    """Return the comparisons as tables in Markdown."""
-    lines = []
-    for sensor, group in record["sensors"].items():
-        sets = list(group["scans"])
-        rows = {"scans": [*group["scans"].values(), group["simulated scans"], ""]}
-        for name, one in group["statistics"].items():
-            rows[name] = [*(digits(one["real"].get(key)) for key in sets), one["simulated"], one["verdict"]]
-        heads = ["", *sets, "simulated, median (10 % to 90 %)", ""]
-        lines += [f"### {sensor}", "", *table(heads, rows), ""]
-    rows = {
-        name: ["{} to {}".format(*PUBLISHED[name]) if name in PUBLISHED else "", digits(one["label"]), one["simulated"]]
-        for name, one in record["truth"].items()
-    }
-    heads = ["cells [%]", "published labels", "one published label", "aimed, median (10 % to 90 %)"]
-    return "\n".join([*lines, "### Truth", "", *table(heads, rows)]) + "\n"
-
-
 def picture(
     record: Mapping[str, Any],
     sensor: str,
@@ -343,20 +306,15 @@ def main() -> None:
     if not sensors:
         print("nothing to compare with: benchmarks/README.md names the recordings that are needed, and where")
         return
-    fake: dict[str, list[Sweep]] = {sensor: [] for sensor in sensors}
-    truths: list[NDArray[np.uint8]] = []
-    seen: dict[str, NDArray[np.uint8]] = {}  # states of the cells around a sweep, by its name
+    found: dict[str, list[tuple[Sweep, NDArray[np.uint8] | None]]] = {sensor: [] for sensor in sensors}
     if options.store is None:
         record["places"], scans = [list(place) for place in where], simulated(sensors, where)
     else:
         record["data set"], scans = options.store.name, stored(options.store, sensors)
-    for sensor, sweep, state in scans:
-        fake[sensor].append(sweep)
-        if state is not None:
-            truths.append(state)
-            seen[sweep.name] = state
+    for sensor, *scan_and_truth in scans:
+        found[sensor].append(tuple(scan_and_truth))
 
-    record["sensors"], made = {}, {sensor: [statistics(sweep) for sweep in sweeps] for sensor, sweeps in fake.items()}
+    record["sensors"], made = {}, {sensor: [statistics(sweep) for sweep, _ in pairs] for sensor, pairs in found.items()}
     for sensor, ours in made.items():
         if not ours:
             print(f"left out: {sensor}: no intact scan of it in {options.store}")
@@ -367,19 +325,17 @@ def main() -> None:
         counts = {name: len(sweeps) for name, sweeps in sets.items()}
         record["sensors"][sensor] = {"scans": counts, "simulated scans": len(ours), "statistics": compare(sets, ours)}
     label = published_label()
-    shares, known = [truth_shares(state) for state in truths], {} if label is None else truth_shares(label)
+    shares = [truth_shares(state) for pairs in found.values() for _, state in pairs if state is not None]
+    known = {} if label is None else truth_shares(label)
     record["truth"] = {
         name: {"label": known.get(name), "simulated": spread([one[name] for one in shares])} for name in shares[0]
     }
     run.write_record(options.out, record)
-    options.out.with_suffix(".md").write_text(tables(record))
     first = next(sensor for sensor in sensors if made[sensor])
     # The scan in the picture is a typical one: its distance to obstacles is the median of all.
     reach = [one["nearest obstacle, sectors of 1 deg, p50 [m]"] for one in made[first]]
-    chosen = int(np.argsort(reach)[len(reach) // 2])
-    typical = fake[first][chosen]
-    shown = {"simulated": (typical, truths[chosen] if options.store is None else seen[typical.name])}
-    sweeps = {"simulated": fake[first], "real": real[first]}
+    shown = {"simulated": found[first][int(np.argsort(reach)[len(reach) // 2])]}
+    sweeps = {"simulated": [sweep for sweep, _ in found[first]], "real": real[first]}
     picture(record, first, sweeps, shown, options.picture)
     picture(record, first, sweeps, shown | {"real": (real[first][0], label)}, SIDE_BY_SIDE)  # not to be passed on
 

@@ -168,23 +168,19 @@ def verdicts(
     """Return the ratios beside what they have to reach."""
     rows: list[tuple[str, float, str, float, str]] = []
     for comparison in comparisons:
-        times, where = comparison["times"], f"({comparison['scan']}, {comparison['points']} points)"
-        model, factor = (HEIGHT_BAND, 500) if comparison["size"] == "57.6k" else (RAY, 100)
-        trees = {name: t.median for name, t in times.items() if name.startswith(OCTOMAP)}
-        if trees:
-            best, ours = min(trees, key=trees.__getitem__), times[model].median
-            rows.append((f"{model}: times faster than {best} {where}", trees[best] / ours, ">=", factor, "x"))
-        if model == HEIGHT_BAND:
-            ratio = times[model].median / times[COPY].median
-            rows.append((f"{model}: of the time of a copy {where}", ratio, "<=", 12, "x"))
-            continue
-        if KISS in times:
-            ratio = times[KISS].median / times[model].median
-            rows.append((f"{model}: times faster than {KISS} {where}", ratio, ">=", 15, "x"))
-        rows.append((f"{model}: time {where}", times[model].median, "<=", 8, "ms"))
-        rows.append(
-            (f"{model}: of the time of a copy {where}", times[model].median / times[COPY].median, "<=", 10, "x")
-        )
+        medians = {name: times.median for name, times in comparison["times"].items()}
+        where = f"({comparison['scan']}, {comparison['points']} points)"
+        model, factor, copies = (HEIGHT_BAND, 500, 12) if comparison["size"] == "57.6k" else (RAY, 100, 10)
+        trees = [name for name in medians if name.startswith(OCTOMAP)]
+        peers = {min(trees, key=medians.__getitem__): factor} if trees else {}
+        peers |= {KISS: 15} if model == RAY and KISS in medians else {}
+        for peer, limit in peers.items():
+            rows.append(
+                (f"{model}: times faster than {peer} {where}", medians[peer] / medians[model], ">=", limit, "x")
+            )
+        rows.append((f"{model}: of the time of a copy {where}", medians[model] / medians[COPY], "<=", copies, "x"))
+        if model == RAY:
+            rows.append((f"{model}: time {where}", medians[model], "<=", 8, "ms"))
     if threads:
         rows.append((f"{RAY}: two threads against one", threads["ratio"], ">=", 1.6, "x"))
     for model in (HEIGHT_BAND, RAY):

@@ -17,18 +17,16 @@ import _run as run  # first: it sets the number of threads
 # isort: split
 import json
 import resource
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _object_store import free_port, s3_server
+from _object_store import s3_server
 from _timing import resident
+from distributed import LocalCluster
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset, open_dataset
@@ -96,12 +94,13 @@ def town(drives: Drives, base: Path, temporary: Path) -> dict[str, Any]:
     found: dict[str, Any] = {"drives": len(drives), "frames": sum(map(len, drives.values())), "seconds": {}}
     here = {"url": base / "town"}
     found["seconds"]["two workers"] = build(here, drives, workers=2)
-    with cluster() as scheduler, s3_server("maps") as storage:
+    one_thread = {"env": dict.fromkeys(run.THREADS, "1"), "threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(n_workers=2, **one_thread) as cluster, s3_server("maps") as storage:
         for name, place in (
             ("Dask, two workers", {"url": temporary / "dask"}),
             ("Dask, two workers, S3", {"url": "s3://maps/town", "storage": storage}),
         ):
-            found["seconds"][name] = build(place, drives, scheduler=scheduler)
+            found["seconds"][name] = build(place, drives, scheduler=cluster.scheduler_address)
             found.setdefault("the same", {})[name] = same(here, place)
     with WorldMap.open(**here) as world:
         found["tiles"], found["levels"] = len(world.tiles()), world.levels
@@ -122,29 +121,6 @@ def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
             )
             for level in range(a.levels)
         )
-
-
-@contextmanager
-def cluster() -> Iterator[str]:
-    """Start a scheduler of Dask and two workers, each a process; yield the address."""
-    address = f"tcp://127.0.0.1:{free_port()}"
-    dask = [sys.executable, "-m", "dask"]
-    one = os.environ | dict.fromkeys(run.THREADS, "1")
-    commands = [["scheduler", "--host", address], *[["worker", address, "--nthreads", "1"]] * 2]
-    started = [
-        subprocess.Popen([*dask, *command, "--no-dashboard"], env=one, stderr=subprocess.DEVNULL)
-        for command in commands
-    ]
-    try:
-        from distributed import Client
-
-        with Client(address, timeout=120, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=120)
-        yield address
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait()
 
 
 def one_and_two(drives: Drives, base: Path) -> dict[str, Any]:
@@ -169,8 +145,8 @@ def one_and_two(drives: Drives, base: Path) -> dict[str, Any]:
         "gain": round(seconds["1"] / seconds["2"], 2),
         "one worker": parts,
         "the same": same({"url": base / "one"}, {"url": base / "two"}),
-        "bytes": {name: _size(base / "one" / name) for name in ("0", "drives")},
-        "objects": {name: _count(base / "one" / name) for name in ("0", "drives")},
+        "bytes": {name: sum(sizes(base / "one" / name)) for name in ("0", "drives")},
+        "objects": {name: len(sizes(base / "one" / name)) for name in ("0", "drives")},
         "load": [round(one, 2) for one in os.getloadavg()],
     }
 
@@ -218,23 +194,18 @@ def many_cells(grid: EvidentialGrid, url: Path, cells: float) -> dict[str, Any]:
         "seconds": round(seconds, 1),
         "overviews_seconds": round(overviews, 1),
         "levels": levels,
-        "bytes_per_cell": round(_size(url / "0") / (count * per_tile), 3),
-        "gigabytes": round(_size(url) / 1e9, 2),
-        "objects": _count(url),
+        "bytes_per_cell": round(sum(sizes(url / "0")) / (count * per_tile), 3),
+        "gigabytes": round(sum(sizes(url)) / 1e9, 2),
+        "objects": len(sizes(url)),
         "resident_mb": [round(megabytes) for megabytes in memory],
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
         "tiles_checked": len(checked) if whole else 0,
     }
 
 
-def _size(folder: Path) -> int:
-    """Return the bytes of all files below a folder."""
-    return sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())
-
-
-def _count(folder: Path) -> int:
-    """Return the number of files below a folder."""
-    return sum(one.is_file() for one in folder.rglob("*"))
+def sizes(folder: Path) -> list[int]:
+    """Return the bytes of each file below a folder."""
+    return [file.stat().st_size for file in folder.rglob("*") if file.is_file()]
 
 
 def picture(world: WorldMap, record: Mapping[str, Any], path: Path) -> None:
