@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 
 from ogm.fusion import DynamicMapper, DynamicSettings
 from ogm.fusion.dynamic.hashed_noise import scan_key
-from ogm.fusion.dynamic.reference import Groups, NumpyFilter
+from ogm.fusion.dynamic.reference import MeasuredGroups, NumpyFilter
 from ogm.fusion.dynamic.resampling import group_velocities
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=6.4, width=4.8, resolution=0.2)
-GROUPS = Groups(
+GROUPS = MeasuredGroups(
     np.kron(np.arange(4).reshape(2, 2), np.ones((16, 12), np.int32)).astype(np.int32),
     np.array([[2.0, -1.0], [0.0, 3.0], [0.0, 0.0]]),
     np.array([[[4.0, 1.0], [1.0, 2.0]], [[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]]]),
