@@ -114,7 +114,7 @@ def commit(folder: Path) -> str | None:
     git = ["git", "-C", str(folder)]
     with contextlib.suppress(OSError, subprocess.CalledProcessError):
         name = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
-        changed = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", "."]).returncode == 1
+        changed = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", ".", ":(top,glob)benchmarks/*.py"]).returncode == 1
         return f"{name}-dirty" if changed else name
     return None
 

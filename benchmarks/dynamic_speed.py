@@ -9,12 +9,9 @@ are two. Writes benchmarks/results/dynamic_speed.json and docs/pictures/dynamic_
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import itertools
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -137,12 +134,12 @@ def threaded(scans: list[EvidentialGrid], rounds: int) -> dict[str, float]:
 
 
 def on_two_cores(rounds: int) -> dict[str, float] | None:
-    """Return what `threaded` measures in another process, which is not pinned to a core."""
+    """Return the result of `threaded` in another process, which is not pinned to a core."""
     if (os.cpu_count() or 1) < 2:
         return None
-    command = [sys.executable, __file__, "--rounds", str(rounds), "--threaded"]
-    done = subprocess.run(command, env={**os.environ, "OGM_CORES": "2"}, capture_output=True, text=True, check=True)
-    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    script = f"import json, dynamic_speed as own; print(json.dumps(own.threaded(own.scene(), {rounds})))"
+    out = run.in_new_process(script, cwd=Path(__file__).parent, env=os.environ | {"OGM_CORES": "2"})
+    found: dict[str, float] = json.loads(out.splitlines()[-1])
     return found
 
 
@@ -196,13 +193,9 @@ def main() -> None:
     parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--scans", type=int, default=10_000, help="of the long drive")
-    parser.add_argument("--threaded", action="store_true", help=argparse.SUPPRESS)  # the process on two cores
     given = parser.parse_args()
     rounds, count = (2, 300) if given.quick else (given.rounds, given.scans)
     scans = scene()
-    if given.threaded:
-        print(json.dumps(threaded(scans, rounds)))
-        return
     found = run.environment()
     times = measure(contenders(scans), rounds)
     threads, far = on_two_cores(rounds), long_drive(scans, count)

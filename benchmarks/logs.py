@@ -12,11 +12,8 @@ import _run as run  # first: it sets the number of threads
 from _contenders import street
 
 # isort: split
-import argparse
 import gc
 import math
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from _charts import PEER, caption, draw_times, save_picture
-from _timing import Contender, measure, peak_memory
+from _timing import Contender, measure
 from matplotlib.figure import Figure
 from mcap_ros2.reader import read_ros2_messages
 from numpy.typing import NDArray
@@ -45,6 +42,12 @@ STEP, TURN, PERIOD, TRANSFORMS = 0.8, 0.01, 0.1, 10  # [m], [rad], [s] from scan
 FORMATS = {"MCAP": ("drive.mcap", ""), "MCAP, zstd": ("zstd.mcap", "zstd"), "db3": ("drive.db3", ""),
            "bag": ("drive.bag", "")}  # fmt: skip
 TOPIC = "/points"
+READ = """
+import pathlib, sys, _timing, logs
+for _ in logs.read_by_ogm(pathlib.Path(sys.argv[1])):
+    pass
+print(_timing.peak_memory())
+"""
 
 
 def write_log(path: Path, compression: str, scans: int) -> None:
@@ -121,8 +124,7 @@ def mapping(path: Path, out: Path) -> Contender:
 
 def reading_memory(path: Path) -> float:
     """Return the greatest memory of a process that reads a whole log [MB]."""
-    words = [sys.executable, __file__, "--only-read", str(path)]
-    return float(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
+    return float(run.in_new_process(READ, [path], cwd=Path(__file__).parent))
 
 
 def measured(folder: Path, scans: int, rounds: int) -> dict[str, Any]:
@@ -164,13 +166,7 @@ def main() -> None:
     parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--scans", type=int, default=80)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--only-read", type=Path, help=argparse.SUPPRESS)  # a process whose memory is measured
     given = parser.parse_args()
-    if given.only_read is not None:
-        for _ in read_by_ogm(given.only_read):
-            pass
-        print(peak_memory())  # ru_maxrss would be that of the process which started this one
-        return
     found = run.environment()
     with tempfile.TemporaryDirectory() as folder:
         figures = measured(Path(folder), *((5, 1) if given.quick else (given.scans, given.rounds)))

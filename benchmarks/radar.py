@@ -253,7 +253,7 @@ def draw(path: Path, models: dict[str, Model], found: Sequence[Frame], real: Sca
     """Draw one frame by some models, and the recorded one."""
     one = max(found, key=lambda frame: len(frame.sweeps["ars548"].xyz))
     panels = [truth_panel(Truth(SPEC, one.truth["ars548"]).crop(AHEAD), "truth, in the field of view")]
-    panels += [mass_panel(resample_to(models[name]("ars548", one), AHEAD), name) for name in PICTURED]
+    panels += [mass_panel(resample_to(models[name]("ars548", one), AHEAD, "nearest"), name) for name in PICTURED]
     caught, colours = one.sweeps["ars548"], dict(zip(PARTS, COLOURS, strict=True))
     T = one.mount.T_vehicle_points
     places = caught.xyz @ T[:3, :3].T + T[:3, 3]
@@ -261,7 +261,9 @@ def draw(path: Path, models: dict[str, Model], found: Sequence[Frame], real: Sca
     if real is not None:
         mount = Mount(0.641, pose(0.0, 0.0, 0.641), ego_footprint=(-5.0, 0.1, -1.0, 1.0))
         noise: Any = {"range_noise": 0.2, "azimuth_noise": math.radians(0.5), "doppler_noise": 0.25}
-        panels.append(mass_panel(resample_to(RadarISM(SPEC, mount, **noise)(real), AHEAD), "RadarISM, recorded frame"))
+        panels.append(
+            mass_panel(resample_to(RadarISM(SPEC, mount, **noise)(real), AHEAD, "nearest"), "RadarISM, recorded frame")
+        )
     rows = [show(*panels[:3]), show(*panels[3:])]
     picture = Image.new("RGB", (max(row.width for row in rows), sum(row.height for row in rows)), "white")
     picture.paste(rows[0], (0, 0))
