@@ -48,6 +48,6 @@ def draw_long_run(axes: Axes, run: Mapping[str, Any], title: str) -> None:
     axes.set(xlabel="scans", ylabel="median of a hundred updates [ms]", ylim=(0, None), title=title)
     memory = axes.twinx()
     memory.plot(np.linspace(0, run["scans"], len(run["memory [MB]"])), run["memory [MB]"], color=PEER, lw=1.2)
-    memory.set_ylim(0, None)
+    memory.set_ylim(0, 1.1 * max(run["memory [MB]"]))
     memory.set_ylabel("memory of the process [MB]", color=PEER)
     memory.tick_params(axis="y", colors=PEER)

@@ -110,11 +110,12 @@ def environment(*models: str) -> dict[str, Any]:
 
 
 def commit(folder: Path) -> str | None:
-    """Return the commit of a folder, with "-dirty" if its files differ; None outside of git."""
+    """Return the commit of a checkout, with "-dirty" if the folder or the benchmarks differ; None outside of git."""
     git = ["git", "-C", str(folder)]
     with contextlib.suppress(OSError, subprocess.CalledProcessError):
         name = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout.strip()
-        changed = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", ".", ":(top,glob)benchmarks/*.py"]).returncode == 1
+        paths = [".", ":(top,glob)benchmarks/*.py"]
+        changed = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", *paths]).returncode == 1
         return f"{name}-dirty" if changed else name
     return None
 
