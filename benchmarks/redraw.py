@@ -11,6 +11,7 @@ import soak  # first: it sets the number of threads
 # isort: split
 import argparse
 import json
+
 import _paper_facts
 import _quality_pictures
 import paper_curves
