@@ -6,10 +6,12 @@ import _run as run  # first: it sets the number of threads
 import importlib
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from _timing import Contender
 from numpy.typing import NDArray
 
 from ogm import GridSpec, Mount, read_points
@@ -120,26 +122,26 @@ def numpy_height_band(xyz: NDArray, ism: HeightBandISM) -> NDArray[np.float32]:
     return mass
 
 
-def contenders(spec: GridSpec, points: NDArray[np.float32], mount: Mount, slow: bool) -> dict[str, run.Contender]:
+def contenders(spec: GridSpec, points: NDArray[np.float32], mount: Mount, slow: bool) -> dict[str, Contender]:
     """Return ogm's models, the yardstick of copying bytes, the ground estimate alone, and slow references."""
     band, ray, xyz = HeightBandISM(spec, mount), RayISM(spec, mount), np.ascontiguousarray(points[:, :3])
     coarse, mass = GridSpec(1.0, (82, 57), spec.origin), np.ones((*spec.shape, 2), np.float32)
     copies = np.empty_like(points), np.empty_like(mass)
     found = {
-        HEIGHT_BAND: run.Contender(lambda _: band(points)),
-        RAY: run.Contender(lambda _: ray(points)),
-        COPY: run.Contender(lambda _: (np.copyto(copies[0], points), np.copyto(copies[1], mass))),
-        LOCAL: run.Contender(lambda _: local_ground(xyz, coarse, mount.ground_point)),
+        HEIGHT_BAND: Contender(lambda _: band(points)),
+        RAY: Contender(lambda _: ray(points)),
+        COPY: Contender(lambda _: (np.copyto(copies[0], points), np.copyto(copies[1], mass))),
+        LOCAL: Contender(lambda _: local_ground(xyz, coarse, mount.ground_point)),
     }
     if slow:
-        found[NUMPY] = run.Contender(lambda _: numpy_height_band(xyz, band))
-        found[PYTHON] = run.Contender(lambda _: reference.height_band_mass(xyz, band), slow=True)
+        found[NUMPY] = Contender(lambda _: numpy_height_band(xyz, band))
+        found[PYTHON] = Contender(lambda _: reference.height_band_mass(xyz, band), slow=True)
     return found
 
 
 def peers(
     spec: GridSpec, points: NDArray[np.float32], sensor_height: float
-) -> tuple[dict[str, run.Contender], dict[str, str]]:
+) -> tuple[dict[str, Contender], dict[str, str]]:
     """Return the peers that are installed, and for the others the reason why they are left out.
 
     Their points are put into the type they like best beforehand; a fresh, empty map is made for each call. 3D
@@ -148,39 +150,41 @@ def peers(
     max_range = math.hypot(spec.length, spec.width) / 2
     wide, narrow = points[:, :3].astype(np.float64), np.ascontiguousarray(points[:, :3])
 
-    def octomap(package: str, variants: dict[str, tuple[bool, ...]]) -> dict[str, run.Contender]:
+    def octomap(package: str, variants: dict[str, tuple[bool, ...]]) -> dict[str, Contender]:
         tree_type = importlib.import_module("octomap" if package == "octomap-python" else package).OcTree
+        make = partial(tree_type, spec.resolution)
+        return {
+            f"{OCTOMAP} ({package}){kind}": Contender(
+                lambda tree, given=given: tree.insertPointCloud(wide, np.zeros(3), max_range, *given), make, slow=True
+            )
+            for kind, given in variants.items()
+        }
 
-        def one(options: tuple[bool, ...]) -> run.Contender:
-            insert = lambda tree: tree.insertPointCloud(wide, np.zeros(3), max_range, *options)  # noqa: E731
-            return run.Contender(insert, lambda: tree_type(spec.resolution), slow=True)
-
-        return {f"{OCTOMAP} ({package}){kind}": one(options) for kind, options in variants.items()}
-
-    def kiss_slam() -> dict[str, run.Contender]:
+    def kiss_slam() -> dict[str, Contender]:
         from kiss_slam.kiss_slam_pybind import kiss_slam_pybind as kiss
 
         vector, pose = kiss._Vector3fVector(narrow), np.eye(4)
-        make = lambda: kiss._OccupancyMapper(spec.resolution, max_range)  # noqa: E731
-        return {KISS: run.Contender(lambda mapper: mapper._integrate_frame(vector, pose), make)}
+        make = partial(kiss._OccupancyMapper, spec.resolution, max_range)
+        return {KISS: Contender(lambda mapper: mapper._integrate_frame(vector, pose), make)}
 
-    def patchwork() -> dict[str, run.Contender]:
+    def patchwork() -> dict[str, Contender]:
         estimator = patchwork_estimator(sensor_height)
-        return {PATCHWORK: run.Contender(lambda _: estimator.estimateGround(points))}
+        return {PATCHWORK: Contender(lambda _: estimator.estimateGround(points))}
 
-    found: dict[str, run.Contender] = {}
-    reasons: dict[str, str] = {}
-    makers: dict[str, Callable[[], dict[str, run.Contender]]] = {
-        "pyoctomap": lambda: octomap("pyoctomap", OCTOMAP_OPTIONS),
-        "octomap-python": lambda: octomap("octomap-python", {"": (False,), ", lazy": (True,)}),
+    makers: dict[str, Callable[[], dict[str, Contender]]] = {
+        "pyoctomap": partial(octomap, "pyoctomap", OCTOMAP_OPTIONS),
+        "octomap-python": partial(octomap, "octomap-python", {"": (False,), ", lazy": (True,)}),
         "kiss-slam": kiss_slam,
         "pypatchworkpp": patchwork,
     }
+    found: dict[str, Contender] = {}
+    reasons: dict[str, str] = {}
     for package, make in makers.items():
         try:
             found |= make()
         except ImportError as error:
             reasons[package] = str(error)
+            print(f"left out: {package}: {error}")
     return found, reasons
 
 
@@ -190,5 +194,4 @@ def patchwork_estimator(sensor_height: float) -> Any:
 
     parameters = pypatchworkpp.Parameters()
     parameters.verbose, parameters.sensor_height = False, sensor_height
-    with run.silent():
-        return pypatchworkpp.patchworkpp(parameters)
+    return pypatchworkpp.patchworkpp(parameters)

@@ -172,7 +172,7 @@ class Recorder:
         return found
 
 
-def run(
+def over_drive(
     mapper: Any, drive: Sequence[Snapshot], grids: Sequence[EvidentialGrid], readings: Mapping[str, Reading]
 ) -> dict[str, DriveSums]:
     """Run a map over a drive and return its sums by reading."""

@@ -19,25 +19,6 @@ STANDING = "standing still"
 PASSING = 1e-3  # [m/s] more than 2 m/s, so that the score of a conflict is its belief
 
 
-class ConflictDetector:
-    """`EvidentialMapper` whose conflict "was free, is occupied" is taken for belief in dynamic; no velocities."""
-
-    def __init__(self) -> None:
-        self.mapper = EvidentialMapper(WINDOW)
-        self.update = self.mapper.update
-        self.view = self.mapper.view
-
-    grid = property(lambda self: self.mapper.grid)
-
-    def dynamic_view(self, spec: GridSpec) -> DynamicGrid:
-        """Return the masses, occupied being shared out by the conflict."""
-        mass, conflict = self.mapper.view(spec).mass, self.mapper.conflict_view(spec).layers["free_to_occupied"]
-        share = np.clip(np.nan_to_num(conflict), 0, 1)
-        parts = [mass[..., 0], mass[..., 1] * (1 - share), mass[..., 1] * share]
-        velocity = np.full((*spec.shape, 2), 2 + PASSING, np.float32)
-        return DynamicGrid(spec, np.stack(parts, axis=-1), velocity, np.full((*spec.shape, 2, 2), np.nan, np.float32))
-
-
 class Static:
     """A map without motion, for its masses alone."""
 
@@ -48,10 +29,26 @@ class Static:
 
     def dynamic_view(self, spec: GridSpec) -> DynamicGrid:
         """Return masses whose dynamic part is 0."""
-        mass: EvidentialGrid = self.mapper.view(spec)
-        parts = np.stack([mass.free, mass.occupied, np.zeros_like(mass.free)], axis=-1)
-        nothing = np.full((*spec.shape, 2), np.nan, np.float32)
-        return DynamicGrid(spec, parts, nothing, np.full((*spec.shape, 2, 2), np.nan, np.float32))
+        return _dynamic_grid(self.view(spec), np.zeros(spec.shape, np.float32), np.nan)
+
+
+class ConflictDetector(Static):
+    """`EvidentialMapper` whose conflict "was free, is occupied" is taken for belief in dynamic; no velocities."""
+
+    def __init__(self) -> None:
+        super().__init__(EvidentialMapper(WINDOW))
+
+    def dynamic_view(self, spec: GridSpec) -> DynamicGrid:
+        """Return the masses, occupied being shared out by the conflict."""
+        conflict = self.mapper.conflict_view(spec).layers["free_to_occupied"]
+        return _dynamic_grid(self.view(spec), np.clip(np.nan_to_num(conflict), 0, 1), 2 + PASSING)
+
+
+def _dynamic_grid(grid: EvidentialGrid, share: NDArray[np.float32], speed: float) -> DynamicGrid:
+    """Return a dynamic grid with a share of occupied as dynamic, and the same velocity [m/s] everywhere."""
+    mass = np.stack([grid.free, grid.occupied * (1 - share), grid.occupied * share], axis=-1)
+    velocity = np.full((*grid.spec.shape, 2), speed, np.float32)
+    return DynamicGrid(grid.spec, mass, velocity, np.full((*grid.spec.shape, 2, 2), np.nan, np.float32))
 
 
 class Reading(NamedTuple):

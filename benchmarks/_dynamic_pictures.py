@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _charts import FLOOR, OURS, PEER, TWIN, save_picture
 from _dynamic_filters import HYBRID, NUSS, PLAIN
-from _run import FLOOR, OURS, PEER, TWIN, save_picture
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _quality_inputs import model_of
-from _run import save_picture
+from _charts import save_picture
+from _quality_methods import model_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from _scenes import MOUNT, SPEC, Scene
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -12,6 +11,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from ogm.plot.colours import colours
+from ogm.simulation.hand_built_scenes import MOUNT, SPEC, HandBuiltScene
 from ogm.state import CellState
 
 
@@ -52,7 +52,7 @@ STATES = ("black", colours().free, colours().occupied, "0.6")  # by `CellState`
 PARTS = ("tab:gray", "tab:blue", "tab:orange", "tab:purple")
 
 
-def gallery(scenes: Mapping[str, Scene], before: Mapping[str, NDArray], now: Mapping[str, NDArray]) -> Figure:
+def gallery(scenes: Mapping[str, HandBuiltScene], before: Mapping[str, NDArray], now: Mapping[str, NDArray]) -> Figure:
     """Draw a row for each of `ROWS`: points, truth, masses before and now."""
     figure = Figure(figsize=(16, 1.62 * len(ROWS) + 0.8), layout="constrained")
     axes = figure.subplots(len(ROWS), 4, squeeze=False)
@@ -87,7 +87,7 @@ def _upright(cells: NDArray) -> NDArray:
     return np.clip(np.swapaxes(cells, 0, 1)[::-1], 0, None)
 
 
-def _points(ax: Axes, one: Scene, row: Row) -> None:
+def _points(ax: Axes, one: HandBuiltScene, row: Row) -> None:
     """Draw the points of a strip from the side, heights above the road, a colour for each shape."""
     along, aside = (1, 0) if row.across else (0, 1)
     start, size = (row.y0, SIZE[1]) if row.across else (row.x0, SIZE[0])

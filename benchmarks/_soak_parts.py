@@ -14,7 +14,9 @@ from typing import Any, NamedTuple
 
 import _run as run
 import numpy as np
+import psutil
 from _contenders import STREET_HEIGHT, street
+from _timing import Contender, once, peak_memory, resident
 from numpy.typing import NDArray
 
 from ogm import GridSpec, Mount, Scan, open_dataset
@@ -97,21 +99,20 @@ def many_scans(name: str, count: int) -> dict[str, Any]:
     chain = CHAINS[name]
     chain(scans, mount, None)(0)  # libraries are loaded, kernels compiled, and their threads started
     gc.collect()
-    before = live.open_handles("self")
-    step = chain(scans, mount, None)
-    for k in range(WARM_UP):
-        step(k)
+    process = psutil.Process()
+    before = process.num_fds(), process.num_threads()
+    step, numbers = chain(scans, mount, None), itertools.count()
+    for _ in range(WARM_UP):
+        step(next(numbers))
+    mapped = Contender(step, lambda: next(numbers))
     wall, core, memory = np.empty(count), np.empty(count), []
     for k in range(count):
         if k % HUNDRED == 0:
-            memory.append(live.resident("self"))
-        start, start_core = time.perf_counter(), time.process_time()
-        step(WARM_UP + k)
-        core[k], wall[k] = time.process_time() - start_core, time.perf_counter() - start
-    memory.append(live.resident("self"))
-    del step
+            memory.append(resident())
+        wall[k], core[k] = once(mapped)
+    memory.append(resident())
+    del step, mapped
     gc.collect()
-    after = live.open_handles("self")
     return {
         "source": source,
         "scans": count,
@@ -119,8 +120,8 @@ def many_scans(name: str, count: int) -> dict[str, Any]:
         "wall time": latencies(wall),
         "memory [MB]": [round(one, 1) for one in memory],
         "memory grown [%]": grown(memory),
-        "files left": after[0] - before[0],
-        "threads left": after[1] - before[1],
+        "files left": process.num_fds() - before[0],
+        "threads left": process.num_threads() - before[1],
     }
 
 
@@ -204,7 +205,7 @@ def many_points(count: int) -> dict[str, Any]:
         ism(base)
         gc.collect()
         Path("/proc/self/clear_refs").write_text("5")  # peaks begin anew
-        before, start, start_core = live.resident("self"), time.perf_counter(), time.process_time()
+        before, start, start_core = resident(), time.perf_counter(), time.process_time()
         try:
             grid, error = ism(scan), ""
         except (ValueError, MemoryError) as refused:
@@ -213,19 +214,11 @@ def many_points(count: int) -> dict[str, Any]:
             "wall time [s]": time.perf_counter() - start,
             "processor time [s]": time.process_time() - start_core,
             "memory before [MB]": before,
-            "peak above that [MB]": peak() - before,
+            "peak above that [MB]": peak_memory() - before,
             "refused": error,
             "known cells [%]": None if grid is None else 100 * float((grid.mass.sum(axis=-1) > 0).mean()),
         }
     return {"points": count, "bytes of the scan [MB]": points.nbytes / 1e6, "models": found}
-
-
-def peak() -> float:
-    """Return the most memory that this process held since its peaks began anew [MB]."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) * 1024 / 1e6
-    raise OSError("this system does not tell the peak of a process' memory")
 
 
 def serving(folder: Path, minutes: float) -> dict[str, Any]:

@@ -10,18 +10,19 @@ docs/pictures/calibration.png.
 """
 
 import _run as run  # first: it sets the number of threads
-from _quality_inputs import real
-from _quality_record import beliefs, write
+from _charts import caption, save_picture
+from _evaluation_record import beliefs, differences, means_of
+from _recordings import recordings
 
 # isort: split
-import argparse
-import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
 
 from ogm import GridSpec
 from ogm.calibration import calibrate
@@ -38,15 +39,8 @@ from ogm.models.fitted import default_parameters
 SPEC = GridSpec.centered()
 PAIR = "p_miss", "p_false_alarm"
 METRICS = (
-    "nll",
-    "brier",
-    "ece",
-    "false_free",
-    "missed_occupied",
-    "false_occupied",
-    "iou_free",
-    "iou_occupied",
-    "free_recall_1",
+    *("nll", "brier", "ece", "false_free", "missed_occupied", "false_occupied"),
+    *("iou_free", "iou_occupied", "free_recall_1"),
 )
 LEVELS = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10)  # [nats] of the surface
 COLOURS = {"default": "#8c8c8c", "fitted": "#b35806"}
@@ -86,14 +80,9 @@ def compared(dataset: Dataset, fitted: Calibration, every: int) -> Evaluation:
 
 
 def recorded(result: Evaluation) -> dict[str, Any]:
-    """Return the means of the metrics by default and fitted, and their differences with 95 % intervals."""
-    differences = result.compare("fitted", "default")
-    found: dict[str, Any] = {
-        "frames": len(result.frames),
-        "drives": len({one.sequence or one.name for one in result.frames}),
-        "means": {name: {m: run.finite(result.macro(name)[m]) for m in METRICS} for name in result.methods},
-        "fitted - default": {m: [run.finite(x) for x in differences[m].difference] for m in METRICS},
-    }
+    """Return means by default and fitted, their differences with 95 % intervals, and how often beliefs are right."""
+    found = means_of(result, METRICS)
+    found["fitted - default"] = differences(result, "fitted", "default", METRICS)
     for name, sums in zip(result.methods, result.pooled, strict=True):
         found[f"beliefs {name}"] = beliefs(sums)
     return found
@@ -106,11 +95,8 @@ def added(results: Mapping[str, Evaluation], method: int) -> ConfusionSums:
     return total
 
 
-def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Mapping[str, Evaluation]) -> None:
+def draw(path: Path, record: Mapping[str, Any], test: Evaluation, real: Mapping[str, Evaluation]) -> None:
     """Draw the likelihood around the fitted parameters, and how honest the beliefs are by default and fitted."""
-    from matplotlib import colormaps
-    from matplotlib.figure import Figure
-
     fitted, profiles = record["fitted"], record["likelihood"]["profiles"]
     figure = Figure(figsize=(16, 9), layout="constrained")
     top, bottom = figure.subfigures(2, 1)
@@ -136,8 +122,8 @@ def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Ma
         axes.set(xlabel=name, title=f"{fitted['parameters'][name]:.3g}" + (f" ± {error:.2g}" if error else ""))
     rest[0].set_ylabel("NLL above the least [nats]")
     places = {"unseen towns": list(test.pooled)}
-    if recordings:
-        places["real recordings"] = [added(recordings, k) for k in (0, 1)]
+    if real:
+        places["real recordings"] = [added(real, k) for k in (0, 1)]
     panels = iter(np.ravel(bottom.subplots(1, 2 * len(places))))
     for place, pooled in places.items():
         for state in ("free", "occupied"):
@@ -150,25 +136,20 @@ def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Ma
             axes.set(xlim=(0, 1), ylim=(0, 1), xlabel=f"belief that a cell is {state}", ylabel=f"share that is {state}")
             axes.set_title(f"{place}: {state}")
             axes.legend(frameon=False)
-    note = f"A belief is kept above the diagonal. Dashed: the default. {run.caption(record['environment'])}"
-    run.save_picture(figure, path, note)
+    note = f"A belief is kept above the diagonal. Dashed: the default. {caption(record['environment'])}"
+    save_picture(figure, path, note)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, picture=True, quick=True, real=True)
     parser.add_argument("fit", type=Path, metavar="FIT")
     parser.add_argument("test", type=Path, metavar="TEST")
-    parser.add_argument("--fitted", type=Path, help="what `ogm calibrate` wrote, instead of a fit")
+    parser.add_argument("--fitted", type=Path, help="result of `ogm calibrate`, instead of a fit")
     parser.add_argument("--base-rate", default="data", help="of the fit, see `ogm calibrate`")
     parser.add_argument("--every", type=int, default=1, help="every N-th frame of FIT and TEST")
     parser.add_argument("--points", type=int, default=9, help="values of each parameter")
-    parser.add_argument("--quick", action="store_true", help="few frames and values; writes to the folder runs/")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "calibration.json")
-    parser.add_argument("--picture", type=Path, default=run.PICTURES / "calibration.png")
     given = parser.parse_args()
     every, points = (20, 3) if given.quick else (given.every, given.points)
-    if given.quick:
-        given.out, given.picture = (run.ROOT / "runs" / path.name for path in (given.out, given.picture))
 
     training = open_dataset(given.fit, split="train")[::every]
     if given.fitted is None:
@@ -182,23 +163,11 @@ def main() -> None:
     record: dict[str, Any] = {"environment": run.environment(), "fitted": asdict(fitted), "default": defaults(fitted)}
     record["likelihood"] = around(fitted, Likelihood("ray", training, SPEC, base_rate=fitted.data["base_rate"]), points)
     test = compared(open_dataset(given.test, split="test"), fitted, every)
-    record["test"] = recorded(test)
-    recordings = {}
-    for one in real(run.DATA):
-        if one.alone is None:
-            print(f"{one.name} is left out: {one.reason}", file=sys.stderr)
-        else:
-            recordings[one.name] = compared(one.alone, fitted, every if given.quick else 1)
-    record["real"] = {name: recorded(result) for name, result in recordings.items()}
-    for name, found in {"unseen towns": record["test"], **record["real"]}.items():
-        default, new = (found["means"][which] for which in ("default", "fitted"))
-        shown = ("nll", "ece", "false_free", "iou_free")
-        print(
-            f"{name:32}" + "  ".join(f"{m} {default[m]:.3f} -> {new[m]:.3f}" for m in shown if default[m] is not None)
-        )
-    write(given.out, record)
-    draw(given.picture, record, test, recordings)
-    print(f"written {given.out} and {given.picture}")
+    step = every if given.quick else 1
+    real = {name: compared(frames, fitted, step) for name, frames in recordings(given.real)}
+    record |= {"test": recorded(test), "real": {name: recorded(result) for name, result in real.items()}}
+    run.write_record(given.out, record)
+    draw(given.picture, record, test, real)
 
 
 if __name__ == "__main__":

@@ -11,13 +11,11 @@ Writes benchmarks/results/combined.json; docs/build.py makes tables of it.
 """
 
 import _run as run  # first: it sets the number of threads
-from _quality_inputs import real
-from _quality_record import write
+from _evaluation_record import means_of, pair
+from _recordings import recordings
+from _timing import Contender, once
 
 # isort: split
-import argparse
-import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,7 @@ import numpy as np
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
 from ogm.datasets import Dataset, open_dataset
-from ogm.evaluation import Evaluation, evaluate
+from ogm.evaluation import evaluate
 from ogm.models.combined import CombinedISM
 from ogm.models.named import COMBINATION, COMBINED, LITE, RAY, load_model
 from ogm.scan import InverseSensorModel
@@ -66,86 +64,47 @@ def methods() -> dict[str, InverseSensorModel]:
 
 def recorded(dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
     """Evaluate all methods on some frames; return their means, and `combined` against each part."""
-    result = evaluate(methods(), dataset, SPEC, frames=numbers, draw=lambda *frame: {})
-    return {
-        "frames": len(result.frames),
-        "drives": len({one.sequence or one.name for one in result.frames}),
-        "means": {name: {m: run.finite(result.macro(name)[m]) for m in METRICS} for name in result.methods},
-        "against": {other: against(result, other) for other in (RAY, LITE)},
-    }
-
-
-def against(result: Evaluation, other: str) -> dict[str, Any]:
-    """Compare `combined` with a part."""
-    found = result.compare(COMBINED, other)
-    return {
-        m: {
-            "wins, ties, losses": [found[m].wins, found[m].ties, found[m].losses],
-            "difference": [run.finite(x) for x in found[m].difference],
-            "ratio": [run.finite(x) for x in found[m].ratio],
-            "p": run.finite(found[m].p),
-        }
-        for m in METRICS
-        if m in found
-    }
+    result = evaluate(methods(), dataset, SPEC, frames=numbers)
+    found = {other: result.compare(COMBINED, other) for other in (RAY, LITE)}
+    against = {other: {m: pair(one[m]) for m in METRICS if m in one} for other, one in found.items()}
+    return means_of(result, METRICS) | {"against": against}
 
 
 def cost(scan: Scan, mount: Mount) -> dict[str, float]:
     """Return the least milliseconds of each model on a scan, and of what combining adds, measured in turns."""
     models: dict[str, Any] = {name: load_model(name, SPEC, mount) for name in (RAY, LITE, COMBINED)}
     masses = [models[name](scan).mass for name in (RAY, LITE)]
-    models = {name: (lambda model=model: model(scan)) for name, model in models.items()}
+    calls = {name: Contender(lambda _, model=model: model(scan)) for name, model in models.items()}
     both = CombinedISM([load_model(name, SPEC, mount) for name in (RAY, LITE)], **COMBINATION)
-    models |= {"combining alone": lambda: both.combine(masses), "copy of both grids": lambda: np.array(masses)}
-    best = dict.fromkeys(models, float("inf"))
-    for _ in range(CALLS):
-        for name, call in models.items():
-            start = time.perf_counter()
-            call()
-            best[name] = min(best[name], 1e3 * (time.perf_counter() - start))
-    return best
+    calls["combining alone"] = Contender(lambda _: both.combine(masses))
+    calls["copy of both grids"] = Contender(lambda _: np.array(masses))
+    rounds = [{name: once(call)[0] for name, call in calls.items()} for _ in range(CALLS)]
+    return {name: 1e3 * min(seconds[name] for seconds in rounds) for name in calls}
 
 
-def drives_of(words: str) -> set[int]:
-    """Return the numbers that "1,3-5" stands for."""
-    ends = [one.split("-") for one in words.split(",")]
-    return {k for one in ends for k in range(int(one[0]), int(one[-1]) + 1)}
+def validation_frames(words: str) -> tuple[Dataset, str, list[int]]:
+    """Return the data set, the drives and the numbers of the validation frames that "DATA=1,3-5" stands for."""
+    path, _, drives = words.rpartition("=")
+    dataset, ranges = open_dataset(path, split="validation"), [part.split("-") for part in drives.split(",")]
+    wanted = {f"drive {k}" for ends in ranges for k in range(int(ends[0]), int(ends[-1]) + 1)}
+    return dataset, drives, [k for k, ref in enumerate(dataset.refs) if ref.sequence in wanted]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, quick=True, real=True)
     parser.add_argument("data", nargs="+", metavar="DATA=DRIVES")
-    parser.add_argument("--real", type=Path, default=run.DATA, help="folder of real recordings (default OGM_DATA)")
-    parser.add_argument("--quick", action="store_true", help="three frames of each; writes to the folder runs/")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "combined.json")
     given = parser.parse_args()
     most = 3 if given.quick else None
-    out = run.ROOT / "runs" / given.out.name if given.quick else given.out
-
-    record: dict[str, Any] = {"environment": run.environment(), "validation": {}, "real": {}}
+    record: dict[str, Any] = {"environment": run.environment(LITE), "validation": {}, "real": {}}
     record["parameters"] = {key: [one._asdict() for one in value] for key, value in COMBINATION.items()}
     for words in given.data:
-        path, _, drives = words.rpartition("=")
-        dataset = open_dataset(path, split="validation")
-        wanted = {f"drive {k}" for k in drives_of(drives)}
-        numbers = [k for k, ref in enumerate(dataset.refs) if ref.sequence in wanted][:most]
-        record["validation"][Path(path).name] = {"drives": drives} | recorded(dataset, numbers)
-        print(path, "is evaluated", file=sys.stderr, flush=True)
+        dataset, drives, numbers = validation_frames(words)
+        name = Path(words.rpartition("=")[0]).name
+        record["validation"][name] = {"drives": drives} | recorded(dataset, numbers[:most])
         record.setdefault("cost [ms]", cost(dataset[numbers[0]].scan, dataset[numbers[0]].mount))
-    for one in real(given.real) if given.real.is_dir() else ():
-        if one.alone is None:
-            print(f"{one.name} is left out: {one.reason}", file=sys.stderr)
-            continue
-        record["real"][one.name] = recorded(one.alone, range(len(one.alone))[:most])
-        print(one.name, "is evaluated", file=sys.stderr, flush=True)
-    write(out, record)
-    for place in (record["validation"], record["real"]):
-        for name, found in place.items():
-            print(f"{name}, {found['frames']} frames")
-            for method, means in found["means"].items():
-                print(f"  {method:22}" + "  ".join(f"{m} {means[m]:.3f}" for m in METRICS if means[m] is not None))
-    print("cost [ms]:", ", ".join(f"{name} {value:.2f}" for name, value in record["cost [ms]"].items()))
-    print(f"written {out}")
+    for name, frames in recordings(given.real):
+        record["real"][name] = recorded(frames, range(len(frames))[:most])
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,9 @@ the same frames, and its ratios are recorded beside those of the fit.
 """
 
 import _run as run  # first: it sets the number of threads
-from _quality_record import write
-from combined import drives_of
+from combined import validation_frames
 
 # isort: split
-import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +25,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from ogm import GridSpec, Mount
-from ogm.datasets import open_dataset
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.named import COMBINATION, LITE, RAY, load_model
 from ogm.scan import run_model
@@ -51,12 +48,11 @@ class Cells(NamedTuple):
     frame: NDArray[np.int64]
 
 
-def draw_cells(path: str, drives: str, most: int | None) -> Cells:
+def draw_cells(words: str, most: int | None) -> Cells:
     """Map the frames of some validation drives by both models, and draw cells."""
-    dataset, rng = open_dataset(path, split="validation"), np.random.default_rng(1)
-    models = [load_model(name, SPEC) for name in (RAY, LITE)]
-    wanted, parts = {f"drive {k}" for k in drives_of(drives)}, []
-    for number in [k for k, ref in enumerate(dataset.refs) if ref.sequence in wanted][:most]:
+    dataset, _, numbers = validation_frames(words)
+    models, rng, parts = [load_model(name, SPEC) for name in (RAY, LITE)], np.random.default_rng(1), []
+    for number in numbers[:most]:
         frame = dataset[number]
         masses = np.stack([run_model(model, frame).mass.reshape(-1, 2) for model in models])
         state = frame.truth.crop(SPEC).state.ravel()  # type: ignore[union-attr]
@@ -66,8 +62,8 @@ def draw_cells(path: str, drives: str, most: int | None) -> Cells:
             weight = np.full(len(some), len(found) / max(len(some), 1))
             parts.append(Cells(masses[:, some], state[some], weight, np.full(len(some), number)))
     masses, state, weight, frame = zip(*parts, strict=True)
-    numbers = np.unique(np.concatenate(frame), return_inverse=True)[1]
-    return Cells(np.concatenate(masses, axis=1), np.concatenate(state), np.concatenate(weight), numbers)
+    places = np.unique(np.concatenate(frame), return_inverse=True)[1]
+    return Cells(np.concatenate(masses, axis=1), np.concatenate(state), np.concatenate(weight), places)
 
 
 def scores(cells: Cells, mass: NDArray[np.float32]) -> dict[str, float]:
@@ -135,28 +131,23 @@ def fit(data: Mapping[str, Cells], occupied: float, evaluations: int) -> NDArray
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, quick=True)
     parser.add_argument("data", nargs="+", metavar="DATA=DRIVES")
     parser.add_argument("--occupied", type=float, default=0.5, help="reliability of occupied of ray")
-    parser.add_argument("--quick", action="store_true", help="three frames of each; writes to the folder runs/")
     given = parser.parse_args()
-    data = {}
-    for words in given.data:
-        path, _, drives = words.rpartition("=")
-        data[Path(path).name] = draw_cells(path, drives, 3 if given.quick else None)
+    data = {Path(w.rpartition("=")[0]).name: draw_cells(w, 3 if given.quick else None) for w in given.data}
     found = options(fit(data, given.occupied, 20 if given.quick else EVALUATIONS), given.occupied)
     models = [load_model(name, SPEC, Mount(1.9)) for name in (RAY, LITE)]
     ways = {"fitted": CombinedISM(models, **found), "COMBINATION": CombinedISM(models, **COMBINATION)}
     record = {
-        "environment": run.environment(),
+        "environment": run.environment(LITE),
         "fitted": {key: [one._asdict() for one in value] for key, value in found.items()},
         "ratio to the better part": {
             way: {name: ratios(cells, ism) for name, cells in data.items()} for way, ism in ways.items()
         },
     }
-    out = (run.ROOT / "runs" if given.quick else run.RESULTS) / "combined_fit.json"
-    write(out, record)
-    print(record["fitted"], record["ratio to the better part"], f"written {out}", sep="\n")
+    run.write_record(given.out, record)
+    print(record["fitted"], record["ratio to the better part"], sep="\n")
 
 
 if __name__ == "__main__":

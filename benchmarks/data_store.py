@@ -13,22 +13,19 @@ os.environ["OGM_CORES"] = str(len(os.sched_getaffinity(0)))
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
-import multiprocessing
 import resource
-import subprocess
-import sys
 import tempfile
 import time
-import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import obstore
 import torch
+from _object_store import s3_server
 
 from ogm.datasets import open_dataset
 from ogm.deep.data import Batch, PillarDataset
@@ -41,46 +38,34 @@ from ogm.simulation.store import SHARD, Store
 from ogm.storage.remote import as_path, object_store
 
 SPEC = GridSpec.centered()
-KEYS = {"access_key_id": "test", "secret_access_key": "test", "region": "us-east-1"}
 BATCH = 8
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser = run.Parser(__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--samples", type=int, nargs="+", default=[1000, 10_000])
     parser.add_argument("--seconds", type=float, default=6.0, help="of each row, once it runs (6)")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "data_store.json")
     options = parser.parse_args()
     record: dict[str, Any] = run.environment() | {"batch": BATCH}
-    with tempfile.TemporaryDirectory(dir=options.data.parent) as folder, s3_server() as storage:
+    with tempfile.TemporaryDirectory(dir=options.data.parent) as folder, s3_server("samples") as storage:
         rows = []
         for count in options.samples:
             path = Path(folder) / str(count)
             in_process(repeat, options.data, path, count)
             place = f"s3://samples/{count}"
             size, seconds = in_process(upload, path, place, storage)
-            rows.append(
-                {
-                    "samples": count,
-                    "bytes": size,
-                    "upload_s": seconds,
-                    "source": in_process(source_samples, options.data),
-                }
-            )
+            rows.append({"samples": count, "bytes": size, "upload_s": seconds})
+            rows[-1]["source"] = len(in_process(whole_shards, options.data)) * SHARD
             large = count == max(options.samples)
             rows[-1]["folder"] = measured(large, str(path), {}, count, options.seconds)
             rows[-1]["s3"] = measured(large, place, storage, count, options.seconds)
-            run.write_json(options.out, record | {"sets": rows})
+            run.write_record(options.out, record | {"sets": rows})
 
 
 def whole_shards(path: Path) -> list[int]:
     numbers = Store.open(path)["training"].finished
     return [int(k) for k in np.unique(numbers // SHARD) if np.isin(range(k * SHARD, (k + 1) * SHARD), numbers).all()]
-
-
-def source_samples(path: Path) -> int:
-    return len(whole_shards(path)) * SHARD
 
 
 def repeat(source: Path, path: Path, count: int) -> None:
@@ -101,24 +86,6 @@ def repeat(source: Path, path: Path, count: int) -> None:
             link.parent.mkdir(parents=True, exist_ok=True)
             os.link(shard_file(source / "training", name, at), link)
     assert new.counts["training"] == count
-
-
-@contextmanager
-def s3_server() -> Iterator[dict[str, str]]:
-    """Start an S3 server in a process of its own, with a bucket."""
-    command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", "5617"]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
-        endpoint = "http://127.0.0.1:5617"
-        try:
-            for _ in range(600):
-                try:
-                    urllib.request.urlopen(urllib.request.Request(f"{endpoint}/samples", method="PUT"))
-                    break
-                except OSError:
-                    time.sleep(0.1)
-            yield KEYS | {"endpoint": endpoint}
-        finally:
-            server.kill()
 
 
 def upload(path: Path, url: str, storage: dict[str, str]) -> tuple[int, float]:
@@ -148,29 +115,15 @@ def measured(large: bool, *words: Any) -> dict[str, Any]:
 
 def two_ranks(*words: Any) -> list[float]:
     """Return the samples/s of two training processes at the same time, each with one that loads."""
-    both = [started(row, *words, f"rank {rank} of 2", 1) for rank in range(2)]
-    return [wait()["samples_per_s"] for wait in both]
+    with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
+        both = [pool.submit(row, *words, f"rank {rank} of 2", 1) for rank in range(2)]
+        return [waiting.result()["samples_per_s"] for waiting in both]
 
 
 def in_process(function: Callable[..., Any], *words: Any) -> Any:
     """Call a function in a process of its own, which has all modules but no connections, threads or data."""
-    return started(function, *words)()
-
-
-def started(function: Callable[..., Any], *words: Any) -> Callable[[], Any]:
-    """Start a function in a process of its own; return what waits for its result."""
-    context = multiprocessing.get_context("fork")
-    here, there = context.Pipe()
-    process = context.Process(target=lambda: there.send(function(*words)))
-    process.start()
-    there.close()
-
-    def wait() -> Any:
-        result = here.recv()
-        process.join()
-        return result
-
-    return wait
+    with ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
+        return pool.submit(function, *words).result()
 
 
 def row(place: str, storage: dict[str, str], count: int, seconds: float, order: str, loaders: int) -> dict[str, Any]:

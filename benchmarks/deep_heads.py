@@ -16,10 +16,10 @@ mass; the spread of several (standard deviation of P(occupied)). Writes benchmar
 """
 
 import _run as run  # first: it sets the number of threads
-from _quality_inputs import real
+from _evaluation_record import compared
+from _recordings import recordings
 
 # isort: split
-import argparse
 import copy
 import math
 import sys
@@ -170,15 +170,10 @@ def resampled(frames: Sequence[HeadInput], seed: int) -> list[HeadInput]:
     return [one for drive in chosen for one in frames if one.drive == drive]
 
 
-def methods(ways: Mapping[str, Heads]) -> dict[str, DeepISM]:
-    """Return a sensor model of each."""
-    return {name: DeepISM(engine, SPEC) for name, engine in ways.items()}
-
-
 def scores_of(models: Mapping[str, DeepISM], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
     """Evaluate the ways, each against the shipped network, and how well numbers tell the wrong cells."""
-    result = evaluate(dict(models), dataset, SPEC, frames=list(numbers), draw=lambda *frame: {})
-    return {**run.compared(result, "shipped", METRICS), "wrong cells": wrong_cells(models, dataset, numbers)}
+    result = evaluate(dict(models), dataset, SPEC, frames=list(numbers))
+    return {**compared(result, "shipped", METRICS), "wrong cells": wrong_cells(models, dataset, numbers)}
 
 
 def wrong_cells(models: Mapping[str, DeepISM], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
@@ -211,7 +206,7 @@ def wrong_cells(models: Mapping[str, DeepISM], dataset: Dataset, numbers: Sequen
             wrong = (one[:, 1] > one[:, 0]) != occupied
             for k in (0, 1):
                 sums[name][k] += (wrong == k).sum(), (1 - one[wrong == k].sum(-1)).sum()
-    areas = {name: run.finite(auroc(table[1], table[0])) for name, table in counts.items()}
+    areas = {name: auroc(table[1], table[0]) for name, table in counts.items()}
     unknown = {
         name: {
             "share wrong": float(t[1, 0] / t[:, 0].sum()),
@@ -223,16 +218,14 @@ def wrong_cells(models: Mapping[str, DeepISM], dataset: Dataset, numbers: Sequen
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, real=True)
     parser.add_argument("data", type=Path)
     parser.add_argument("--frames", type=int, default=600, help="of the training split, evenly spread")
     parser.add_argument("--steps", type=int, default=1000, help=f"of {BATCH} frames")
     parser.add_argument("--members", type=int, default=5, help="last layers of the way several")
-    parser.add_argument("--validation", type=int, help="evaluate so many validation frames only")
-    parser.add_argument("--real", type=Path, default=run.DATA, help="folder of real recordings (default OGM_DATA)")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "deep_heads.json")
+    parser.add_argument("--validation", type=int, help="evaluate the first N validation frames only")
     given = parser.parse_args()
-    record: dict[str, Any] = {"environment": run.environment(), "frames": given.frames, "steps": given.steps}
+    record: dict[str, Any] = {"environment": run.environment("lite"), "frames": given.frames, "steps": given.steps}
     record |= {"members": given.members, "sets": {}}
 
     network, description = load_network(run.ROOT / "ogm" / "data" / "lite.safetensors")
@@ -252,20 +245,11 @@ def main() -> None:
         "detail": [train_head(Head(network.head, width, DETAIL), frames, given.steps, 0, "detail")],
         "several": several,
     }
-    models = methods({name: Heads(network, some, description) for name, some in heads.items()})
-    numbers = range(len(validation))[: given.validation]
-    record["sets"]["validation"] = scores_of(models, validation, numbers)
-    run.write_json(given.out, record)
-    for one in real(given.real) if given.real.is_dir() else ():
-        if one.alone is None:
-            print(f"{one.name} is left out: {one.reason}", file=sys.stderr)
-            continue
-        record["sets"][one.name] = scores_of(models, one.alone, range(len(one.alone)))
-        run.write_json(given.out, record)
-    for name, found in record["sets"].items():
-        print(f"{name}, {found['frames']} frames, wrong cells: {found['wrong cells']}")
-        for way, means in found["means"].items():
-            print(f"  {way:10}" + "  ".join(f"{m} {means[m]:.4f}" for m in METRICS if means[m] is not None))
+    models = {name: DeepISM(Heads(network, some, description), SPEC) for name, some in heads.items()}
+    sets = {"validation": validation[: given.validation], **dict(recordings(given.real))}
+    for name, frames in sets.items():
+        record["sets"][name] = scores_of(models, frames, range(len(frames)))
+        run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

@@ -11,18 +11,16 @@ import os
 
 os.environ.setdefault("OGM_CORES", "2")
 
-from _run import OURS, PEER, PICTURES, RESULTS, caption, environment, save_picture, write_json
+import _run as run
 
 # isort: split
-import argparse
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from _charts import caption
 
 from ogm import GridSpec
 from ogm.datasets import open_dataset
@@ -30,7 +28,7 @@ from ogm.deep import LITE
 from ogm.deep.recipe import Recipe
 from ogm.deep.training import train
 from ogm.evaluation import evaluate
-from ogm.metrics import METRICS
+from ogm.evaluation.figures import draw_metrics
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.32)
 OTHER: dict[str, Any] = {"uniform_kl": 1.0}
@@ -54,15 +52,15 @@ NOTE = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("data", type=Path)
     parser.add_argument("--samples", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=10)
     parser.add_argument("--frames", type=int, default=100, help="to evaluate, of the validation split")
-    parser.add_argument("--runs", type=Path, default=Path("runs/losses"), help="folder of the trainings")
+    parser.add_argument("--runs", type=Path, default=run.RUNS / "losses", help="folder of the trainings")
     parser.add_argument("--only", nargs="+", choices=RECIPES, default=list(RECIPES))
     options = parser.parse_args()
-    record = environment()
+    record = run.environment()
     training, validation = (open_dataset(options.data, split=name) for name in ("training", "validation"))
     # Spread over all drives; weights are chosen by other validation frames than those that are evaluated.
     chosen = np.linspace(0, len(training) - 1, options.samples).astype(int)
@@ -81,6 +79,7 @@ def main() -> None:
         models[name] = str(folder / "best.safetensors")
     result = evaluate(models, validation, SPEC, frames=frames)
     record |= {
+        "weights": run.weights_of(models),
         "note": NOTE,
         "samples": options.samples,
         "epochs": options.epochs,
@@ -97,27 +96,11 @@ def main() -> None:
             if name != "reverse KL" and "reverse KL" in models
         },
     }
-    for name, scores in record["scores"].items():
-        print(f"{name:38}", "  ".join(f"{metric} {value['value']:.3f}" for metric, value in scores.items()))
+    print(result)
     if options.only == list(RECIPES):
-        write_json(RESULTS / "deep_losses.json", record)
-        picture(PICTURES / "deep_losses.png", record)
-
-
-def picture(path: Path, record: Mapping[str, Any]) -> None:
-    figure = Figure(figsize=(11, 6.9), layout="constrained")
-    names = list(record["scores"])
-    for ax, metric in zip(figure.subplots(3, 4, sharey=True).ravel(), SHOWN, strict=True):
-        ones = [record["scores"][name][metric] for name in names]
-        values = np.array([one["value"] for one in ones])
-        errors = np.abs(np.array([[one["low"], one["high"]] for one in ones]).T - values)
-        colours = [OURS if name == "reverse KL" else PEER for name in names]
-        ax.barh(range(len(names)), values, xerr=errors, color=colours, error_kw={"lw": 0.8})
-        ax.set_title(f"{METRICS[metric].title} ({METRICS[metric].better} is better)", fontsize=8)
-        ax.set_yticks(range(len(names)), names, fontsize=7)
-        ax.tick_params(axis="x", labelsize=7)
-    ax.invert_yaxis()  # of all: they share it
-    save_picture(figure, path, caption(record), dpi=130)
+        run.write_record(options.out, record)
+        title = f"{len(result.frames)} validation frames: quartiles and 5 to 95 %; dot and number: mean"
+        draw_metrics(options.picture, result, title, note=caption(record))
 
 
 if __name__ == "__main__":

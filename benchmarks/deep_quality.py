@@ -19,16 +19,16 @@ The models:
 All get the sensor's height and tilt, except height-band-released, whose mount is built in.
 """
 
-from _run import PICTURES, RESULTS, caption, environment, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from _charts import caption
 from rich.progress import track
 from scipy.ndimage import binary_opening
 
@@ -58,30 +58,28 @@ NOTE = (
 
 
 def wanted(result: Evaluation, record: Mapping[str, Any], deep: str) -> list[dict[str, Any]]:
-    """Compare the network's figures with what was wanted of it."""
+    """Return the figures of the network beside their limits."""
     mean = {name: result.macro(name) for name in result.methods}
     band, ray, own = (mean[name] for name in ("height-band", "ray", deep))
     pairs = record["paired"][f"{deep} against height-band"]
-    wins = pairs["kl_e10"]["wins"] / pairs["kl_e10"]["frames"]
     least_bad = 1 - max(band["iou_free"], ray["iou_free"])
-    rows = [("kl_e10: share of frames won against height-band", wins, ">=", 1.0)]
-    for name, most in (("kl_e10", 0.4), ("kl_e1", 0.4), ("kl_e1_scaled", 0.4), ("legacy_kl", 0.35)):
-        rows.append((f"{name}: ratio to height-band", own[name] / band[name], "<=", most))
-    for name in ("iou_occupied", "iou_occupied_known"):
-        ratio = own[name] / max(band[name], ray[name])
-        rows.append((f"{name}: ratio to the better geometric model", ratio, ">=", 1.5))
-    rows += [
-        ("1 - iou_free: ratio to the better geometric model", (1 - own["iou_free"]) / least_bad, "<=", 0.6),
-        ("auroc_unknown", own["auroc_unknown"], ">=", 0.95),
-        ("ece", own["ece"], "<=", 0.03),
-        ("ece_relative", own["ece_relative"], "<=", 0.03),
-        ("false_free: ratio to height-band", own["false_free"] / band["false_free"], "<=", 0.5),
-        ("false_free: ratio to ray", own["false_free"] / ray["false_free"], "<=", 0.5),
-    ]
-    facts = ((what, float(value), sign, bar) for what, value, sign, bar in rows)
+    limits = {"kl_e10": 0.4, "kl_e1": 0.4, "kl_e1_scaled": 0.4, "legacy_kl": 0.35}
+    better = {name: own[name] / max(band[name], ray[name]) for name in ("iou_occupied", "iou_occupied_known")}
+    rows = [
+        ("kl_e10: share of frames won against height-band", pairs["kl_e10"]["wins"] / pairs["kl_e10"]["frames"], 1.0),
+        *((f"{name}: ratio to height-band", own[name] / band[name], -limit) for name, limit in limits.items()),
+        *((f"{name}: ratio to the better geometric model", ratio, 1.5) for name, ratio in better.items()),
+        ("1 - iou_free: ratio to the better geometric model", (1 - own["iou_free"]) / least_bad, -0.6),
+        ("auroc_unknown", own["auroc_unknown"], 0.95),
+        ("ece", own["ece"], -0.03),
+        ("ece_relative", own["ece_relative"], -0.03),
+        ("false_free: ratio to height-band", own["false_free"] / band["false_free"], -0.5),
+        ("false_free: ratio to ray", own["false_free"] / ray["false_free"], -0.5),
+    ]  # a negative limit is an upper one
     return [
-        {"what": w, "value": round(v, 4), "wanted": f"{s} {bar}", "met": v >= bar if s == ">=" else v <= bar}
-        for w, v, s, bar in facts
+        {"what": what, "value": round(value, 4), "wanted": f"{sign} {abs(limit)}", "met": met}
+        for what, value, limit in rows
+        for sign, met in [(">=", value >= limit) if limit > 0 else ("<=", value <= -limit)]
     ]
 
 
@@ -134,16 +132,14 @@ def reweighted(evidence: torch.Tensor, occupied: float, strength: float = 10.0) 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("data", type=Path, help="data set that `ogm simulate` made")
     parser.add_argument("--split", default="test", help="part of it (default test, for the final figure only)")
     parser.add_argument("--lite", default="lite", help="weights instead of the shipped ones: a file or a run")
-    parser.add_argument("--samples", type=int, help="evaluate the first so many only")
-    parser.add_argument("--out", type=Path, default=RESULTS / "deep_quality.json", help="where the figures go")
-    parser.add_argument("--picture", type=Path, default=PICTURES / "deep_quality.png", help="where the picture goes")
+    parser.add_argument("--samples", type=int, help="evaluate the first N only")
     options = parser.parse_args()
 
-    record = environment()
+    record = run.environment()
     dataset = open_dataset(options.data, split=options.split)[: options.samples]
     part = Store.open(options.data)[dataset.facts["split"]]
     samples = [part[k] for k in dataset.facts["samples"][: options.samples]]
@@ -166,19 +162,11 @@ def main() -> None:
     left = ("format", "versions", "data", "frames")
     record |= {key: value for key, value in found.items() if key not in left}
     print(result)
-    for row in record["wanted"]:
-        print(f"{'met   ' if row['met'] else 'MISSED'} {row['what']}: {row['value']} (wanted {row['wanted']})")
     others = open_dataset(options.data, split="validation")[::15]  # a choice that the test part must not be used for
     record["occupied cells weighed more, 20 validation frames, pooled"] = weighed(methods[deep], others)
-    for weight, scores in record["occupied cells weighed more, 20 validation frames, pooled"].items():
-        print(f"occupied x {weight:4}", "  ".join(f"{name} {value:.3f}" for name, value in scores.items()))
-    for name, kinds in record["occupied cells by what stands there, pooled"].items():
-        parts = (f"{kind}: " + ", ".join(f"{k} {v:.3g}" for k, v in one.items()) for kind, one in kinds.items())
-        print(f"{name:22} {'   '.join(parts)}")
-    write_json(options.out, record)
+    run.write_record(options.out, record)
     title = f"{options.split}, {record['extent']}: quartiles and 5 to 95 % over frames; dot and number: mean"
     draw_metrics(options.picture, result, title, note=caption(record))
-    print(f"\nwrote {options.out} and {options.picture}")
 
 
 if __name__ == "__main__":

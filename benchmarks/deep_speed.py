@@ -14,12 +14,9 @@ import os
 
 os.environ.setdefault("OGM_CORES", "2")
 
-import _run as bench
+import _run as run
 
 # isort: split
-import argparse
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -30,6 +27,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from _charts import FLOOR, OURS, PEER, TWIN, caption, save_picture
+from _contenders import thinned
+from _timing import Contender, Times, measure
 from matplotlib.figure import Figure
 from torch import nn
 
@@ -44,10 +44,10 @@ from ogm.geometric import HeightBandISM, RayISM
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 POINTS, MOUNT = 57_600, Mount(1.98)
 ENGINES = {
-    "lite by onnxruntime": {"engine": "onnxruntime", "threads": bench.CORES},
+    "lite by onnxruntime": {"engine": "onnxruntime", "threads": run.CORES},
     "lite by torch": {"engine": "torch"},
-    "lite by openvino": {"engine": "openvino", "threads": bench.CORES},
-    "lite by openvino, bfloat16": {"engine": "openvino", "threads": bench.CORES, "precision": "bfloat16"},
+    "lite by openvino": {"engine": "openvino", "threads": run.CORES},
+    "lite by openvino, bfloat16": {"engine": "openvino", "threads": run.CORES, "precision": "bfloat16"},
     "lite by torch, bfloat16": {"engine": "torch", "precision": "bfloat16"},
 }
 LOADING = """
@@ -65,8 +65,7 @@ NOTE = "Both networks have random weights. 'convolutions' run alone, each on its
 
 def scan() -> np.ndarray:
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
-        points = read_scan(path, axes=("+y", "-x", "+z")).points
-    return points[np.sort(np.random.default_rng(0).choice(len(points), POINTS, replace=False))]
+        return thinned(read_scan(path, axes=("+y", "-x", "+z")).points, POINTS)
 
 
 def convolutions(network: PillarNetwork, feature_map: torch.Tensor) -> tuple[Callable[[], Any], float]:
@@ -96,7 +95,7 @@ def convolutions(network: PillarNetwork, feature_map: torch.Tensor) -> tuple[Cal
     return lambda: [module(given) for module, given in calls], operations / 1e9
 
 
-def contenders(points: np.ndarray) -> tuple[dict[str, bench.Contender], dict[str, float]]:
+def contenders(points: np.ndarray) -> tuple[dict[str, Contender], dict[str, float]]:
     raised = points + np.array([0, 0, MOUNT.sensor_height, 0], np.float32)
     tensor = torch.from_numpy(raised)
     runs: dict[str, Callable[[], Any]] = {
@@ -118,7 +117,7 @@ def contenders(points: np.ndarray) -> tuple[dict[str, bench.Contender], dict[str
     runs |= {name: lambda ism=ism: ism(points) for name, ism in engines().items()}
     for model in (RayISM(SPEC, MOUNT), HeightBandISM(SPEC, MOUNT)):
         runs[type(model).__name__] = lambda model=model: model(points)
-    return {name: bench.Contender(lambda _, run=run: run()) for name, run in runs.items()}, operations
+    return {name: Contender(lambda _, call=call: call()) for name, call in runs.items()}, operations
 
 
 def engines() -> dict[str, DeepISM]:
@@ -141,12 +140,8 @@ def starting(points: np.ndarray, count: int) -> dict[str, dict[str, float]]:
         path = Path(folder) / "points.npy"
         np.save(path, points)
         for engine in ("onnxruntime", "torch"):
-            command = [sys.executable, "-c", LOADING, engine, str(path)]
-            rows = [
-                [float(word) for word in subprocess.run(command, capture_output=True, check=True).stdout.split()]
-                for _ in range(count + 1)
-            ][1:]  # the first fills the caches
-            wall, core = np.array(rows).T
+            rows = [run.in_new_process(LOADING, [engine, path]).split() for _ in range(count + 1)]
+            wall, core = np.array(rows[1:], float).T  # the first fills the caches
             result[engine] = {
                 "best [s]": float(min(wall)),
                 "median [s]": float(np.median(wall)),
@@ -165,7 +160,7 @@ def loading(folder: Path, count: int = 200) -> dict[str, float]:
     return {"samples": count, "samples per second": count / (time.perf_counter() - start)}
 
 
-def summary(times: Mapping[str, bench.Times], operations: Mapping[str, float]) -> dict[str, Any]:
+def summary(times: Mapping[str, Times], operations: Mapping[str, float]) -> dict[str, Any]:
     median = {name: one.median for name, one in times.items()}
     result: dict[str, Any] = {}
     for name in ("lite", "paper"):
@@ -190,10 +185,10 @@ def picture(path: Path, median: Mapping[str, float], record: Mapping[str, Any]) 
     for ax, name in zip(figure.subplots(1, 2), ("lite", "paper"), strict=True):
         whole, left = median[f"{name}, whole"], 0.0
         for label, key, colour in (
-            ("pillars", "pillars", bench.OURS),
-            ("feature map", f"{name}, pillars to feature map", bench.TWIN),
-            ("convolutions", f"{name}, convolutions", bench.PEER),
-            ("rest", "", bench.FLOOR),
+            ("pillars", "pillars", OURS),
+            ("feature map", f"{name}, pillars to feature map", TWIN),
+            ("convolutions", f"{name}, convolutions", PEER),
+            ("rest", "", FLOOR),
         ):
             width = median[key] if key else max(whole - left, 0)
             ax.barh(0, width, left=left, color=colour, label=f"{label}: {width:.1f} ms")
@@ -202,33 +197,27 @@ def picture(path: Path, median: Mapping[str, float], record: Mapping[str, Any]) 
         ax.set_yticks([0, 1], [f"{name}\n{1000 / whole:.1f} scans/s", "RayISM"])
         ax.set_xlabel("ms per scan of 57,600 points")
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncol=2, fontsize=8)
-    bench.save_picture(figure, path, bench.caption(record), dpi=130)
+    save_picture(figure, path, caption(record), dpi=130)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--data", type=Path, help="data set of `ogm simulate`, to time its reading")
     parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--quick", action="store_true", help="three rounds, and no files")
     options = parser.parse_args()
-    record = bench.environment()
-    torch.set_num_threads(bench.CORES)
+    record = run.environment("lite")
+    torch.set_num_threads(run.CORES)
     with torch.inference_mode():
         timed, operations = contenders(scan())
-        times = bench.measure(timed, 3 if options.quick else options.rounds)
+        times = measure(timed, 3 if options.quick else options.rounds)
     record |= {"note": NOTE, "points": POINTS, "summary": summary(times, operations)}
     record["differences in mass"] = differences(scan())
     record["loading, first import to first grid"] = starting(scan(), 1 if options.quick else 7)
-    record["times [ms]"] = {name: one._asdict() for name, one in times.items()}
+    record["times [ms]"] = times
     if options.data:
-        record["reading and augmenting, one process"] = read = loading(options.data)
-        print(f"frames read and augmented per second {read['samples per second']:.1f}")
-    more = {name: record[name] for name in ("differences in mass", "loading, first import to first grid")}
-    for name, one in {**times, **record["summary"], **more}.items():
-        print(f"{name:34} {one}")
-    if not options.quick:
-        bench.write_json(bench.RESULTS / "deep_speed.json", record)
-        picture(bench.PICTURES / "deep_speed.png", {k: one.median for k, one in times.items()}, record)
+        record["reading and augmenting, one process"] = loading(options.data)
+    run.write_record(options.out, record)
+    picture(options.picture, {name: one.median for name, one in times.items()}, record)
 
 
 if __name__ == "__main__":

@@ -14,9 +14,9 @@ that was stopped goes on. Writes benchmarks/results/deep_training.json.
 """
 
 import _run as run  # first: it sets the number of threads
+from _evaluation_record import compared
 
 # isort: split
-import argparse
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -75,26 +75,23 @@ def trained(name: str, data: Mapping[str, Path], folder: Path, samples: int, epo
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--samples", type=int, default=600, help="training frames")
     parser.add_argument("--epochs", type=int, default=8)
     parser.add_argument("--validation", type=int, default=70, help="frames that are evaluated")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "deep_training.json")
     given = parser.parse_args()
     data = make_data(given.folder, given.samples, given.validation)
     weights = {name: trained(name, data, given.folder, given.samples, given.epochs) for name in ARMS}
     models = {name: SingleScanMethod.named(str(path), SPEC) for name, path in weights.items()}
-    record: dict[str, Any] = {"environment": run.environment(), "samples": given.samples, "epochs": given.epochs}
+    environment = run.environment() | {"weights": run.weights_of(weights)}
+    record: dict[str, Any] = {"environment": environment, "samples": given.samples, "epochs": given.epochs}
     record["truth of validation"] = {}
     for name, path in data.items():
         validation = open_dataset(path, split="validation")
-        result = evaluate(models, validation, SPEC, frames=range(given.validation), draw=lambda *frame: {})
-        record["truth of validation"][name] = found = run.compared(result, "aimed", METRICS)
-        run.write_json(given.out, record)
-        print(f"{found['frames']} frames, truth {name}")
-        for arm, means in found["means"].items():
-            print(f"  {arm:10}" + "  ".join(f"{m} {means[m]:.4f}" for m in METRICS if means[m] is not None))
+        result = evaluate(models, validation, SPEC, frames=range(given.validation))
+        record["truth of validation"][name] = compared(result, "aimed", METRICS)
+        run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@
 
 DRIVES holds drives of 10 s at 10 Hz that `ogm simulate --sequences N` made; FOLDER is KITTI raw drive 0005, by default
 that of OGM_DATA, with all of its 64 layers, 32 and 16 of them. All maps fuse the grids of the same sensor model, on the
-same cells. Intervals are 95 % intervals over drives. Writes a record (JSON, by default runs/dynamic.json) and a picture
-beside it, and prints its tables with what the targets ask for. --keep keeps the rest of a record.
+same cells. Intervals are 95 % intervals over drives. Writes benchmarks/results/dynamic.json and
+docs/pictures/dynamic.png; --keep keeps the rest of the record.
 
 Definitions, see `ogm.metrics.MOTION_METRICS`, `PREDICTION_METRICS` and `fusion_quality.py`:
 
@@ -23,10 +23,9 @@ Definitions, see `ogm.metrics.MOTION_METRICS`, `PREDICTION_METRICS` and `fusion_
 * static IoU, ghosts: as in fusion_quality.py.
 """
 
-from _run import DATA, ROOT, caption, environment, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -34,10 +33,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _dynamic_drives import HORIZONS, DriveSums, Recorder, run, snapshots, with_layers
+from _charts import caption
+from _dynamic_drives import HORIZONS, DriveSums, Recorder, over_drive, snapshots, with_layers
 from _dynamic_filters import CONFLICT, FILTERS, HYBRID, PLAIN, READINGS, STANDING, Reading
 from _dynamic_pictures import draw
-from _dynamic_tables import failures, tables
+from _dynamic_targets import targets
 from _fusion_drives import PAPER, read_drive, trails
 from fusion_quality import evaluate_map
 
@@ -81,7 +81,7 @@ def kitti(path: Path, share: int, maps: Mapping[str, Callable[[], Any]]) -> Resu
     found: Results = {}
     for method, make in maps.items():
         print(f"KITTI, 1 of {share} layers, {method}", file=sys.stderr, flush=True)
-        sums = run(make(), truth, grids, READINGS.get(method, {method: Reading()}))
+        sums = over_drive(make(), truth, grids, READINGS.get(method, {method: Reading()}))
         found |= {reading: [(one, {})] for reading, one in sums.items()}
     return found
 
@@ -133,17 +133,6 @@ def summarize(results: Results) -> dict[str, dict[str, Any]]:
     return record
 
 
-def plain(value: Any) -> Any:
-    """Return a record as JSON can hold it: NaN and infinity become None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [plain(one) for one in value]
-    if isinstance(value, float | np.floating):
-        return round(float(value), 5) if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
-
-
 def earlier(path: Path) -> dict[str, dict[str, Any]]:
     """Return the runs of a record, as `summarize` makes them."""
     runs = json.loads(path.read_bytes())["runs"]
@@ -155,15 +144,14 @@ def earlier(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("drives", type=Path, nargs="?")
-    parser.add_argument("--kitti", type=Path, nargs="?", const=DATA / "kitti_raw_0005")
+    parser.add_argument("--kitti", type=Path, nargs="?", const=run.DATA / "kitti_raw_0005")
     parser.add_argument("--ism", nargs="+", default=["ray", "lite"])
     parser.add_argument("--layers", nargs="+", type=int, default=[64, 32, 16], help="of KITTI's 64")
     parser.add_argument("--maps", nargs="+", choices=list(FILTERS), default=list(FILTERS))
-    parser.add_argument("--first", type=int, help="drives only")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "dynamic.json")
-    parser.add_argument("--keep", action="store_true", help="Keep the other runs of the record.")
+    parser.add_argument("--first", type=int, help="take the first N drives")
+    parser.add_argument("--keep", action="store_true", help="keep the other runs of the record")
     given = parser.parse_args()
     if not given.drives and not given.kitti:
         parser.error("give DRIVES, --kitti, or both")
@@ -174,12 +162,10 @@ def main() -> None:
     for n in given.layers if given.kitti else ():
         name = f"KITTI, {n} layers"
         runs[name] = runs.get(name, {}) | summarize(kitti(given.kitti, 64 // n, maps))
-    record: dict[str, Any] = {"environment": environment(), "definitions": __doc__}
+    record: dict[str, Any] = {"environment": run.environment(*given.ism), "definitions": __doc__}
     record |= {"drives": open_dataset(given.drives, split="sequences").facts if given.drives else None}
-    record |= {"runs": runs, "targets": failures(runs), "table": tables(runs)}
-    write_json(given.out, plain(record))
-    print("\n".join(record["table"]))
-    draw(given.out.with_suffix(".png"), runs, caption(record["environment"]))
+    run.write_record(given.out, record | {"runs": runs, "targets": targets(runs)})
+    draw(given.picture, runs, caption(record["environment"]))
 
 
 if __name__ == "__main__":

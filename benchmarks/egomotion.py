@@ -9,10 +9,9 @@ the map of undistorted scans. Filtering: drives of 20 s by the filter's own mode
 benchmarks/results/egomotion.json.
 """
 
-from _run import RESULTS, environment, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import math
 from typing import Any
 
@@ -150,18 +149,16 @@ def rmse(motion: Any, states: NDArray[np.float64]) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__)
     parser.add_argument("--frames", type=int, default=30, help="scans per simulated sequence")
     parser.add_argument("--drives", type=int, default=30, help="drives of the filter")
     given = parser.parse_args()
     record = {
-        "environment": environment(),
+        "environment": run.environment(),
         "filter": filtered(given.drives),
         "de-skewing": {f"sequence {n}": straightened(n, given.frames) for n in DRIVES},
     }
-    for name in ("filter", "de-skewing"):
-        print(name, record[name], sep="\n")
-    write_json(RESULTS / "egomotion.json", record)
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

@@ -7,10 +7,9 @@ all that `ogm evaluate` does for 100 frames and 5 methods without reading sample
 benchmarks/results/evaluation_speed.json.
 """
 
-from _run import RESULTS, Contender, Times, environment, measure, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -19,6 +18,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from _timing import Contender, measure
 from numpy.typing import NDArray
 from sklearn import metrics as peer
 
@@ -29,7 +29,6 @@ from ogm.evaluation import FusedMethod, MethodRunner, SingleScanMethod, evaluate
 SPEC = GridSpec.centered()
 MODELS, RULE = ("height-band", "ray", "lite"), "cautious"
 FRAMES = 100
-WANTED = {"all metrics of a frame [ms]": 60.0, "report, 100 frames x 5 methods [s]": 120.0, "page [MB]": 15.0}
 
 
 def everything(mass: NDArray[np.float32], state: NDArray[np.uint8], away: NDArray[np.float32]) -> None:
@@ -81,10 +80,10 @@ def whole(dataset: Dataset, frames: int) -> dict[str, float]:
     """Evaluate and report; return how long that took without reading samples and making grids."""
     apart = [0.0]
 
-    def update(runner: MethodRunner, frame: Any, run: Callable[..., Any] = MethodRunner.update, **how: Any) -> None:
+    def update(runner: MethodRunner, frame: Any, step: Callable[..., Any] = MethodRunner.update, **how: Any) -> None:
         start = time.perf_counter()
         frame.truth, frame.scan  # noqa: B018  read here
-        run(runner, frame, **how)
+        step(runner, frame, **how)
         apart[0] += time.perf_counter() - start
 
     def read_ahead(numbers: Iterable[int]) -> Iterator[int]:
@@ -115,38 +114,28 @@ def whole(dataset: Dataset, frames: int) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, quick=True)
     parser.add_argument("data", type=Path)
     parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--quick", action="store_true", help="see that everything runs; figures are worth nothing")
     given = parser.parse_args()
-    found = environment()
+    found = run.environment("lite")
     frame = open_dataset(given.data, split="sequences")[50]
     state = frame.truth.crop(SPEC).state
-    times: dict[str, dict[str, Times]] = {}
-    scans = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
-    runner = MethodRunner(scans, SPEC)
+    runner = MethodRunner({name: SingleScanMethod.named(name, SPEC) for name in MODELS}, SPEC)
     runner.update(frame)
-    for name, grid in runner.grids().items():
-        times[name] = measure(contenders(grid.mass, state), 2 if given.quick else given.rounds)
-        print(f"{name}: " + ", ".join(f"{what} {one}" for what, one in times[name].items()))
+    rounds = 2 if given.quick else given.rounds
+    times = {name: measure(contenders(grid.mass, state), rounds) for name, grid in runner.grids().items()}
     dataset = open_dataset(given.data, split="sequences", others="later")
-    run = whole(dataset, 6 if given.quick else FRAMES)
-    print(", ".join(f"{what} {value:.4g}" for what, value in run.items()))
+    report = whole(dataset, 6 if given.quick else FRAMES)
     slowest = max(one.median for group in times.values() for what, one in group.items() if "all" in what)
-    reached = {
-        "all metrics of a frame [ms]": slowest,
-        "report, 100 frames x 5 methods [s]": run["evaluation and pictures [s]"] + run["reporting [s]"],
-        "page [MB]": run["page [MB]"],
-    }
-    record = {
-        "environment": found,
-        "frame [ms]": {name: {w: one._asdict() for w, one in group.items()} for name, group in times.items()},
-        "report": run,
-        "wanted": {what: {"below": WANTED[what], "reached": value} for what, value in reached.items()},
-    }
-    if not given.quick:
-        write_json(RESULTS / "evaluation_speed.json", record)
+    seconds = report["evaluation and pictures [s]"] + report["reporting [s]"]
+    rows = [
+        ("all metrics of a frame", slowest, "<=", 60.0, "ms"),
+        ("report, 100 frames x 5 methods", seconds, "<=", 120.0, "s"),
+        ("page", report["page [MB]"], "<=", 15.0, "MB"),
+    ]
+    record = {"environment": found, "frame [ms]": times, "report": report, "verdicts": run.verdicts(rows)}
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
     python benchmarks/fusion_quality.py DRIVES [--ism ray|lite|WEIGHTS] [--first N] [--out FILE]
 
 DRIVES holds drives of 10 s at 10 Hz that `ogm simulate --sequences N` made. All maps run over all drives. Intervals are
-95 % intervals over drives: the frames of a drive are not independent. Writes a record (JSON, by default
-runs/fusion_quality.json) and a picture beside it.
+95 % intervals over drives: the frames of a drive are not independent. Writes runs/fusion_quality.json and a picture
+beside it.
 
 The record benchmarks/results/fusion_quality.json and its pictures were measured with the longer version of this
 benchmark, of commit 07dd60b, which also chose the parameter of each rule on other drives, and evaluated conflict,
@@ -21,16 +21,16 @@ Definitions, see `_fusion_drives`:
 * appears: share of cells under a moving participant that are occupied in the map (P > 1/2) at the first scan that is.
 """
 
-from _run import ROOT, caption, environment, save_picture, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _charts import caption, save_picture
 from _fusion_drives import MEMORY, PAPER, WINDOW, Drive, Trail, read_drive, trails, window
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -88,18 +88,6 @@ MAPS: dict[str, Callable[[], Any]] = {
     "cumulative, evidence fades, 0.5 s": evidential(cumulative, 0.5, discounting=discount_evidence),
     "cautious, 1 s": evidential(normalized_cautious, 1.0),
 }
-TABLE = {  # score: heading, digits
-    "static_iou_occupied": ("IoU occupied, static", 3),
-    "static_false_free": ("static occupied, P < 1/4", 3),
-    "static_brier": ("Brier, static", 3),
-    "static_known": ("static known rightly", 3),
-    "ghost_area": ("ghost area [m²]", 2),
-    "ghost_share": ("ghosts 0.5 to 5 s", 4),
-    "appears": ("appears at once", 2),
-    "body_recall": ("moving cells occupied", 2),
-    "view_iou_occupied_known": ("IoU occupied, frame", 3),
-    "view_ece": ("ECE, frame", 3),
-}
 
 
 def evaluate_map(
@@ -156,16 +144,6 @@ def _probability(
     return mass[:, 1] + 0.5 * (1 - mass.sum(axis=1))
 
 
-def table(values: dict[str, dict[str, NDArray[np.float64]]]) -> list[str]:
-    """Return means over drives, in Markdown."""
-    lines = ["| map | " + " | ".join(heading for heading, _ in TABLE.values()) + " |"]
-    lines.append("|---|" + "---:|" * len(TABLE))
-    for name, scores in values.items():
-        cells = [f"{np.nanmean(scores[key]):.{digits}f}" for key, (_, digits) in TABLE.items()]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return lines
-
-
 def draw(path: Path, ages: dict[str, NDArray[np.float64]], rows: dict[str, Any], note: str) -> None:
     """Draw ghosts over time, and ghosts against static accuracy."""
     figure = Figure(figsize=(14, 5.5), layout="constrained")
@@ -183,13 +161,13 @@ def draw(path: Path, ages: dict[str, NDArray[np.float64]], rows: dict[str, Any],
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("drives", type=Path)
     parser.add_argument("--ism", default="ray")
-    parser.add_argument("--first", type=int, help="drives only")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "fusion_quality.json")
+    parser.add_argument("--first", type=int, help="take the first N drives")
+    parser.set_defaults(out=run.RUNS / "fusion_quality.json", picture=run.RUNS / "fusion_quality.png")
     given = parser.parse_args()
-    record: dict[str, Any] = {"environment": environment(), "definitions": __doc__}
+    record: dict[str, Any] = {"environment": run.environment(given.ism), "definitions": __doc__}
     dataset = open_dataset(given.drives, split="sequences")
     ism = load_model(given.ism, PAPER)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in MAPS}
@@ -210,23 +188,17 @@ def main() -> None:
         "ism": given.ism,
         "maps": {
             name: {
-                "mean and 95 % interval": {key: _plain(mean_interval(v)) for key, v in scores.items()},
+                "mean and 95 % interval": {key: list(mean_interval(v)) for key, v in scores.items()},
                 "ratio to the classical filter": {
-                    key: _plain(ratio_interval(v, values[BAYES][key])) for key, v in scores.items()
+                    key: list(ratio_interval(v, values[BAYES][key])) for key, v in scores.items()
                 },
-                "ghost share by age 0.1 s, 0.2 s, ...": _plain(ages[name][1:, 1] / np.maximum(ages[name][1:, 0], 1)),
+                "ghost share by age 0.1 s, 0.2 s, ...": list(ages[name][1:, 1] / np.maximum(ages[name][1:, 0], 1)),
             }
             for name, scores in values.items()
         },
-        "table": table(values),
     }
-    write_json(given.out, record)
-    print("\n".join(record["table"]))
-    draw(given.out.with_suffix(".png"), ages, values, caption(record["environment"]))
-
-
-def _plain(numbers: Any) -> list[float | None]:
-    return [round(float(one), 5) if np.isfinite(one) else None for one in numbers]
+    run.write_record(given.out, record)
+    draw(given.picture, ages, values, caption(record["environment"]))
 
 
 if __name__ == "__main__":

@@ -10,16 +10,15 @@ import _run as run  # first: it sets the number of threads
 from _contenders import street
 
 # isort: split
-import argparse
 import itertools
 import math
-import resource
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _charts import FLOOR, PEER, TWIN, caption, draw_long_run, draw_times, save_picture
+from _timing import Contender, Times, long_run, measure
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -33,7 +32,6 @@ from ogm.pose import inverse, pose
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 HEIGHT, POINTS = 1.9, 120_000
 STEP, TURN, PERIOD = 0.8, 0.01, 0.1  # [m], [rad], [s] from scan to scan: 8 m/s at 10 Hz
-LAST = 100  # scans at either end of a long drive that are compared
 NOTE = (
     "'copy' copies the map, the conflict layers and the scan once each: the bytes that an update reads, and more than "
     "it writes. 'scipy' is the common way with a grid that turns with the vehicle: interpolate the whole map into the "
@@ -53,14 +51,14 @@ def drive() -> Callable[[], tuple[NDArray[np.float64], float]]:
     return next_pose
 
 
-def updating(mapper: Any, grid: EvidentialGrid) -> run.Contender:
+def updating(mapper: Any, grid: EvidentialGrid) -> Contender:
     def step(at: tuple[NDArray[np.float64], float]) -> None:
         mapper.update(grid, at[0], stamp=at[1])
 
-    return run.Contender(step, drive())
+    return Contender(step, drive())
 
 
-def by_scipy(grid: EvidentialGrid) -> run.Contender:
+def by_scipy(grid: EvidentialGrid) -> Contender:
     """Return the common way: a map in the vehicle's frame, interpolated from scan to scan."""
     ahead = drive()
     T_last, stamp_last = ahead()
@@ -76,10 +74,10 @@ def by_scipy(grid: EvidentialGrid) -> run.Contender:
         mass = dempster(discount(np.stack(warped, axis=-1), 0.5 ** ((stamp - stamp_last) / 2.0)), grid.mass)
         T_last, stamp_last = T, stamp
 
-    return run.Contender(step, ahead)
+    return Contender(step, ahead)
 
 
-def contenders(points: NDArray[np.float32]) -> dict[str, run.Contender]:
+def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
     ism = RayISM(SPEC, Mount(HEIGHT))
     grid = ism(points)
     arrays = [(np.zeros_like(grid.mass), np.empty_like(grid.mass)) for _ in range(3)]
@@ -96,7 +94,7 @@ def contenders(points: NDArray[np.float32]) -> dict[str, run.Contender]:
     mapper.update(grid, pose(yaw=0.3), stamp=0.0)
     fixed = mapper.grid
     return {
-        "copy": run.Contender(copy),
+        "copy": Contender(copy),
         "update, default": updating(EvidentialMapper(SPEC), grid),
         "update, dempster": updating(EvidentialMapper(SPEC, dempster), grid),
         "update, yager": updating(EvidentialMapper(SPEC, yager), grid),
@@ -105,139 +103,79 @@ def contenders(points: NDArray[np.float32]) -> dict[str, run.Contender]:
         "update, BinaryBayesMapper": updating(BinaryBayesMapper(SPEC), grid),
         "update, numpy reference": updating(EvidentialMapper(SPEC, lambda a, b: normalized_cautious(a, b)), grid),
         "scipy": by_scipy(grid),
-        "view, nearest": run.Contender(lambda _: mapper.view(SPEC)),
-        "view, area": run.Contender(lambda _: mapper.view(SPEC, method="area")),
-        "warp of the map, nearest": run.Contender(lambda _: warp(fixed, SPEC, pose(1, 2, yaw=0.4), "nearest")),
-        "RayISM": run.Contender(lambda _: ism(points)),
-        "RayISM + update": run.Contender(stream, drive()),
+        "view, nearest": Contender(lambda _: mapper.view(SPEC)),
+        "view, area": Contender(lambda _: mapper.view(SPEC, method="area")),
+        "warp of the map, nearest": Contender(lambda _: warp(fixed, SPEC, pose(1, 2, yaw=0.4), "nearest")),
+        "RayISM": Contender(lambda _: ism(points)),
+        "RayISM + update": Contender(stream, drive()),
     }
 
 
 def long_drive(points: NDArray[np.float32], scans: int) -> dict[str, Any]:
-    """Drive on and on, and see whether scans stay as cheap, memory as small, and masses masses."""
-    rng = np.random.default_rng(0)
-    ism = RayISM(SPEC, Mount(HEIGHT))
-    grids = [ism(points[rng.random(len(points)) < share]) for share in (1.0, 0.7, 0.4)]
-    mapper, ahead = EvidentialMapper(SPEC), drive()
-    for _ in range(20):  # memory and caches as they will be
-        T, stamp = ahead()
-        mapper.update(grids[0], T, stamp=stamp)
-    seconds = np.empty(scans)
-    memory = []
-    for k in range(scans):
-        T, stamp = ahead()
-        start = time.perf_counter()
-        mapper.update(grids[k % 3], T, stamp=stamp)
-        seconds[k] = time.perf_counter() - start
-        if k % max(scans // 100, 1) == 0 or k == scans - 1:
-            memory.append(resident())
+    """Return whether scans of a long drive stay as cheap, memory as small, and masses masses."""
+    rng, ism, mapper = np.random.default_rng(0), RayISM(SPEC, Mount(HEIGHT)), EvidentialMapper(SPEC)
+    grids = itertools.cycle([ism(points[rng.random(len(points)) < share]) for share in (1.0, 0.7, 0.4)])
+    ahead = drive()
+
+    def step(given: tuple[EvidentialGrid, tuple[NDArray[np.float64], float]]) -> None:
+        grid, (T, stamp) = given
+        mapper.update(grid, T, stamp=stamp)
+
+    moving = Contender(step, lambda: (next(grids), ahead()))
+    long_run(moving, 100)  # memory and caches as they will be
+    found = long_run(moving, scans)
     mass = mapper.grid.mass.astype(np.float64)
-    blocks = np.median(seconds[: scans // LAST * LAST].reshape(-1, LAST), axis=1) * 1e3
-    first, last = float(blocks[0]), float(blocks[-1])
-    return {
-        "scans": scans,
-        "km": scans * STEP / 1e3,
-        "first hundred [ms]": first,
-        "last hundred [ms]": last,
-        "last / first": last / first,
-        "medians of hundreds [ms]": [round(value, 4) for value in blocks.tolist()],
-        "memory [MB]": [round(value, 2) for value in memory],
-        "memory grown [MB]": round(memory[-1] - memory[1], 3),
-        "least mass": float(mass.min()),
-        "most free + occupied": float(mass.sum(axis=-1).max()),
-    }
+    return found | {"km": scans * STEP / 1e3, "least mass": mass.min(), "most free + occupied": mass.sum(axis=-1).max()}
 
 
-def resident() -> float:
-    """Return the memory that the process holds now [MB] (Linux)."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
-
-
-def verdicts(times: Mapping[str, run.Times], drive: Mapping[str, Any]) -> list[dict[str, Any]]:
+def verdicts(times: Mapping[str, Times], drive: Mapping[str, Any]) -> list[dict[str, Any]]:
     update, copy = times["update, default"].median, times["copy"].median
-    rate = 1e3 / times["RayISM + update"].median
     rows = [
-        ("update / copy", update / copy, 6.0, "x", False),
-        ("update", update, 2.0, "ms", False),
-        ("RayISM + update, 64 layers", rate, 60.0, "scans/s", True),
-        ("last hundred / first hundred of a long drive", drive["last / first"], 1.1, "x", False),
-        ("most free + occupied", drive["most free + occupied"], 0.98 + 1e-6, "", False),
+        ("update / copy", update / copy, "<=", 6.0, "x"),
+        ("update", update, "<=", 2.0, "ms"),
+        ("RayISM + update, 64 layers", 1e3 / times["RayISM + update"].median, ">=", 60.0, "scans/s"),
+        ("last hundred / first hundred of a long drive", drive["last / first"], "<=", 1.1, "x"),
+        ("most free + occupied", drive["most free + occupied"], "<=", 0.98 + 1e-6, ""),
     ]
-    return [
-        {"what": w, "got": g, "wanted": t, "unit": u, "met": bool(g >= t if least else g <= t)}
-        for w, g, t, u, least in rows
-    ]
+    return run.verdicts(rows)
 
 
-def report(record: Mapping[str, Any], times: Mapping[str, run.Times]) -> None:
-    copy = times["copy"].median
-    for name, one in times.items():
-        print(f"{name:36} {one!s:>34}   {one.median / copy:7.2f} x copy   on core {one.on_core:.2f}")
-    drive = record["long drive"]
-    print(
-        f"{drive['scans']} scans, {drive['km']:.1f} km: first hundred {drive['first hundred [ms]']:.3f} ms, last "
-        f"{drive['last hundred [ms]']:.3f} ms, memory grown by {drive['memory grown [MB]']:.2f} MB"
-    )
-    for row in record["verdicts"]:
-        line = f"{row['what']}: {row['got']:.4g} {row['unit']} (wanted {row['wanted']:g})"
-        print(f"{'ok    ' if row['met'] else 'MISSED'} {line}")
-
-
-def picture(record: Mapping[str, Any], times: Mapping[str, run.Times], path: Path) -> None:
+def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -> None:
     figure = Figure(figsize=(12.5, 5.4), layout="constrained")
     bars, line = figure.subplots(1, 2, width_ratios=(1.35, 1))
-    names = list(times)[::-1]
-    others = {"copy": run.FLOOR, "update, numpy reference": run.TWIN}
-    colours = others | dict.fromkeys(("scipy", "update, BinaryBayesMapper"), run.PEER)
-    values = [times[name].median for name in names]
-    bars.barh(names, values, color=[colours.get(name, run.OURS) for name in names])
-    for y, value in enumerate(values):
-        bars.text(value * 1.06, y, f"{value:.2f} ms" if value < 10 else f"{value:.0f} ms", va="center", fontsize=9)
-    bars.set(xscale="log", xlabel="time per call [ms], median", title="one scan, 512 x 352 cells")
-    bars.set_xlim(min(values) / 1.6, max(values) * 4)
+    colours = {"copy": FLOOR, "update, numpy reference": TWIN, "scipy": PEER, "update, BinaryBayesMapper": PEER}
+    medians = {name: one.median for name, one in times.items()}
+    draw_times(bars, medians, colours, "one scan, 512 x 352 cells; dotted: 2 ms")
     bars.axvline(2.0, color="0.4", lw=0.8, ls=":")
-    bars.text(2.0, len(names) - 0.35, "2 ms", ha="center", fontsize=8, color="0.4")
     drive = record["long drive"]
-    medians = drive["medians of hundreds [ms]"]
-    line.plot((np.arange(len(medians)) + 0.5) * LAST, medians, color=run.OURS, lw=1.2)
-    line.set(xlabel="scans", ylabel="median of a hundred updates [ms]", ylim=(0, None))
-    line.set_title(f"a drive of {drive['scans']} scans, {drive['km']:.0f} km")
-    memory = line.twinx()
-    memory.plot(np.linspace(0, drive["scans"], len(drive["memory [MB]"])), drive["memory [MB]"], color=run.PEER, lw=1.2)
-    memory.set_ylim(0, None)
-    memory.set_ylabel("memory of the process [MB]", color=run.PEER)
-    memory.tick_params(axis="y", colors=run.PEER)
-    run.save_picture(figure, path, run.caption(record["environment"]))
+    draw_long_run(line, drive, f"a drive of {drive['scans']} scans, {drive['km']:.0f} km")
+    save_picture(figure, path, caption(record["environment"]))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--scans", type=int, default=10_000, help="of the long drive")
-    parser.add_argument("--quick", action="store_true", help="see that everything runs; figures are worth nothing")
     given = parser.parse_args()
     rounds, scans = (2, 400) if given.quick else (given.rounds, given.scans)
     found = run.environment()
     points = street(POINTS)
     rivals = contenders(points)
-    alone = run.measure({name: rivals[name] for name in ("copy", "update, default")}, rounds)
-    times = run.measure(rivals, rounds)
+    alone = measure({name: rivals[name] for name in ("copy", "update, default")}, rounds)  # with warm caches
+    times = measure(rivals, rounds)
     far = long_drive(points, scans)
     record = {
         "environment": found,
         "note": NOTE,
         "points": len(points),
         "cells": list(SPEC.shape),
-        "times [ms]": {name: one._asdict() for name, one in times.items()},
-        "alone [ms]": {name: one._asdict() for name, one in alone.items()},
+        "times [ms]": times,
+        "alone [ms]": alone,
         "long drive": far,
         "verdicts": verdicts(times, far),
     }
-    print(f"alone, with warm caches: copy {alone['copy']}, update {alone['update, default']}")
-    report(record, times)
-    if not given.quick:
-        run.write_json(run.RESULTS / "fusion_speed.json", record)
-        picture(record, times, run.PICTURES / "fusion_speed.png")
+    run.write_record(given.out, record)
+    picture(record, times, given.picture)
 
 
 if __name__ == "__main__":

@@ -11,13 +11,16 @@ from _contenders import PATCHWORK, patchwork_estimator
 from _labelled_scans import BOXED, LABELS, SPEC, LabelledScan, boxed_scans, range_images
 
 # isort: split
-import argparse
 import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _charts import OURS, PEER, TWIN, caption, save_picture
+from _timing import Contender, measure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ogm import GridSpec
@@ -64,20 +67,19 @@ def count(obstacle: NDArray[np.bool_], ground: NDArray[np.bool_], predicted: NDA
 
 def score(counts: NDArray[np.int64]) -> dict[str, float]:
     """Turn counts into precision and recall; where only obstacles are labelled (boxes), into their recall."""
-    hit, false, missed, ground = (int(n) for n in counts)
-    share = lambda part, rest: part / (part + rest) if part + rest else 0.0  # noqa: E731
-    if not false + ground:
-        return {"obstacle recall": share(hit, missed), "obstacle points": hit + missed}
-    return {
-        "obstacle precision": share(hit, false),
-        "obstacle recall": share(hit, missed),
-        "obstacle F1": share(2 * hit, false + missed),
-        "ground precision": share(ground, missed),
-        "ground recall": share(ground, false),
-        "ground F1": share(2 * ground, false + missed),
-        "obstacle points": hit + missed,
-        "ground points": ground + false,
+    hit, false, missed, ground = map(int, counts)
+    shares = {
+        "obstacle precision": (hit, false),
+        "obstacle recall": (hit, missed),
+        "obstacle F1": (2 * hit, false + missed),
+        "ground precision": (ground, missed),
+        "ground recall": (ground, false),
+        "ground F1": (2 * ground, false + missed),
     }
+    found = {name: part / max(part + rest, 1) for name, (part, rest) in shares.items()}
+    if not false + ground:
+        return {"obstacle recall": found["obstacle recall"], "obstacle points": hit + missed}
+    return found | {"obstacle points": hit + missed, "ground points": ground + false}
 
 
 def evaluate(scans: list[LabelledScan], with_patchwork: bool) -> dict[str, Any]:
@@ -109,15 +111,15 @@ def evaluate(scans: list[LabelledScan], with_patchwork: bool) -> dict[str, Any]:
 
 def timing(scans: list[LabelledScan], rounds: int, with_patchwork: bool) -> dict[str, dict[str, float]]:
     """Return the median time per scan [ms]: ground and a prediction for every point."""
-    runs: dict[str, run.Contender] = {}
+    runs: dict[str, Contender] = {}
     for scan in scans:
-        runs[f"{LOCAL}, {scan.name}"] = run.Contender(lambda _, s=scan: heights(local_ground, s) > OBSTACLE_HEIGHT)
+        runs[f"{LOCAL}, {scan.name}"] = Contender(lambda _, s=scan: heights(local_ground, s) > OBSTACLE_HEIGHT)
         if with_patchwork:
             estimator = patchwork_estimator(scan.sensor_height)
-            runs[f"{PATCHWORK}, {scan.name}"] = run.Contender(
+            runs[f"{PATCHWORK}, {scan.name}"] = Contender(
                 lambda _, e=estimator, s=scan: (e.estimateGround(s.points), e.getGroundIndices())
             )
-    times = run.measure(runs, rounds)
+    times = measure(runs, rounds)
     result: dict[str, dict[str, float]] = {}
     for who in (LOCAL, PATCHWORK) if with_patchwork else (LOCAL,):
         medians = [t.median for key, t in times.items() if key.startswith(who)]
@@ -126,28 +128,8 @@ def timing(scans: list[LabelledScan], rounds: int, with_patchwork: bool) -> dict
     return result
 
 
-def report(record: dict[str, Any]) -> None:
-    """Print the result."""
-    kinds = [f"{kind} {what}" for kind in ("obstacle", "ground") for what in ("precision", "recall", "F1")]
-    for name, groups in record["labelled"].items():
-        for group, result in groups.items():
-            print(f"\n{name}, frames {group}: {len(result['frames'])}. {', '.join(kinds)} [%]")
-            for who, s in (*result["together"].items(), *((k, result[k]) for k in (AT_RECALL,) if k in result)):
-                print(f"  {who:45}" + "  ".join(f"{100 * s[kind]:6.2f}" for kind in kinds))
-    for name, result in record["boxes"].items():
-        for who, s in result["together"].items():
-            recall = f"{100 * s['obstacle recall']:.2f} % of {s['obstacle points']} points"
-            print(f"returns on boxed objects, {name}: {who} finds {recall}")
-    for name, times in record["time"].items():
-        for who, t in times.items():
-            print(f"{name}, {t['points']} points: {who} takes {t['median [ms]']:.2f} ms")
-    print("\n" + NOTE)
-
-
 def picture(record: dict[str, Any], path: Path) -> None:
     """Draw precision over recall of obstacles for each set, and the recall on boxed objects."""
-    from matplotlib.figure import Figure
-
     sets = record["labelled"]
     figure = Figure(figsize=(5 * (len(sets) + 1), 5.6), layout="constrained")
     axes = figure.subplots(1, len(sets) + 1, squeeze=False)[0]
@@ -165,33 +147,30 @@ def picture(record: dict[str, Any], path: Path) -> None:
         ax.set_ylim(bottom - 0.4 * (100 - bottom), 100.3)
     _boxes(axes[-1], record["boxes"])
     figure.suptitle("Obstacle or ground? Every labelled return within 81.92 x 56.32 m", fontsize=13)
-    run.save_picture(figure, path, run.caption(record))
+    save_picture(figure, path, caption(record))
 
 
 def _place(s: dict[str, float]) -> tuple[float, float]:
     return 100 * s["obstacle recall"], 100 * s["obstacle precision"]
 
 
-def _tradeoff(ax: Any, result: dict[str, Any], group: str) -> None:
+def _tradeoff(ax: Axes, result: dict[str, Any], group: str) -> None:
     dark, curve = group == UNSEEN, result[OVER_THRESHOLD]
     places, style = zip(*map(_place, curve.values()), strict=True), "-" if dark else ":"
-    ax.plot(*places, style, color=run.OURS, label=f"{LOCAL}, {group}", marker=".", markersize=4)
+    ax.plot(*places, style, color=OURS, label=f"{LOCAL}, {group}", marker=".", markersize=4)
     for threshold in ("0.050 m", "0.200 m", "0.400 m") if dark else ():
         text, place = threshold.replace("0 m", " m"), _place(curve[threshold])
-        ax.annotate(text, place, (4, 5), textcoords="offset points", fontsize=8, color=run.OURS)
+        ax.annotate(text, place, (4, 5), textcoords="offset points", fontsize=8, color=OURS)
     default = f"... at {OBSTACLE_HEIGHT:g} m, RayISM's default"
-    for who, sign, colour, label in (
-        (LOCAL, "o", run.OURS, default),
-        (PATCHWORK, "s", run.PEER, f"{PATCHWORK}, {group}"),
-    ):
+    for who, sign, colour, label in ((LOCAL, "o", OURS, default), (PATCHWORK, "s", PEER, f"{PATCHWORK}, {group}")):
         if who in result["together"]:
             fill = colour if dark else "white"
             place = _place(result["together"][who])
             ax.plot(*place, sign, color=colour, mfc=fill, markersize=9, label=label)
 
 
-def _boxes(ax: Any, boxes: dict[str, Any]) -> None:
-    for n, (who, colour) in enumerate(((LOCAL, run.OURS), (PATCHWORK, run.PEER), (FLAT, run.TWIN))):
+def _boxes(ax: Axes, boxes: dict[str, Any]) -> None:
+    for n, (who, colour) in enumerate(((LOCAL, OURS), (PATCHWORK, PEER), (FLAT, TWIN))):
         recalls = [100 * one["together"].get(who, {}).get("obstacle recall", 0) for one in boxes.values()]
         bars = ax.bar(np.arange(len(boxes)) + (n - 1) * 0.27, recalls, 0.25, color=colour, label=who)
         ax.bar_label(bars, fmt="%.1f", fontsize=8)
@@ -203,14 +182,9 @@ def _boxes(ax: Any, boxes: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--repeats", type=int, default=5, help="rounds of the timing (default 5)")
-    parser.add_argument("--quick", action="store_true", help="one round, and 2 of the boxed frames of a set")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "ground.json", help="where the figures go")
-    parser.add_argument("--picture", type=Path, default=run.PICTURES / "ground.png", help="where the picture goes")
     options = parser.parse_args()
-    if options.repeats < 1:
-        parser.error("--repeats must be at least 1")
     with_patchwork = importlib.util.find_spec("pypatchworkpp") is not None
     if not with_patchwork:
         print(f"left out: {PATCHWORK}: pypatchworkpp is not installed")
@@ -236,10 +210,8 @@ def main() -> None:
         print("nothing to measure on: benchmarks/README.md names the recordings that are needed, and where")
         return
     record["note"] = NOTE
-    report(record)
-    run.write_json(options.out, record)
+    run.write_record(options.out, record)
     picture(record, options.picture)
-    print(f"\nwrote {options.out} and {options.picture}")
 
 
 if __name__ == "__main__":

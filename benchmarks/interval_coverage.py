@@ -9,7 +9,9 @@ with p < 0.05; and how often the interval of the mean would hold the truth if fr
 benchmarks/results/interval_coverage.json; docs/build.py makes the table of docs/evaluation.md of it.
 """
 
-import argparse
+import _run as run  # first: it sets the number of threads
+
+# isort: split
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -78,16 +80,14 @@ def coverage(case: Case, repeats: int, rng: Generator) -> dict[str, float]:
 
 
 def main() -> None:
-    from _run import RESULTS, environment, write_json
-
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__)
     parser.add_argument("--repeats", type=int, default=4000)
-    options = parser.parse_args()
-    record = environment() | {"repeats": options.repeats, "cases": []}
+    given = parser.parse_args()
+    record = run.environment() | {"repeats": given.repeats, "cases": []}
     for number, case in enumerate(cases()):
-        record["cases"].append(case._asdict() | coverage(case, options.repeats, np.random.default_rng(number)))
+        record["cases"].append(case._asdict() | coverage(case, given.repeats, np.random.default_rng(number)))
         print(*(f"{name} {value}" for name, value in record["cases"][-1].items()), sep="  ", flush=True)
-    write_json(RESULTS / "interval_coverage.json", record)
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

@@ -12,17 +12,16 @@ import _run as run  # first: it sets the number of threads
 from _contenders import street
 
 # isort: split
-import argparse
 import gc
 import math
-import subprocess
-import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _charts import PEER, caption, draw_times, save_picture
+from _timing import Contender, measure
 from matplotlib.figure import Figure
 from mcap_ros2.reader import read_ros2_messages
 from numpy.typing import NDArray
@@ -43,7 +42,12 @@ STEP, TURN, PERIOD, TRANSFORMS = 0.8, 0.01, 0.1, 10  # [m], [rad], [s] from scan
 FORMATS = {"MCAP": ("drive.mcap", ""), "MCAP, zstd": ("zstd.mcap", "zstd"), "db3": ("drive.db3", ""),
            "bag": ("drive.bag", "")}  # fmt: skip
 TOPIC = "/points"
-LIMITS = {"read a scan of a plain MCAP [ms]": 12.0, "MCAP to a written map [scans/s]": 25.0}
+READ = """
+import pathlib, sys, _timing, logs
+for _ in logs.read_by_ogm(pathlib.Path(sys.argv[1])):
+    pass
+print(_timing.peak_memory())
+"""
 
 
 def write_log(path: Path, compression: str, scans: int) -> None:
@@ -89,7 +93,7 @@ def read_by_mcap_ros2(path: Path) -> Iterator[NDArray[np.float32]]:
         yield columns(message.ros_msg)
 
 
-def reading(read: Callable[[Path], Iterator[NDArray[np.float32]]], path: Path) -> run.Contender:
+def reading(read: Callable[[Path], Iterator[NDArray[np.float32]]], path: Path) -> Contender:
     """Return the reading of a whole log; its points must be those that were written."""
     expected = street(POINTS, LAYERS)
 
@@ -98,10 +102,10 @@ def reading(read: Callable[[Path], Iterator[NDArray[np.float32]]], path: Path) -
             pass
         assert np.array_equal(points, expected)
 
-    return run.Contender(step, gc.collect)  # data sets hold cycles, and automatic collection is off
+    return Contender(step, gc.collect)  # data sets hold cycles, and automatic collection is off
 
 
-def mapping(path: Path, out: Path) -> run.Contender:
+def mapping(path: Path, out: Path) -> Contender:
     """Return the way from a log to a log with the map after each scan."""
     spec = GridSpec.centered()
     ism = RayISM(spec, Mount(HEIGHT, pose(z=HEIGHT)))
@@ -115,27 +119,12 @@ def mapping(path: Path, out: Path) -> run.Contender:
                     raise one.error
                 log.write(PlacedGrid(mapper.grid, stamp=one.frame.stamp))
 
-    return run.Contender(step, gc.collect)
+    return Contender(step, gc.collect)
 
 
-def peak_memory(path: Path) -> float:
+def reading_memory(path: Path) -> float:
     """Return the greatest memory of a process that reads a whole log [MB]."""
-    words = [sys.executable, __file__, "--only-read", str(path)]
-    return float(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
-
-
-def picture(record: Mapping[str, Any], path: Path) -> None:
-    """Draw times per scan."""
-    figure = Figure(figsize=(10, 4.6), layout="constrained")
-    axes, times = figure.subplots(), record["times per scan [ms]"]
-    names = list(times)[::-1]
-    values = [times[name] for name in names]
-    peers = ("rosbags", "mcap-ros2-support")
-    axes.barh(names, values, color=[run.PEER if name.startswith(peers) else run.OURS for name in names])
-    for y, value in enumerate(values):
-        axes.text(value + 0.3, y, f"{value:.1f} ms", va="center", fontsize=9)
-    axes.set(xlabel="time per scan of 120,000 points [ms], median", xlim=(0, max(values) * 1.15))
-    run.save_picture(figure, path, run.caption(record["environment"]))
+    return float(run.in_new_process(READ, [path], cwd=Path(__file__).parent))
 
 
 def measured(folder: Path, scans: int, rounds: int) -> dict[str, Any]:
@@ -145,7 +134,7 @@ def measured(folder: Path, scans: int, rounds: int) -> dict[str, Any]:
         paths[name] = folder / file
         write_log(paths[name], compression, scans)
     contenders = {
-        f"ogm, open: {name}": run.Contender(lambda _, path=path: open_dataset(path, topic=TOPIC))  # type: ignore
+        f"ogm, open: {name}": Contender(lambda _, path=path: open_dataset(path, topic=TOPIC))  # type: ignore
         for name, path in paths.items()
     }
     contenders |= {f"ogm, read: {name}": reading(read_by_ogm, path) for name, path in paths.items()}
@@ -153,52 +142,40 @@ def measured(folder: Path, scans: int, rounds: int) -> dict[str, Any]:
     for name in ("MCAP", "MCAP, zstd"):
         contenders[f"mcap-ros2-support, read: {name}"] = reading(read_by_mcap_ros2, paths[name])
         contenders[f"ogm, RayISM, map, written: {name}"] = mapping(paths[name], folder / "maps.mcap")
-    times = run.measure(contenders, rounds)
+    times = measure(contenders, rounds)
     per_scan = {name: one.median / scans for name, one in times.items()}
     longer = folder / "longer.mcap"
     write_log(longer, "", 4 * scans)
-    memory = {str(scans): peak_memory(paths["MCAP"]), str(4 * scans): peak_memory(longer)}
-    ends = [per_scan["ogm, read: MCAP"], 1e3 / per_scan["ogm, RayISM, map, written: MCAP"]]
-    met = [ends[0] <= LIMITS["read a scan of a plain MCAP [ms]"], ends[1] >= LIMITS["MCAP to a written map [scans/s]"]]
+    memory = {str(scans): reading_memory(paths["MCAP"]), str(4 * scans): reading_memory(longer)}
+    written = 1e3 / per_scan["ogm, RayISM, map, written: MCAP"]
+    rows = [
+        ("read a scan of a plain MCAP", per_scan["ogm, read: MCAP"], "<=", 12.0, "ms"),
+        ("MCAP to a written map", written, ">=", 25.0, "scans/s"),
+    ]
     return {
         "scans": scans,
         "points": POINTS,
-        "times [ms]": {name: one._asdict() for name, one in times.items()},
+        "times [ms]": times,
         "times per scan [ms]": per_scan,
         "peak memory by number of scans [MB]": memory,
-        "verdicts": [
-            {"what": what, "got": got, "wanted": wanted, "met": ok}
-            for (what, wanted), got, ok in zip(LIMITS.items(), ends, met, strict=True)
-        ],
+        "verdicts": run.verdicts(rows),
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--scans", type=int, default=80)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--quick", action="store_true", help="see that everything runs; figures are worth nothing")
-    parser.add_argument("--only-read", type=Path, help=argparse.SUPPRESS)  # a process whose memory is measured
     given = parser.parse_args()
-    if given.only_read is not None:
-        for _ in read_by_ogm(given.only_read):
-            pass
-        status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-        print(int(status["VmHWM"].split()[0]) / 1e3)  # ru_maxrss would be that of the process which started this one
-        return
     found = run.environment()
     with tempfile.TemporaryDirectory() as folder:
         figures = measured(Path(folder), *((5, 1) if given.quick else (given.scans, given.rounds)))
     record = {"environment": found, **figures}
-    for name, value in record["times per scan [ms]"].items():
-        print(f"{name:44} {value:7.2f} ms/scan")
-    for count, value in record["peak memory by number of scans [MB]"].items():
-        print(f"peak memory for {count} scans: {value:.0f} MB")
-    for row in record["verdicts"]:
-        print(f"{'ok    ' if row['met'] else 'MISSED'} {row['what']}: {row['got']:.3g} (wanted {row['wanted']:g})")
-    if not given.quick:
-        run.write_json(run.RESULTS / "logs.json", record)
-        picture(record, run.PICTURES / "logs.png")
+    run.write_record(given.out, record)
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
+    colours = {name: PEER for name in figures["times [ms]"] if not name.startswith("ogm")}
+    draw_times(figure.subplots(), figures["times per scan [ms]"], colours, "one scan of 120,000 points")
+    save_picture(figure, given.picture, caption(found))
 
 
 if __name__ == "__main__":

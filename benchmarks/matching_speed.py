@@ -9,10 +9,10 @@ benchmarks/results/matching_speed.json.
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 from typing import Any
 
 import numpy as np
+from _timing import Contender, measure
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -52,34 +52,31 @@ def scene(rng: np.random.Generator) -> tuple[list[NDArray[np.bool_]], NDArray[np
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__)
     parser.add_argument("--rounds", type=int, default=30)
-    rounds = parser.parse_args().rounds
+    given = parser.parse_args()
     record: dict[str, Any] = run.environment()
     (now, *before), moving = scene(np.random.default_rng(0))
     earlier = list(zip(before, AGES, strict=True))
     out, copies = np.empty(SHAPE, np.uint8), [mask.copy() for mask in before]
     bits, few = now.view(np.uint8), moving.view(np.uint8)
     contenders = {
-        "match_velocities": run.Contender(lambda _: match_velocities(now, moving, earlier, SIDE)),
-        "... up to 30 m/s": run.Contender(
+        "match_velocities": Contender(lambda _: match_velocities(now, moving, earlier, SIDE)),
+        "... up to 30 m/s": Contender(
             lambda _: match_velocities(now, moving, earlier, SIDE, MatchSettings(max_speed=30.0))
         ),
-        "... all groups": run.Contender(lambda _: match_velocities(now, now, earlier, SIDE)),
-        "find_groups": run.Contender(lambda _: find_groups(bits, few, 5, 5)),
-        "capped_distance, one scan": run.Contender(lambda _: capped_distance(bits, 3.0, out)),
-        "scipy distance, one scan": run.Contender(lambda _: ndimage.distance_transform_edt(~now)),
-        "copy of the masks": run.Contender(lambda _: [np.copyto(a, b) for a, b in zip(copies, before, strict=True)]),
+        "... all groups": Contender(lambda _: match_velocities(now, now, earlier, SIDE)),
+        "find_groups": Contender(lambda _: find_groups(bits, few, 5, 5)),
+        "capped_distance, one scan": Contender(lambda _: capped_distance(bits, 3.0, out)),
+        "scipy distance, one scan": Contender(lambda _: ndimage.distance_transform_edt(~now)),
+        "copy of the masks": Contender(lambda _: [np.copyto(a, b) for a, b in zip(copies, before, strict=True)]),
     }
-    times = run.measure(contenders, rounds)
+    times = measure(contenders, given.rounds)
     match = match_velocities(now, moving, earlier, SIDE)
     record["moving groups"], record["cells in them"] = len(match.valid), int((match.label > 0).sum())
     record["matched"], record["occupied cells"] = int(match.valid.sum()), int(now.sum())
-    record["milliseconds"] = {name: each._asdict() for name, each in times.items()}
-    print(f"{record['moving groups']} moving groups of {record['cells in them']} cells, {record['matched']} matched")
-    for name, each in times.items():
-        print(f"{name:28s} {each}, on the core {each.on_core:.0%}")
-    run.write_json(run.RESULTS / "matching_speed.json", record)
+    record["milliseconds"] = times
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

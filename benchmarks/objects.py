@@ -14,11 +14,9 @@ of ogm/data at commit 6d90c29). Writes benchmarks/results/objects.json; docs/bui
 """
 
 import _run as run  # first: it sets the number of threads
-from _quality_inputs import real
+from _recordings import recordings
 
 # isort: split
-import argparse
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -105,34 +103,25 @@ def means(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__, real=True)
     parser.add_argument("--first", type=Path, help="weights of another network")
-    parser.add_argument("--real", type=Path, default=run.DATA, help="folder of real recordings (default OGM_DATA)")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "objects.json")
     given = parser.parse_args()
-    methods = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
-    if given.first is not None:
-        methods["first lite"] = SingleScanMethod.named(str(given.first), SPEC)
-    record: dict[str, Any] = {"environment": run.environment(), "sets": {}, "all": {}, "boxes": {}}
+    names = {name: name for name in MODELS} | ({} if given.first is None else {"first lite": str(given.first)})
+    methods = {title: SingleScanMethod.named(name, SPEC) for title, name in names.items()}
+    environment = run.environment() | {"weights": run.weights_of(names)}
+    record: dict[str, Any] = {"environment": environment, "sets": {}, "all": {}, "boxes": {}}
     every: list[dict[str, Any]] = []
-    for one in real(given.real):
-        if one.alone is None:
-            print(f"{one.name} is left out: {one.reason}", file=sys.stderr)
-            continue
-        rows = list(boxes_of(one.alone, methods))
-        if not rows:
-            continue
-        record["sets"][one.name] = {"scans": len({row["frame"] for row in rows}), **means(rows)}
-        record["boxes"][one.name] = rows
-        every += [row | {"object": f"{one.name} {row['object']}"} for row in rows]
-        print(one.name, record["sets"][one.name], flush=True)
+    for name, frames in recordings(given.real):
+        if rows := list(boxes_of(frames, methods)):
+            record["sets"][name] = {"scans": len({row["frame"] for row in rows}), **means(rows)}
+            record["boxes"][name] = rows
+            every += [row | {"object": f"{name} {row['object']}"} for row in rows]
     if not every:
         raise SystemExit(f"there are no recordings with boxes in {given.real}: see benchmarks/README.md")
     for name, kinds in GROUPS.items():
         if rows := [row for row in every if row["kind"] in kinds]:
             record["all"][name] = means(rows)
-            print(name, record["all"][name])
-    run.write_json(given.out, record)
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

@@ -12,16 +12,16 @@ Frames are taken for independent of each other. They are one drive's, one second
 intervals are rather too narrow than too wide, and nothing in the figures can tell how much.
 """
 
-from _run import DATA, PICTURES, RESULTS, caption, environment, save_picture, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import hashlib
 from pathlib import Path
 from typing import Any
 
 import _paper_facts as read
 import numpy as np
+from _charts import PEER, TWIN, caption, save_picture
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -32,10 +32,10 @@ CITED = (
     "R. van Kempen, B. Lampe, T. Woopen, L. Eckstein: A Simulation-based End-to-End Learning Framework for "
     "Evidential Occupancy Grid Mapping, IEEE Intelligent Vehicles Symposium 2021"
 )
-CURVES = DATA.parent / "paper_fig_curves.csv"
+CURVES = run.DATA.parent / "paper_fig_curves.csv"
 LABEL = GridSpec.centered()
 SEED = 0
-DEEP, GEO, OWN = "#d55e00", "#2c5f9e", "#8c8c8c"  # deep, geometric as plotted, geometric's own
+DEEP, GEO, OWN = "#d55e00", PEER, TWIN  # deep, geometric as plotted, geometric's own
 SHOWS = (
     "In the paper's test drive the deep model has less unknown than the geometric one, in every frame.",
     "By the released code's measure it misses fewer labelled cells, in 89 frames of 100 and in the mean.",
@@ -157,26 +157,18 @@ def _pairs(axes: Axes, curves: read.Curves, found: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("--curves", type=Path, default=CURVES, help="the values behind the figures, a CSV")
-    parser.add_argument("--out", type=Path, default=RESULTS / "paper_curves.json")
-    parser.add_argument("--picture", type=Path, default=PICTURES / "paper_curves.png")
     options = parser.parse_args()
     if not options.curves.is_file():
         print(f"there is no {options.curves}: give the values behind the paper's figures with --curves")
         return
-    record = environment()
-    record["source"] = CITED
-    record["sha256 of the values"] = hashlib.sha256(options.curves.read_bytes()).hexdigest()
-    record["seed"] = SEED
+    sha256 = hashlib.sha256(options.curves.read_bytes()).hexdigest()
+    record = run.environment() | {"source": CITED, "sha256 of the values": sha256, "seed": SEED}
     curves = read.read_curves(options.curves)
     found = facts(curves, np.random.default_rng(SEED))
-    write_json(options.out, record | found)
+    run.write_record(options.out, record | found)
     draw(options.picture, curves, found, caption(record))
-    for what in ("KL, deep against geometric as plotted", "KL, deep against geometric de-mixed (2 g - d)"):
-        one = found[what]
-        print(f"{what}: {one['wins']} wins, {one['losses']} losses, ratio {one['ratio']['value']:.3f}")
-    print(f"wrote {options.out} and {options.picture}")
 
 
 if __name__ == "__main__":

@@ -5,15 +5,14 @@
 Where an extra cannot be resolved, each of its requirements is resolved alone, to name the ones without a wheel.
 """
 
-import json
+import _run as run
+
+# isort: split
 import re
 import subprocess
 import sys
 import tomllib
-from datetime import UTC, datetime
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 PLATFORMS = {"glibc 2.35": "x86_64-manylinux_2_35", "glibc 2.28": "x86_64-manylinux_2_28"}  # Ubuntu 22.04; RHEL 8
 
@@ -35,7 +34,8 @@ def without_wheel(requirements: list[str], python: str, platform: str) -> list[s
 
 def main() -> None:
     """Resolve every extra for every Python."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    given = run.Parser(__doc__).parse_args()
+    project = tomllib.loads((run.ROOT / "pyproject.toml").read_text())["project"]
     extras = {"base": project["dependencies"]}
     extras |= {
         name: project["dependencies"] + requirements
@@ -49,14 +49,8 @@ def main() -> None:
         }
         for name, requirements in extras.items()
     }
-    record = {
-        "command": "python benchmarks/pythons.py",
-        "date": f"{datetime.now(UTC):%Y-%m-%d}",
-        "uv": uv("--version").stdout.split()[1],
-        "without a wheel": missing,
-    }
-    path = ROOT / "benchmarks" / "results" / "pythons.json"
-    path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    record = run.environment() | {"uv": uv("--version").stdout.split()[1], "without a wheel": missing}
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

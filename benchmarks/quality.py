@@ -20,19 +20,23 @@ docs/pictures/quality*.png (docs/build.py makes tables of the record), and repor
 recordings, whose scans may not be passed on. Nothing was chosen by the test data.
 """
 
-from _run import DATA, PICTURES, RESULTS, ROOT, caption, environment
+import _run as run  # first: it sets the number of threads
 
 # isort: split
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from _quality_inputs import all_maps, every, real, single_scan
+from _charts import caption
+from _evaluation_record import beliefs, brief, earlier, published, record_of
+from _quality_methods import all_maps, every, single_scan
 from _quality_pictures import by_distance, chosen, maps, papers_figures, recordings, reliability
-from _quality_record import beliefs, brief, earlier, published, record_of, write
+from _recordings import real
+from rich.progress import track
 
 from ogm import GridSpec
 from ogm.datasets import Dataset, open_dataset
@@ -43,14 +47,13 @@ from ogm.evaluation.text import as_json
 from ogm.metrics import METRICS, ConfusionSums
 
 PAPER = GridSpec.centered()
-KEEP = ROOT / "runs" / "quality"
 DEEP = "lite"  # the shipped network, which is drawn
 DRAWN = ("ray", "lite", "ray + bayes", "ray + cautious", "lite + cautious")  # of the maps
 QUICK_FRAMES, QUICK_SCANS, QUICK_REAL = 4, 10, ("KITTI, single scans", "SUSTechPOINTS")
 
 
-class Run(NamedTuple):
-    """What all parts share."""
+class Job(NamedTuple):
+    """Options, models and places that all parts share."""
 
     options: argparse.Namespace
     models: dict[str, SingleScanMethod]
@@ -65,54 +68,38 @@ def progress(words: str) -> None:
     print(words, file=sys.stderr, flush=True)
 
 
-def ticked(what: str) -> Callable[[Iterable[int]], Iterator[int]]:
-    """Return an iterator that reports every half minute how far a part is."""
-
-    def tick(numbers: Iterable[int]) -> Iterator[int]:
-        listed, last = list(numbers), time.monotonic()
-        for done, number in enumerate(listed):
-            if time.monotonic() - last > 30:
-                progress(f"{what}: {done} of {len(listed)} frames")
-                last = time.monotonic()
-            yield number
-
-    return tick
-
-
 def run_part(
     folder: Path, dataset: Dataset, numbers: Iterable[int], methods: Mapping[str, Any], draw: Callable[..., Any]
 ) -> Evaluation:
     """Evaluate methods on frames, or take what an earlier run has finished."""
     start, what = time.process_time(), f"{folder.name}, {len(methods)} methods"
-    result = evaluate(methods, dataset, PAPER, frames=numbers, out=folder, progress=ticked(what), draw=draw)
+    result = evaluate(
+        methods, dataset, PAPER, frames=numbers, out=folder, progress=partial(track, description=what), draw=draw
+    )
     progress(f"{what}: {len(result.frames)} frames, {time.process_time() - start:.0f} s of the processor")
     return result
 
 
-def report(folder: Path, title: str, result: Evaluation, run: Run) -> None:
+def report(folder: Path, title: str, result: Evaluation, job: Job) -> None:
     """Write the report that `ogm evaluate` writes."""
-    machine = f"{run.facts['cpu']}, {run.facts['system']}, Python {run.facts['python']}"
-    write_report(folder, result, title=title, command=run.facts["command"], pictured=1000, machine=machine)
+    machine = f"{job.facts['cpu']}, {job.facts['system']}, Python {job.facts['python']}"
+    write_report(folder, result, title=title, command=job.facts["command"], pictured=1000, machine=machine)
 
 
-def pool(run: Run, place: str, folder: Path, result: Evaluation) -> None:
+def pool(job: Job, place: str, folder: Path, result: Evaluation) -> None:
     """Add what beliefs are compared by, and that of an earlier run, to a place's sums."""
     found = dict(zip(result.methods, result.pooled, strict=True))
-    if run.options.before and (run.options.before / folder.name / "report.json").exists():
-        found["ray, before"] = earlier(run.options.before / folder.name, "ray")
-    there = run.beliefs.setdefault(place, {})
+    if job.options.before and (job.options.before / folder.name / "report.json").exists():
+        found["ray, before"] = earlier(job.options.before / folder.name, "ray")
+    there = job.beliefs.setdefault(place, {})
     for name in ("height-band", "ray", "ray, before", DEEP):
         if name in found:
             there[name] = there[name].plus(found[name]) if name in there else found[name]
 
 
-def only(places: Sequence[int]) -> Callable[..., dict[str, bytes]]:
-    """Return a function that draws a few methods only."""
-
-    def draw(points: Any, state: Any, masses: Sequence[Any], *rest: Any) -> dict[str, bytes]:
-        return draw_frame(points, state, [masses[k] for k in places], *rest)
-
-    return draw
+def draw_some(places: Sequence[int], points: Any, state: Any, masses: Sequence[Any], *rest: Any) -> dict[str, bytes]:
+    """Draw a frame with the masses of some methods only."""
+    return draw_frame(points, state, [masses[k] for k in places], *rest)
 
 
 def nothing(*frame: Any) -> dict[str, bytes]:
@@ -131,94 +118,88 @@ def draw_three(path: Path, title: str, result: Evaluation, shown: Sequence[str],
     draw_frames(path, rows, title)
 
 
-def evaluate_town(run: Run) -> dict[str, Any]:
+def evaluate_town(job: Job) -> dict[str, Any]:
     """Evaluate single frames of the simulated test towns."""
-    dataset = open_dataset(run.options.single, split=run.options.split)
-    numbers = range(len(dataset))[: QUICK_FRAMES if run.options.quick else None]
-    result = run_part(run.folder / "town", dataset, numbers, run.models, draw_frame)
-    names = list(run.models)
+    dataset = open_dataset(job.options.single, split=job.options.split)
+    numbers = range(len(dataset))[: QUICK_FRAMES if job.options.quick else None]
+    result = run_part(job.folder / "town", dataset, numbers, job.models, draw_frame)
+    names = list(job.models)
     record = record_of(result)
     record["as the released code would report"] = published(result, DEEP, "height-band-released")
-    report(run.folder / "town", f"Simulated test towns: {', '.join(names)}", result, run)
-    pool(run, f"unseen towns, {record['extent']}", run.folder / "town", result)
-    papers_figures(run.pictures / "quality.png", result, DEEP, caption(run.facts))
-    by_distance(run.pictures / "quality_range.png", record, caption(run.facts))
+    report(job.folder / "town", f"Simulated test towns: {', '.join(names)}", result, job)
+    pool(job, f"unseen towns, {record['extent']}", job.folder / "town", result)
+    papers_figures(job.pictures / "quality.png", result, DEEP, caption(job.facts))
+    by_distance(job.pictures / "quality_range.png", record, caption(job.facts))
     title = f"Simulated test towns: best, middling and worst frame of {DEEP}"
-    draw_three(run.pictures / "quality_frames.png", title, result, names, (DEEP, "nll"))
+    draw_three(job.pictures / "quality_frames.png", title, result, names, (DEEP, "nll"))
     return record
 
 
-def evaluate_old(run: Run) -> dict[str, Any]:
+def evaluate_old(job: Job) -> dict[str, Any]:
     """Evaluate the older and smaller test: ten drives in one town."""
-    dataset = open_dataset(run.options.single_old, split=run.options.split)
-    numbers = range(len(dataset))[: QUICK_FRAMES if run.options.quick else None]
-    return brief(record_of(run_part(run.folder / "old", dataset, numbers, run.models, nothing)))
+    dataset = open_dataset(job.options.single_old, split=job.options.split)
+    numbers = range(len(dataset))[: QUICK_FRAMES if job.options.quick else None]
+    return brief(record_of(run_part(job.folder / "old", dataset, numbers, job.models, nothing)))
 
 
-def evaluate_drives(run: Run) -> dict[str, Any]:
+def evaluate_drives(job: Job) -> dict[str, Any]:
     """Evaluate maps on simulated drives; what a frame itself cannot observe is left out of its truth."""
-    dataset = open_dataset(run.options.sequences, split="sequences", others="later")
-    numbers = every(dataset, run.options.every)
-    if run.options.quick:
-        numbers = every(dataset, run.options.every, drives=1)[: QUICK_SCANS // run.options.every]
-    methods = all_maps(run.models, PAPER, run.options.quick)
-    draw = only([list(methods).index(name) for name in DRAWN])
-    result = run_part(run.folder / "drives", dataset, numbers, methods, draw)
+    dataset = open_dataset(job.options.sequences, split="sequences", others="later")
+    numbers = every(dataset, job.options.every)
+    if job.options.quick:
+        numbers = every(dataset, job.options.every, drives=1)[: QUICK_SCANS // job.options.every]
+    methods = all_maps(job.models, PAPER, job.options.quick)
+    draw = partial(draw_some, [list(methods).index(name) for name in DRAWN])
+    result = run_part(job.folder / "drives", dataset, numbers, methods, draw)
     record = record_of(result)
-    maps(run.pictures / "quality_maps.png", record, caption(run.facts))
+    maps(job.pictures / "quality_maps.png", record, caption(job.facts))
     title = "Simulated test drives: best, middling and worst frame of lite + cautious"
-    draw_three(run.pictures / "quality_maps_frames.png", title, result, DRAWN, ("lite + cautious", "brier"))
+    draw_three(job.pictures / "quality_maps_frames.png", title, result, DRAWN, ("lite + cautious", "brier"))
     return record
 
 
-def evaluate_real(run: Run) -> dict[str, Any]:
+def evaluate_real(job: Job) -> dict[str, Any]:
     """Evaluate models and maps on real recordings; their scans stay in runs/."""
     found: dict[str, Any] = {}
-    for one in real(run.options.real):
-        if run.options.quick and one.name not in QUICK_REAL:
+    for one in real(job.options.real):
+        if job.options.quick and one.name not in QUICK_REAL:
             continue
         if one.alone is None:
             found[one.name] = {"left out": one.reason}
             progress(f"{one.name} is left out: {one.reason}")
             continue
-        folder = run.folder / "".join(c if c.isalnum() else "-" for c in one.name)
-        result = run_part(folder, one.alone, range(len(one.alone)), run.models, draw_frame)
+        folder = job.folder / "".join(c if c.isalnum() else "-" for c in one.name)
+        result = run_part(folder, one.alone, range(len(one.alone)), job.models, draw_frame)
         found[one.name] = {"alone": record_of(result)}
-        report(folder, one.name, result, run)
+        report(folder, one.name, result, job)
         if (result.truth[:, 1:3].sum(axis=0) > 0).all():  # else every belief in one of the two is right
-            pool(run, "real recordings with free and occupied labels", folder, result)
+            pool(job, "real recordings with free and occupied labels", folder, result)
         if one.fused is not None:
             folder = folder.with_name(f"{folder.name}-fused")
-            methods = all_maps(run.models, PAPER, run.options.quick)
+            methods = all_maps(job.models, PAPER, job.options.quick)
             result = run_part(folder, one.fused, range(len(one.fused)), methods, nothing)
             found[one.name]["fused"] = brief(record_of(result))
     if any("alone" in one for one in found.values()):
-        recordings(run.pictures / "quality_real.png", as_json(found), caption(run.facts))
+        recordings(job.pictures / "quality_real.png", as_json(found), caption(job.facts))
     return found
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, quick=True, real=True)
     parser.add_argument("--single", type=Path, help="data set of single frames")
     parser.add_argument("--single-old", type=Path, help="data set of single frames of an older test")
     parser.add_argument("--before", type=Path, help="runs/quality of an earlier version, for the reliability of ray")
     parser.add_argument("--split", default="test", help="part of it (default test, for the final figure only)")
     parser.add_argument("--sequences", type=Path, help="data set of drives")
-    parser.add_argument("--real", type=Path, default=DATA, help="folder of real recordings (default OGM_DATA)")
     parser.add_argument("--paper", type=Path, help="weights of a network of the paper's size")
     parser.add_argument("--every", type=int, default=5, help="evaluate every N-th frame of a drive")
-    parser.add_argument("--quick", action="store_true", help="a few frames, into runs/quality-quick alone")
-    parser.add_argument("--out", type=Path, help="where the figures go")
     options = parser.parse_args()
-    folder = KEEP.with_name("quality-quick") if options.quick else KEEP
-    pictures = folder if options.quick else PICTURES
-    out = options.out or (folder if options.quick else RESULTS) / "quality.json"
-    if options.every < 1 or (options.quick and options.every > QUICK_SCANS):
-        parser.error(f"--every must be at least 1 (with --quick at most {QUICK_SCANS}), got {options.every}")
+    folder = run.RUNS / ("quality-quick" if options.quick else "quality")
+    pictures = folder if options.quick else run.PICTURES
 
-    record = environment()
+    record = run.environment(DEEP, *([str(options.paper)] if options.paper else []))
     record |= {"split": options.split, "metrics": {m: METRICS[m]._asdict() for m in METRICS}}
-    run = Run(options, single_scan(PAPER, options.paper), folder, pictures, dict(record), {})
+    job = Job(options, single_scan(PAPER, options.paper), folder, pictures, dict(record), {})
     parts = {
         "town": evaluate_town if options.single else None,
         "old": evaluate_old if options.single_old else None,
@@ -229,14 +210,13 @@ def main() -> None:
         if part is None:
             progress(f"{name} is left out: no data given")
             continue
-        record[name] = as_json(part(run))
-        write(out, record)
-    if run.beliefs:
-        places = run.beliefs.items()
+        record[name] = as_json(part(job))
+        run.write_record(options.out, record)
+    if job.beliefs:
+        places = job.beliefs.items()
         record["reliability"] = {place: {name: beliefs(one) for name, one in sums.items()} for place, sums in places}
-        write(out, as_json(record))
-        reliability(pictures / "quality_reliability.png", record["reliability"], caption(run.facts))
-    progress(f"wrote {out}, pictures in {pictures}, reports in {folder}; python docs/build.py makes the tables")
+        run.write_record(options.out, as_json(record))
+        reliability(pictures / "quality_reliability.png", record["reliability"], caption(job.facts))
 
 
 if __name__ == "__main__":

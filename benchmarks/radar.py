@@ -7,46 +7,49 @@ simulate --seed 3 --test 240 --drives 24 --test-towns 6 --spacing 10`, against t
 the radar's field of view. `--fit` first fits RadarISM's masses to sweeps in the five training towns of seed 1, by log
 loss with at most 4 % false free, and prints them; the defaults of `RadarISM` are such a fit, rounded. Also counts
 detections, and compares the sweep of an ARS548 with the one recorded frame that may be shared. Without `--fit`, the
-fits of the record stay. The learned model is `DeepRadarISM.load("radar")`, left out where it cannot be loaded; Werber's
-marks only, and the rays are those of a lidar. Writes
+fits of the record stay. The learned model is `DeepRadarISM.load("radar")`; Werber's marks only, and the rays are of a
+lidar. Writes
 benchmarks/results/radar.json and docs/pictures/radar.png.
 """
 
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cache
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from _quality_record import write
+from _timing import Contender, measure
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.optimize import minimize
-from scipy.stats import t as student
 
-from ogm import EvidentialGrid, GridSpec, Mount, OgmError, Scan
-from ogm.deep import DeepRadarISM, RadarNoise
+from ogm import EvidentialGrid, GridSpec, Mount, Scan
+from ogm.deep import DeepRadarISM
+from ogm.evaluation import compare_paired
 from ogm.evidence import discount
+from ogm.fusion import resample_to
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
+from ogm.models import load_model
 from ogm.models.radar import radar_numbers
-from ogm.plot import Panel, dots_panel, mass_panel, show
+from ogm.plot import dots_panel, mass_panel, show
 from ogm.pose import inverse, pose
-from ogm.simulation.dataset import make_sample, set_up
+from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.mounts import PLACES
 from ogm.simulation.plan import DatasetPlan, moment
+from ogm.simulation.preview import truth_panel
 from ogm.simulation.radar import Origin, RadarSweep, sweep
 from ogm.simulation.radars import RADARS, RadarSpec
 from ogm.simulation.traffic import ego_body
-from ogm.state import CellState
+from ogm.state import CellState, Truth
 from ogm.storage.files import atomic_write
 from ogm.truth import TRUTH_SPEC
 
@@ -74,27 +77,39 @@ class Frame(NamedTuple):
     drive: int
     seconds: dict[str, float]
 
+    def scan(self, name: str) -> Scan:
+        """Return the sweep of a radar as a scan."""
+        return replace(self.sweeps[name].scan(sensor=name), mount=self.mount)
+
+
+Model = Callable[[str, Frame], EvidentialGrid]
+
+
+def ego_footprint(here: SceneSetup) -> tuple[float, ...]:
+    """Return the edges of the ego vehicle around the lidar (x_min, x_max, y_min, y_max) [m]."""
+    body = ego_body().mesh.vertices
+    edges = ((axis, edge) for axis in (0, 1) for edge in (body[:, axis].min(), body[:, axis].max()))
+    return tuple(float(edge - here.T_vehicle_sensor[axis, 3]) for axis, edge in edges)
+
+
+def velocities_of(here: SceneSetup) -> NDArray[np.float64]:
+    """Return the velocities of the traffic participants, (N, 3)."""
+    return np.array([participant.velocity for participant in here.objects]).reshape(-1, 3)
+
 
 def frames(plan: DatasetPlan, split: str, numbers: Sequence[int]) -> Iterator[Frame]:
-    """Simulate moments, those of one town after each other."""
-    body = ego_body().mesh.vertices
+    """Simulate moments, the moments of one town after each other."""
     for k in sorted(numbers, key=lambda k: (moment(plan, split, k).town, k)):
         sample, here = make_sample(plan, split, k, 1), set_up(plan, split, k, 1)
         T_world_radar = here.state.ego @ AT
         T_grid_radar = inverse(here.T_world_sensor) @ T_world_radar
-        edges = [
-            edge - here.T_vehicle_sensor[axis, 3]
-            for axis in (0, 1)
-            for edge in (body[:, axis].min(), body[:, axis].max())
-        ]
-        mount = Mount(AT[2, 3], T_grid_radar, ego_footprint=tuple(float(edge) for edge in edges))
+        mount = Mount(AT[2, 3], T_grid_radar, ego_footprint=ego_footprint(here))
         x, y = np.broadcast_arrays(*SPEC.cell_centers)
         off = np.abs(np.arctan2(y - mount.origin[1], x - mount.origin[0]))
-        velocities = np.array([one.velocity for one in here.objects]).reshape(-1, 3)
         sweeps, truth, seconds = {}, {}, {}
         for n, (name, spec) in enumerate(RADARS.items()):
             rng, start = np.random.default_rng([plan.seed, k, n]), time.process_time()
-            options: Any = {"velocity": here.state.ego_velocity, "velocities": velocities}
+            options: Any = {"velocity": here.state.ego_velocity, "velocities": velocities_of(here)}
             sweeps[name] = sweep(here.world.scene, spec, T_world_radar, rng, **options)
             seconds[name] = time.process_time() - start
             seen = off <= max(mode.half_width for mode in spec.modes)
@@ -102,18 +117,13 @@ def frames(plan: DatasetPlan, split: str, numbers: Sequence[int]) -> Iterator[Fr
         yield Frame(sweeps, truth, mount, moment(plan, split, k).scenario, seconds)
 
 
-def radar_model(name: str, mount: Mount, **numbers: Any) -> RadarISM:
-    """Return RadarISM with a radar's field of view and errors."""
-    return RadarISM(SPEC, mount, **radar_numbers(name) | numbers)
-
-
-def werber(scan: Scan, snr: NDArray[np.float32], mount: Mount) -> EvidentialGrid:
+def werber(scan: Scan, snr: NDArray[np.float32]) -> EvidentialGrid:
     """Map by Werber et al. 2015, as published code has it: plausibilities from 1/2 to 1, and no free space."""
     distance = np.hypot(scan.points[:, 0], scan.points[:, 1]).astype(np.float64)
     strength = np.sqrt(10 ** (snr / 10) / np.maximum(distance, 1) ** 4)
     likely = np.clip(np.exp(-0.02 * distance**2) + 1 / (1 + np.exp(-0.05 * strength)), 0.5, 1)
     x, y = np.broadcast_arrays(*SPEC.cell_centers)
-    T, none = mount.T_vehicle_points, np.ones(SPEC.shape)
+    T, none = scan.mount.T_vehicle_points, np.ones(SPEC.shape)
     places = scan.points[:, :3] @ T[:3, :3].T + T[:3, 3]
     for (px, py, _), belief, r in zip(places, 2 * likely - 1, distance, strict=True):
         width = max(0.01 * r, 0.2)
@@ -124,24 +134,11 @@ def werber(scan: Scan, snr: NDArray[np.float32], mount: Mount) -> EvidentialGrid
     return EvidentialGrid(SPEC, mass)
 
 
-def as_lidar(scan: Scan, mount: Mount) -> EvidentialGrid:
+def as_lidar(scan: Scan) -> EvidentialGrid:
     """Map the detections as if each were a return of a lidar at the height of the sensor, over flat ground."""
     points = scan.points.copy()
     points[:, 2] = 0
-    return RayISM(SPEC, mount, ground=flat_ground)(points)
-
-
-MODELS: dict[str, Callable[[str, Frame], EvidentialGrid]] = {
-    "RadarISM": lambda name, one: radar_model(name, one.mount, keep_moving=True)(one.sweeps[name].scan()),
-    "RadarISM, static": lambda name, one: radar_model(name, one.mount)(one.sweeps[name].scan()),
-    "rays (RayISM)": lambda name, one: as_lidar(one.sweeps[name].scan(), one.mount),
-    "Werber 2015": lambda name, one: werber(one.sweeps[name].scan(), one.sweeps[name].snr, one.mount),
-}
-
-
-def learned(name: str, one: Frame) -> EvidentialGrid:
-    """Map by the network."""
-    return network(name, one.mount)(one.sweeps[name].scan())
+    return RayISM(SPEC, scan.mount, ground=flat_ground)(points)
 
 
 def discounted(grid: EvidentialGrid) -> EvidentialGrid:
@@ -149,22 +146,17 @@ def discounted(grid: EvidentialGrid) -> EvidentialGrid:
     return EvidentialGrid(grid.spec, discount(grid.mass, RELIABILITY))
 
 
-@cache
-def network(name: str, mount: Mount) -> DeepRadarISM:
-    """Return the learned model for a radar."""
-    widest = RADARS[name].widest
-    noise = RadarNoise(widest.half_width, azimuth_noise=widest.noise[1])
-    return DeepRadarISM(weights(), SPEC, mount, noise)
-
-
-@cache
-def weights() -> Any:
-    """Return the engine of the learned model; None where it cannot be loaded."""
-    try:
-        return DeepRadarISM.load("radar", threads=1).engine
-    except (OSError, ImportError, OgmError) as error:
-        print(f"without the learned model: {error}")
-        return None
+def all_models() -> dict[str, Model]:
+    """Return the models by name; each maps the sweep of a radar in a frame."""
+    by_numbers, network = (load_model(name, SPEC) for name in ("radar", "deep-radar"))
+    return {
+        "RadarISM": lambda name, one: by_numbers(one.scan(name)),
+        "RadarISM, static": lambda name, one: RadarISM(SPEC, **radar_numbers(name))(one.scan(name)),
+        "rays (RayISM)": lambda name, one: as_lidar(one.scan(name)),
+        "Werber 2015": lambda name, one: werber(one.scan(name), one.sweeps[name].snr),
+        "learned": lambda name, one: network(one.scan(name)),
+        "learned, discounted": lambda name, one: discounted(network(one.scan(name))),
+    }
 
 
 def timed() -> dict[str, float]:
@@ -173,18 +165,10 @@ def timed() -> dict[str, float]:
     r, azimuth = rng.uniform(3, 60, 300), rng.uniform(-1, 1, 300)
     points[:, 0], points[:, 1] = r * np.cos(azimuth), r * np.sin(azimuth)
     scan = Scan(points, doppler=-8 * np.cos(azimuth), rcs=rng.uniform(-20, 20, 300))
-    mount, spec, result = Mount(0.6, AT), GridSpec.centered(), {}
-    models: dict[str, Any] = {"RadarISM": RadarISM(spec, mount)}
-    if weights() is not None:
-        models["learned"] = DeepRadarISM(weights(), spec, mount)
-    for title, model in models.items():
-        times = []
-        for _ in range(200):
-            start = time.perf_counter()
-            model(scan)
-            times.append(time.perf_counter() - start)
-        result[title] = 1e3 * float(np.median(times[10:]))
-    return result
+    mount, spec = Mount(0.6, AT), GridSpec.centered()
+    models = {"RadarISM": RadarISM(spec, mount), "learned": DeepRadarISM.load("radar", spec=spec, mount=mount)}
+    times = measure({title: Contender(lambda _, model=model: model(scan)) for title, model in models.items()}, 20)
+    return {title: one.median for title, one in times.items()}
 
 
 def pooled(counts: Iterable[ConfusionSums]) -> dict[str, float]:
@@ -205,13 +189,11 @@ def fit(found: Sequence[Frame], name: str) -> dict[str, float]:
 
     def cost(x: NDArray[np.float64]) -> float:
         options: Any = numbers(x) | {"keep_moving": True}
-        grids = (radar_model(name, one.mount, **options)(one.sweeps[name].scan()) for one in found)
+        model = RadarISM(SPEC, **radar_numbers(name) | options)
+        grids = (model(one.scan(name)) for one in found)
         scores = pooled(accumulate(grid.mass, one.truth[name]) for grid, one in zip(grids, found, strict=True))
-        return (
-            scores["nll"]
-            + 10 * max(scores["false_free"] - MOST_FREE, 0) ** 2
-            + max(scores["false_free"] - MOST_FREE, 0)
-        )
+        excess = max(scores["false_free"] - MOST_FREE, 0)
+        return scores["nll"] + 10 * excess**2 + excess
 
     first = RadarISM(SPEC, found[0].mount)
     shares = np.array([getattr(first, key) / HIGH[key] for key in FITTED])
@@ -222,24 +204,15 @@ def fit(found: Sequence[Frame], name: str) -> dict[str, float]:
 
 def paired(counts: dict[str, list[ConfusionSums]], drives: Sequence[int], metric: str) -> dict[str, list[float]]:
     """Return the difference of RadarISM's score from the others', mean over drives with its 95 % interval."""
-    result = {}
-    for other in counts:
-        if other == "RadarISM":
-            continue
-        rows = []
-        for drive in sorted(set(drives)):
-            mine, theirs = (
-                pooled(one for one, number in zip(counts[model], drives, strict=True) if number == drive)[metric]
-                for model in ("RadarISM", other)
-            )
-            rows.append(mine - theirs)
-        half = (
-            student.ppf(0.975, len(rows) - 1) * np.std(rows, ddof=1) / math.sqrt(len(rows))
-            if len(rows) > 1
-            else math.nan
-        )
-        result[other] = [float(np.mean(rows)), float(np.mean(rows) - half), float(np.mean(rows) + half)]
-    return result
+    each = {
+        model: [
+            pooled(one for one, k in zip(sums, drives, strict=True) if k == drive)[metric]
+            for drive in sorted(set(drives))
+        ]
+        for model, sums in counts.items()
+    }
+    mine = each.pop("RadarISM")
+    return {other: list(compare_paired(mine, theirs, "lower").difference) for other, theirs in each.items()}
 
 
 def detections(found: Sequence[Frame], spec: RadarSpec) -> dict[str, Any]:
@@ -276,18 +249,11 @@ def histograms(scans: Sequence[Scan]) -> dict[str, list[float]]:
     }
 
 
-def draw(found: Sequence[Frame], real: Scan | None) -> None:
-    """Draw one frame by all models, and the recorded one."""
+def draw(path: Path, models: dict[str, Model], found: Sequence[Frame], real: Scan | None) -> None:
+    """Draw one frame by some models, and the recorded one."""
     one = max(found, key=lambda frame: len(frame.sweeps["ars548"].xyz))
-    state = one.truth["ars548"]
-    truth = np.stack([state == CellState.FREE, state == CellState.OCCUPIED], axis=-1).astype(np.float32)
-
-    def ahead(grid: EvidentialGrid, title: str) -> Panel:
-        (i, j), (nx, ny) = SPEC.index(0.5 * AHEAD.resolution, AHEAD.origin[1] + 0.5 * AHEAD.resolution), AHEAD.shape
-        return mass_panel(EvidentialGrid(AHEAD, grid.mass[i : i + nx, j : j + ny]), title)
-
-    panels = [ahead(EvidentialGrid(SPEC, truth), "truth, in the field of view")]
-    panels += [ahead(MODELS[name]("ars548", one), name) for name in PICTURED if name in MODELS]
+    panels = [truth_panel(Truth(SPEC, one.truth["ars548"]).crop(AHEAD), "truth, in the field of view")]
+    panels += [mass_panel(resample_to(models[name]("ars548", one), AHEAD, "nearest"), name) for name in PICTURED]
     caught, colours = one.sweeps["ars548"], dict(zip(PARTS, COLOURS, strict=True))
     T = one.mount.T_vehicle_points
     places = caught.xyz @ T[:3, :3].T + T[:3, 3]
@@ -295,40 +261,38 @@ def draw(found: Sequence[Frame], real: Scan | None) -> None:
     if real is not None:
         mount = Mount(0.641, pose(0.0, 0.0, 0.641), ego_footprint=(-5.0, 0.1, -1.0, 1.0))
         noise: Any = {"range_noise": 0.2, "azimuth_noise": math.radians(0.5), "doppler_noise": 0.25}
-        panels.append(ahead(RadarISM(SPEC, mount, **noise)(real), "RadarISM, recorded frame"))
+        panels.append(
+            mass_panel(resample_to(RadarISM(SPEC, mount, **noise)(real), AHEAD, "nearest"), "RadarISM, recorded frame")
+        )
     rows = [show(*panels[:3]), show(*panels[3:])]
     picture = Image.new("RGB", (max(row.width for row in rows), sum(row.height for row in rows)), "white")
     picture.paste(rows[0], (0, 0))
     picture.paste(rows[1], (0, rows[0].height))
-    with atomic_write(run.PICTURES / "radar.png") as file:
+    path.parent.mkdir(exist_ok=True)
+    with atomic_write(path) as file:
         picture.save(file, "PNG", optimize=True)
 
 
 def main() -> None:
     """Simulate, map, score, and write the record."""
-    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--frames", type=int, default=48)
     parser.add_argument("--fit", action="store_true")
-    parser.add_argument("--quick", action="store_true", help="few frames, and no files")
     given = parser.parse_args()
     count = 4 if given.quick else given.frames
-    record: dict[str, Any] = {"environment": run.environment(), "fit": {}, "radars": {}}
-    if (run.RESULTS / "radar.json").exists():
-        record["fit"] = json.loads((run.RESULTS / "radar.json").read_text())["fit"]
+    record: dict[str, Any] = {"environment": run.environment("deep-radar"), "fit": {}, "radars": {}}
+    if given.out.exists():
+        record["fit"] = json.loads(given.out.read_text())["fit"]
     if given.fit:
         training = list(frames(TRAINING, "training", range(0, 5 * count, 5)))
         for name in RADARS:
             record["fit"][name] = fit(training, name)
-            print(name, {key: round(value, 4) for key, value in record["fit"][name].items()}, flush=True)
-    if weights() is not None:
-        MODELS["learned"] = learned
-        MODELS["learned, discounted"] = lambda name, one: discounted(learned(name, one))
-    test = list(frames(TEST, "test", range(0, 5 * count, 5)))
+    models, test = all_models(), list(frames(TEST, "test", range(0, 5 * count, 5)))
     drives = [one.drive for one in test]
     for name, spec in RADARS.items():
         counts = {
             title: [accumulate(model(name, one).mass, one.truth[name]) for one in test]
-            for title, model in MODELS.items()
+            for title, model in models.items()
         }
         record["radars"][name] = {
             "detections": detections(test, spec),
@@ -337,20 +301,14 @@ def main() -> None:
                 metric: paired(counts, drives, metric) for metric in ("nll", "brier", "iou_free", "false_free")
             },
         }
-        for title, scores in record["radars"][name]["scores"].items():
-            print(f"{name:8} {title:18}", {key: round(value, 3) for key, value in scores.items()})
-        print(f"{name:8}", record["radars"][name]["detections"], flush=True)
     record["ms per sweep, 512 x 352 cells"] = timed()
-    print(record["ms per sweep, 512 x 352 cells"])
     record |= {"frames": len(test), "drives": len(set(drives))}
     real = recorded()
     if real is not None:
         record["ARS548, recorded"] = {"detections": len(real)} | histograms([real])
         record["ARS548, simulated"] = histograms([one.sweeps["ars548"].scan() for one in test])
-        print(record["ARS548, recorded"], record["ARS548, simulated"])
-    if not given.quick:
-        write(run.RESULTS / "radar.json", record)
-        draw(test, real)
+    run.write_record(given.out, record)
+    draw(given.picture, models, test, real)
 
 
 if __name__ == "__main__":

@@ -12,12 +12,10 @@ and beyond 60 m. Intervals are over drives. Writes benchmarks/results/radar_far.
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from dynamic import plain
 from numpy.typing import NDArray
 
 from ogm import Frame, GridSpec, Mount, Scan
@@ -176,14 +174,14 @@ def differences(drives: Sequence[dict[str, Any]], skies: dict[str, Sky]) -> dict
         for band in BANDS:
             pair = [[one[f"{sky}, {kind}"][band] for one in drives] for kind in ("lidar and radar", "lidar")]
             found[f"{sky}, {band}"] = {
-                key: plain(compare_paired(*([one[key] for one in rows] for rows in pair), "lower", numbers).difference)
+                key: list(compare_paired(*([one[key] for one in rows] for rows in pair), "lower", numbers).difference)
                 for key in STATIC
             }
     return found
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__)
     parser.add_argument("--drives", type=int, default=6)
     parser.add_argument("--scans", type=int, default=60, help="of each drive, 10 in a second")
     parser.add_argument("--visibility", type=float, default=50.0, help="in fog [m]")
@@ -199,10 +197,10 @@ def main() -> None:
         "visibility in fog [m]": given.visibility,
         "scans of a drive": given.scans,
         "reliability of radar": RELIABILITY,
-        "drives": plain(drives),
+        "drives": drives,
         "radar minus none": differences(drives, skies) if len(drives) > 1 else {},
     }
-    run.write_json(run.RESULTS / "radar_far.json", record)
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

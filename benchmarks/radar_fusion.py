@@ -6,14 +6,13 @@ DRIVES holds drives that `ogm simulate --sequences N --lidar vlp-32c --radar ars
 `DynamicMapper`s of the same cells; scans of all sensors are fused in the order of time. After every scan of the lidar,
 from the tenth on, a map is compared with the truth: motion and times to detect on the cells that the lidar's scan shows
 (see `dynamic.py`), and masses on all cells of the paper's grid. `--choose` tries reliabilities of radar instead, for
-drives that are not tested on. Intervals are over drives. Writes benchmarks/results/radar_fusion.json; with `--film`,
-also docs/pictures/radar_fusion.webp of a drive.
+drives that are not tested on, and writes to runs/. Intervals are over drives. Writes
+benchmarks/results/radar_fusion.json; with `--film`, docs/pictures/radar_fusion.webp of a drive instead.
 """
 
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,6 @@ import numpy as np
 from _dynamic_drives import WARM_UP, Recorder, Snapshot, snapshots
 from _dynamic_filters import Reading
 from _fusion_drives import PAPER, WINDOW
-from dynamic import plain
 from PIL import Image, ImageSequence
 
 from ogm import Frame, open_dataset
@@ -164,12 +162,11 @@ def film(frames: Sequence[Frame], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__)
     parser.add_argument("drives", type=Path)
     parser.add_argument("--choose", action="store_true")
-    parser.add_argument("--first", type=int, help="drives only")
+    parser.add_argument("--first", type=int, help="take the first N drives")
     parser.add_argument("--film", type=int, help="number of a drive")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "radar_fusion.json")
     given = parser.parse_args()
     if given.film is not None:
         film([*drives(given.drives, None)][given.film][1], run.PICTURES / "radar_fusion.webp")
@@ -185,29 +182,21 @@ def main() -> None:
         for method, row in over_drive(frames, maps).items():
             rows[method].append(row)
             print(name, method, row, flush=True)
-    lidar, numbers = rows["lidar"], [str(k) for k in range(len(rows["lidar"]))]
-    differences: dict[str, dict[str, list[float | None]]] = {}
-    for method, found in rows.items():
-        if method != "lidar" and len(found) > 1:
-            pairs = {key: ([one[key] for one in found], [one[key] for one in lidar]) for key in (*MOTION, *STATIC)}
-            differences[method] = {
-                key: plain(compare_paired(mine, theirs, "lower", numbers).difference)
-                for key, (mine, theirs) in pairs.items()
-            }
+    numbers, keys = [str(k) for k in range(len(rows["lidar"]))], (*MOTION, *STATIC)
+    columns = {method: {key: [one[key] for one in found] for key in keys} for method, found in rows.items()}
+    lidar = columns["lidar"]
     record = {
         "environment": run.environment(),
         "reliability of radar": RELIABILITY,
-        "drives": plain(rows),
-        "mean": {
-            m: {key: float(np.nanmean([one[key] for one in found])) for key in (*MOTION, *STATIC)}
-            for m, found in rows.items()
+        "drives": rows,
+        "mean": {method: {key: np.nanmean(found[key]) for key in keys} for method, found in columns.items()},
+        "minus lidar": {
+            method: {key: list(compare_paired(found[key], lidar[key], "lower", numbers).difference) for key in keys}
+            for method, found in columns.items()
+            if method != "lidar" and len(numbers) > 1
         },
-        "minus lidar": differences,
     }
-    for method, one in record["mean"].items():
-        print(method, {key: round(value, 4) for key, value in one.items()})
-    if not given.choose:
-        run.write_json(given.out, record)
+    run.write_record(run.RUNS / "radar_reliability.json" if given.choose else given.out, record)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from radar import ego_footprint, velocities_of
 
 from ogm import Frame, Mount, Scan
 from ogm.deep.checkpoint import load_radar_network
@@ -36,7 +37,6 @@ from ogm.simulation.mounts import PLACES
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.radar import sweep
 from ogm.simulation.radars import RADARS
-from ogm.simulation.traffic import ego_body
 from ogm.state import Truth
 from ogm.storage.files import atomic_write
 from ogm.truth import TRUTH_SPEC
@@ -65,12 +65,8 @@ def chosen(rng: np.random.Generator, more: bool) -> Iterator[tuple[str, NDArray[
 def make(plan: DatasetPlan, index: int, path: Path, more: bool) -> None:
     """Simulate a moment, and write its sweeps and its truth."""
     sample, here = make_sample(plan, "training", index, 1), set_up(plan, "training", index, 1)
-    rng, body = np.random.default_rng([plan.seed, index]), ego_body().mesh.vertices
-    velocities = np.array([one.velocity for one in here.objects]).reshape(-1, 3)
-    edges = [
-        edge - here.T_vehicle_sensor[axis, 3] for axis in (0, 1) for edge in (body[:, axis].min(), body[:, axis].max())
-    ]
-    rows: dict[str, Any] = {"truth": sample.truth.state, "footprint": np.array(edges)}
+    rng, velocities = np.random.default_rng([plan.seed, index]), velocities_of(here)
+    rows: dict[str, Any] = {"truth": sample.truth.state, "footprint": np.array(ego_footprint(here))}
     for n, (name, T_vehicle_radar) in enumerate(chosen(rng, more)):
         T = here.state.ego @ T_vehicle_radar
         turning = np.cross([0, 0, here.state.ego_yaw_rate], T[:3, 3] - here.state.ego[:3, 3])

@@ -6,15 +6,14 @@ With --store, the samples of a data set that `ogm simulate --recipe` made take t
 in clear weather with all beams measured. Its figures belong into files of their own (--out, --picture).
 
 Needs recordings that cannot be shipped; benchmarks/README.md names them and where they go. Writes
-benchmarks/results/realism.json, benchmarks/results/realism.md (the tables) and docs/pictures/realism.png. The same
-picture with a real scan and a published truth grid beside the simulated ones, which may not be passed on, goes to
-runs/realism/side_by_side.png.
+benchmarks/results/realism.json and docs/pictures/realism.png; `python docs/realism_tables.py` makes tables of the
+record. The same picture with a real scan and a published truth grid beside the simulated ones, which may not be passed
+on, goes to runs/realism/side_by_side.png.
 """
 
-from _run import DATA, PICTURES, RESULTS, ROOT, caption, environment, save_picture, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -22,7 +21,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from _charts import caption, save_picture
 from _sweep_statistics import EDGES, SPEC, Sweep, histograms, statistics
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ogm import Scan, read_scan
@@ -41,7 +42,7 @@ from ogm.simulation.traffic import Traffic, ego_vehicle
 from ogm.state import CellState
 from ogm.truth import boxes_seen_from
 
-SIDE_BY_SIDE = ROOT / "runs" / "realism" / "side_by_side.png"
+SIDE_BY_SIDE = run.RUNS / "realism" / "side_by_side.png"
 FIRING = 55.296e-6  # [s] VLP-32C: from one firing of a laser to its next
 EGO_REACH = np.array([2.6, 1.05, 1.7])  # [m] from the middle of the ego vehicle's footprint, where its returns lie
 STORED = {"pandar40": "pandar40p"}  # names in data sets
@@ -73,7 +74,7 @@ def firings(scan: Scan, period: float, columns: int) -> NDArray[np.int64]:
 
 def argoverse2() -> Iterator[Sweep]:
     """Both VLP-32C of one sweep, each seen from where it stands; columns from the firing times."""
-    folder = DATA / "argoverse2_adcf"
+    folder = run.DATA / "argoverse2_adcf"
     log = read_argoverse2(folder) if folder.is_dir() else None
     for path in log.sweeps if log else ():
         scan = read_scan(path)
@@ -86,7 +87,7 @@ def argoverse2() -> Iterator[Sweep]:
 
 def nuscenes() -> Iterator[Sweep]:
     """HDL-32E: the file holds every beam, those without a return as points at the sensor."""
-    for path in sorted((DATA / "nuscenes_n015").glob("*.pcd.bin")):
+    for path in sorted((run.DATA / "nuscenes_n015").glob("*.pcd.bin")):
         scan = read_scan(path, axes="nuscenes")
         distance = np.linalg.norm(scan.points[:, :3], axis=1)
         column, kept = np.arange(len(distance)) // 32, distance > 2.5
@@ -97,7 +98,7 @@ def nuscenes() -> Iterator[Sweep]:
 def kitti() -> Iterator[Sweep]:
     """HDL-64E: points in the order of the layers, each from azimuth 0 counter-clockwise; intensities not calibrated."""
     for pattern in ("kitti_odometry_00/000000.bin", "kitti_object/velodyne/*.bin", "kitti_raw_0005/*70.pcd.xz"):
-        for path in sorted(DATA.glob(pattern)):
+        for path in sorted(run.DATA.glob(pattern)):
             scan = read_scan(path)
             azimuth = np.degrees(np.arctan2(scan.points[:, 1], scan.points[:, 0]))
             (turns,) = np.nonzero((np.abs(azimuth[:-1] + 45) < 45) & (np.abs(azimuth[1:] - 45) <= 45))
@@ -109,7 +110,7 @@ def kitti() -> Iterator[Sweep]:
 
 def pandar40() -> Iterator[Sweep]:
     """Hesai with 40 layers (SUSTechPOINTS); columns from the firing times."""
-    for path in sorted((DATA / "sustechpoints").glob("lidar/*.pcd.xz")):
+    for path in sorted((run.DATA / "sustechpoints").glob("lidar/*.pcd.xz")):
         scan = read_scan(path, axes=("-y", "+x", "+z"))
         yield sweep_of("Pandar40 (SUSTech)", scan, scan.ring, firings(scan, 55.5e-6, 1800), 1800)
 
@@ -175,13 +176,12 @@ def stored(
             yield names[sample.lidar], sweep, sample.truth.crop(SPEC).state
 
 
-PUBLISHED = {"free": (25, 36), "occupied": (0.9, 2.5), "unknown": (63, 74)}  # [%] of labels that were published
 RADII = (0, 3, 6, 10, 15, 20, 30, 50)  # [m]
 
 
 def published_label() -> NDArray[np.uint8] | None:
     """Return one label of the paper's own data, (nx, ny) along x forward and y left: 0 unknown, 1 free, 2 occupied."""
-    path = DATA.parent / "evilog_label_256x176.npy"
+    path = run.DATA.parent / "evilog_label_256x176.npy"
     return np.load(path)[::-1, ::-1] if path.is_file() else None
 
 
@@ -247,42 +247,6 @@ def compare(real: Mapping[str, list[dict[str, float]]], fake: list[dict[str, flo
     return rows
 
 
-def digits(value: float | None) -> str:
-    if value is None:
-        return ""
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 9.95 else f"{value:.2g}"
-
-
-def table(heads: list[str], rows: Mapping[str, list[Any]]) -> list[str]:
-    """Return a table in Markdown; a spread is written as its median and its ends."""
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    for name, row in rows.items():
-        spans = (
-            f"{digits(one['median'])} ({digits(one['p10'])} to {digits(one['p90'])})" if isinstance(one, dict) else one
-            for one in row
-        )
-        lines.append(f"| {name} | {' | '.join(map(str, spans))} |")
-    return lines
-
-
-def tables(record: Mapping[str, Any]) -> str:
-    """Return the comparisons as tables in Markdown."""
-    lines = []
-    for sensor, group in record["sensors"].items():
-        sets = list(group["scans"])
-        rows = {"scans": [*group["scans"].values(), group["simulated scans"], ""]}
-        for name, one in group["statistics"].items():
-            rows[name] = [*(digits(one["real"].get(key)) for key in sets), one["simulated"], one["verdict"]]
-        heads = ["", *sets, "simulated, median (10 % to 90 %)", ""]
-        lines += [f"### {sensor}", "", *table(heads, rows), ""]
-    rows = {
-        name: ["{} to {}".format(*PUBLISHED[name]) if name in PUBLISHED else "", digits(one["label"]), one["simulated"]]
-        for name, one in record["truth"].items()
-    }
-    heads = ["cells [%]", "published labels", "one published label", "aimed, median (10 % to 90 %)"]
-    return "\n".join([*lines, "### Truth", "", *table(heads, rows)]) + "\n"
-
-
 def picture(
     record: Mapping[str, Any],
     sensor: str,
@@ -291,8 +255,6 @@ def picture(
     path: Path,
 ) -> None:
     """Draw a range image and a truth grid of each name in `shown`, and histograms of all sweeps by name."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(16, 2.6 * len(shown) + 10), layout="constrained")
     parts = figure.subfigures(len(shown) + 2, 1, height_ratios=[2.5] * len(shown) + [6.0, 3.6])
     shown_as = np.array([(0.0, 0.0, 0.0), colours().free, colours().occupied, (0.44, 0.44, 0.44)])  # by `CellState`
@@ -329,41 +291,31 @@ def range_picture(sweep: Sweep, columns: int = 1800) -> NDArray[np.float32]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--towns", type=int, default=4, help="towns to scan in (default 4)")
     parser.add_argument("--each", type=int, default=10, help="places in each town (default 10)")
-    parser.add_argument("--quick", action="store_true", help="one town, two places")
     parser.add_argument("--store", type=Path, help="data set whose scans are compared (default: simulate some)")
-    parser.add_argument("--out", type=Path, default=RESULTS / "realism.json", help="where the figures go")
-    parser.add_argument("--picture", type=Path, default=PICTURES / "realism.png", help="where the picture goes")
     options = parser.parse_args()
-    if min(options.towns, options.each) < 1:
-        parser.error("--towns and --each must be at least 1")
     towns, each = (1, 2) if options.quick else (options.towns, options.each)
     where = [Place(seed, bool(n % 2), 25.0 + 13.0 * n) for seed in range(1, towns + 1) for n in range(each)]
 
-    record = environment()
+    record = run.environment()
     real = {sensor: list(reader()) for sensor, (_, _, reader) in GROUPS.items()}
     for sensor in (sensor for sensor, sweeps in real.items() if not sweeps):
-        print(f"left out: {sensor}: no recording of it under {DATA}")
+        print(f"left out: {sensor}: no recording of it under {run.DATA}")
     sensors = {s: (spec, height) for s, (spec, height, _) in GROUPS.items() if real[s]}
     if not sensors:
         print("nothing to compare with: benchmarks/README.md names the recordings that are needed, and where")
         return
-    fake: dict[str, list[Sweep]] = {sensor: [] for sensor in sensors}
-    truths: list[NDArray[np.uint8]] = []
-    seen: dict[str, NDArray[np.uint8]] = {}  # states of the cells around a sweep, by its name
+    found: dict[str, list[tuple[Sweep, NDArray[np.uint8] | None]]] = {sensor: [] for sensor in sensors}
     if options.store is None:
         record["places"], scans = [list(place) for place in where], simulated(sensors, where)
     else:
         record["data set"], scans = options.store.name, stored(options.store, sensors)
-    for sensor, sweep, state in scans:
-        fake[sensor].append(sweep)
-        if state is not None:
-            truths.append(state)
-            seen[sweep.name] = state
+    for sensor, *scan_and_truth in scans:
+        found[sensor].append(tuple(scan_and_truth))
 
-    record["sensors"], made = {}, {sensor: [statistics(sweep) for sweep in sweeps] for sensor, sweeps in fake.items()}
+    record["sensors"], made = {}, {sensor: [statistics(sweep) for sweep, _ in pairs] for sensor, pairs in found.items()}
     for sensor, ours in made.items():
         if not ours:
             print(f"left out: {sensor}: no intact scan of it in {options.store}")
@@ -374,24 +326,19 @@ def main() -> None:
         counts = {name: len(sweeps) for name, sweeps in sets.items()}
         record["sensors"][sensor] = {"scans": counts, "simulated scans": len(ours), "statistics": compare(sets, ours)}
     label = published_label()
-    shares, known = [truth_shares(state) for state in truths], {} if label is None else truth_shares(label)
+    shares = [truth_shares(state) for pairs in found.values() for _, state in pairs if state is not None]
+    known = {} if label is None else truth_shares(label)
     record["truth"] = {
         name: {"label": known.get(name), "simulated": spread([one[name] for one in shares])} for name in shares[0]
     }
-    text = tables(record)
-    print(text)
-    write_json(options.out, record)
-    options.out.with_suffix(".md").write_text(text)
+    run.write_record(options.out, record)
     first = next(sensor for sensor in sensors if made[sensor])
     # The scan in the picture is a typical one: its distance to obstacles is the median of all.
     reach = [one["nearest obstacle, sectors of 1 deg, p50 [m]"] for one in made[first]]
-    chosen = int(np.argsort(reach)[len(reach) // 2])
-    typical = fake[first][chosen]
-    shown = {"simulated": (typical, truths[chosen] if options.store is None else seen[typical.name])}
-    sweeps = {"simulated": fake[first], "real": real[first]}
+    shown = {"simulated": found[first][int(np.argsort(reach)[len(reach) // 2])]}
+    sweeps = {"simulated": [sweep for sweep, _ in found[first]], "real": real[first]}
     picture(record, first, sweeps, shown, options.picture)
-    picture(record, first, sweeps, shown | {"real": (real[first][0], label)}, SIDE_BY_SIDE)
-    print(f"\nwrote {options.out}, {options.picture}, and, not to be passed on, {SIDE_BY_SIDE}")
+    picture(record, first, sweeps, shown | {"real": (real[first][0], label)}, SIDE_BY_SIDE)  # not to be passed on
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Draw anew, from the records, the pictures that need nothing else: no scan, no map, no measurement.
+"""Draw again the pictures that need nothing but records: no scan, no map, no measurement.
 
     python benchmarks/redraw.py
 
@@ -9,20 +9,21 @@ quality_real.png, quality_reliability.png and soak.png.
 import soak  # first: it sets the number of threads
 
 # isort: split
+import argparse
 import json
-from typing import Any
 
 import _paper_facts
 import _quality_pictures
 import paper_curves
-from _run import PICTURES, RESULTS, caption
+from _charts import caption
+from _run import PICTURES, RESULTS
 
 
 def main() -> None:
     """Draw them."""
-    records: dict[str, Any] = {}
-    for name in ("paper_curves", "quality", "soak"):
-        records[name] = json.loads((RESULTS / f"{name}.json").read_text())
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    names = ("paper_curves", "quality", "soak")
+    records = {name: json.loads((RESULTS / f"{name}.json").read_text()) for name in names}
     soak.picture(records["soak"], PICTURES / "soak.png")
     if paper_curves.CURVES.is_file():
         found, curves = records["paper_curves"], _paper_facts.read_curves(paper_curves.CURVES)

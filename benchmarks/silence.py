@@ -12,7 +12,6 @@ import _run as run  # first: it sets the number of threads
 import radar_far
 
 # isort: split
-import argparse
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -105,12 +104,11 @@ def compared(one: Drive) -> dict[str, dict[str, ConfusionSums]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = run.Parser(__doc__)
     parser.add_argument("--drives", type=int, default=3)
     parser.add_argument("--scans", type=int, default=30, help="of each drive, 10 in a second")
     parser.add_argument("--seed", type=int, default=radar_far.PLAN.seed)
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "silence.json")
-    parser.add_argument("--keep", type=Path, default=run.ROOT / "runs" / "silence")
+    parser.add_argument("--keep", type=Path, default=run.RUNS / "silence")
     parser.add_argument("--before", type=Path, help="record of an earlier version, to be kept beside")
     given = parser.parse_args()
     radar_far.PLAN = replace(radar_far.PLAN, seed=given.seed, radars=())
@@ -120,11 +118,10 @@ def main() -> None:
         for what in drives[0][key]:
             scores = [score(one[key][what]) for one in drives]
             means.setdefault(key, {})[what] = {m: round(float(np.nanmean([s[m] for s in scores])), 4) for m in METRICS}
-        print(key, means[key], flush=True)
     record = {"environment": run.environment(), "drives": given.drives, "scans": given.scans, "seed": given.seed}
     if given.before:
         record["before"] = json.loads(given.before.read_text())["means over drives"]
-    run.write_json(given.out, record | {"means over drives": means})
+    run.write_record(given.out, record | {"means over drives": means})
 
 
 if __name__ == "__main__":

@@ -9,21 +9,22 @@ import os
 
 os.environ["OGM_CORES"] = "2"  # before _run, which pins to one core otherwise
 
-from _run import RESULTS, environment, write_json  # noqa: E402
+import _run as run  # noqa: E402
 
 # isort: split
-import argparse  # noqa: E402
 import statistics  # noqa: E402
 import tempfile  # noqa: E402
 import time  # noqa: E402
 from concurrent.futures import ProcessPoolExecutor  # noqa: E402
 from dataclasses import replace  # noqa: E402
+from functools import partial  # noqa: E402
 from multiprocessing import get_context  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
 import numpy as np  # noqa: E402
 import open3d  # noqa: E402
+from _timing import Contender, once  # noqa: E402
 
 from ogm.simulation import dataset  # noqa: E402
 from ogm.simulation import workers as crew
@@ -56,6 +57,11 @@ def rays_of(here: SceneSetup) -> tuple[Any, Any]:
     return scene, open3d.core.Tensor(rays)
 
 
+def write_sample(store: Store, plan: DatasetPlan, k: int, index: int, _: None) -> None:
+    """Make a sample on two cores, and write it as the k-th."""
+    store.write("training", k, [make_sample(plan, "training", index, 2)])
+
+
 def cost(plan: DatasetPlan, moments: int, repeats: int, folder: Path) -> dict[str, Any]:
     """Time whole samples of both modes beside their rays alone, moment by moment."""
     times: dict[str, list[float]] = {"rays alone": [], "hd": [], "aimed": []}
@@ -63,23 +69,14 @@ def cost(plan: DatasetPlan, moments: int, repeats: int, folder: Path) -> dict[st
     for k in range(moments):
         index = 10 * k  # another drive each time
         scene, rays = rays_of(set_up(plan, "training", index))
-        rounds: dict[str, list[float]] = {name: [] for name in times}
         counts = {"training": index + 1}
-        stores = {
-            mode: Store.create(folder / f"{mode}{k}", {}, counts, dataset.lidars(one), dataset.versions())
-            for mode, one in plans.items()
-        }
-        for _ in range(repeats + 1):  # the first round is to warm up
-            start = time.perf_counter()
-            scene.cast_rays(rays, 2)
-            rounds["rays alone"].append(time.perf_counter() - start)
-            for mode, one in plans.items():
-                start = time.perf_counter()
-                made = make_sample(one, "training", index, 2)
-                stores[mode].write("training", k, [made])
-                rounds[mode].append(time.perf_counter() - start)
-        for name, values in rounds.items():
-            times[name].append(statistics.median(values[1:]))
+        calls = {"rays alone": Contender(lambda _, scene=scene, rays=rays: scene.cast_rays(rays, 2))}
+        for mode, one in plans.items():
+            store = Store.create(folder / f"{mode}{k}", {}, counts, dataset.lidars(one), dataset.versions())
+            calls[mode] = Contender(partial(write_sample, store, one, k, index))
+        rounds = [{name: once(call)[0] for name, call in calls.items()} for _ in range(repeats + 1)]
+        for name, values in times.items():
+            values.append(statistics.median(seconds[name] for seconds in rounds[1:]))  # the first is to warm up
         print(k, {name: round(values[-1], 3) for name, values in times.items()}, flush=True)
     ratios = {mode: [a / b for a, b in zip(times[mode], times["rays alone"], strict=True)] for mode in plans}
     return {
@@ -95,22 +92,23 @@ def recipe_cost(name: str, samples: int) -> dict[str, Any]:
     """Return the processor time of samples of a recipe and of the default, on one core, and of a town of the recipe."""
     plans = {"default": DatasetPlan(), name: DatasetPlan.of_recipe(name, seed=18)}
     seconds: dict[str, list[float]] = {one: [] for one in plans}
-    towns: list[float] = []
+    towns: dict[str, float] = {}
     for one, plan in plans.items():
         for number in range(2):
-            start = time.process_time()
-            make_sample(plan, "training", 0 if one == "default" else 70 * number, 1)  # the town, and kernels
-            if one == name:
-                towns.append(time.process_time() - start)
-            for k in range(1, samples // 2 + 1):
-                start = time.process_time()
-                make_sample(plan, "training", k + (70 * number if one == name else 10 * number), 1)
-                seconds[one].append(time.process_time() - start)
+            first = number * (70 if one == name else 10)
+            found = [processor_time(plan, first + k) for k in range(samples // 2 + 1)]
+            seconds[one] += found[1:]
+            towns[one] = found[0]  # the town, and kernels
     median = {one: round(statistics.median(values), 3) for one, values in seconds.items()}
     return {"seconds, median": median, "times the default": round(median[name] / median["default"], 3)} | {
-        "seconds of a town with its first sample": round(towns[-1], 2),
+        "seconds of a town with its first sample": round(towns[name], 2),
         "samples each": samples,
     }
+
+
+def processor_time(plan: DatasetPlan, number: int) -> float:
+    """Return the processor time of a training sample [s]."""
+    return once(Contender(lambda _: make_sample(plan, "training", number, 1)))[1]
 
 
 def made(workers: int, cores: int, plan: DatasetPlan, folder: str) -> tuple[float, float]:
@@ -172,17 +170,15 @@ def reading(path: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, quick=True)
     parser.add_argument("--moments", type=int, default=6, help="moments of samples that are timed (default 6)")
     parser.add_argument("--repeats", type=int, default=3, help="times each (default 3)")
     parser.add_argument("--samples", type=int, default=80, help="made to compare workers (default 80)")
     parser.add_argument("--store", type=Path, help="data set to read (default: the one made for the workers)")
-    parser.add_argument("--quick", action="store_true", help="two moments, twenty samples; not worth quoting")
-    parser.add_argument("--out", type=Path, default=RESULTS / "simulation.json", help="where the figures go")
     options = parser.parse_args()
     chosen = (options.moments, options.repeats, options.samples)
     moments, repeats, samples = (2, 1, 20) if options.quick else chosen
-    record = environment()
+    record = run.environment()
     plan = DatasetPlan(mounts=only("vlp-32c"))
     with tempfile.TemporaryDirectory() as folder:
         record["one sample"] = cost(plan, moments, repeats, Path(folder))
@@ -191,10 +187,7 @@ def main() -> None:
         store = options.store or Path(folder) / "by2"
         record["reading"] = reading(store)
     record["note"] = NOTE
-    write_json(options.out, record)
-    for name in ("one sample", "gen2", "two workers", "reading"):
-        print(f"{name}: {record[name]}")
-    print(f"wrote {options.out}")
+    run.write_record(options.out, record)
 
 
 if __name__ == "__main__":

@@ -13,16 +13,16 @@ import _soak_parts as parts  # first: it sets the number of threads
 # isort: split
 import argparse
 import json
-import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import _run as run
 import numpy as np
+from _charts import caption, save_picture
 from matplotlib.figure import Figure
 
 NAMES = (*parts.CHAINS, "points", "streams", "serve")
@@ -42,41 +42,35 @@ def measured(name: str, given: argparse.Namespace) -> dict[str, Any]:
     if name == "streams":
         return parts.streams(0.2 if given.quick else 2.0, 2 if given.quick else 9)
     if name == "serve":
-        folder = Path(tempfile.mkdtemp(prefix="ogm-soak-"))
-        try:
-            return parts.serving(folder, 0.5 if given.quick else given.serve_minutes)
-        finally:
-            shutil.rmtree(folder)
+        with tempfile.TemporaryDirectory(prefix="ogm-soak-") as folder:
+            return parts.serving(Path(folder), 0.5 if given.quick else given.serve_minutes)
     return parts.many_scans(name, 200 if given.quick else given.scans)
 
 
 def verdicts(name: str, found: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return what was wanted of a part, and whether it is so."""
-    rows: list[tuple[str, float, float, str, bool]] = []
+    """Return the figures of a part beside their limits."""
     if name == "points":
-        rows = [
-            (f"{model}, {found['points'] / 1e6:g} million points: mapped", one["refused"] == "", 1, "", True)
-            for model, one in found["models"].items()
-        ]
-    elif name == "streams":
-        rows = [
-            (f"{TITLES[chain]}: two threads", one["two threads / one"], 1.7, "x", True)
-            for chain, one in found["chains"].items()
-        ]
-    else:
-        rows = [(f"{TITLES[name]}: {what} left", found[f"{what} left"], 0, "", False) for what in ("files", "threads")]
-        rows += [(f"{TITLES[name]}: memory grown", found["memory grown [%]"], 2.0, "%", False)]
+        millions = f"{found['points'] / 1e6:g} million points"
+        models = found["models"].items()
+        return run.verdicts(
+            (f"{model}, {millions}: mapped", one["refused"] == "", ">=", 1, "") for model, one in models
+        )
+    if name == "streams":
+        chains = found["chains"].items()
+        return run.verdicts(
+            (f"{TITLES[n]}: two threads", one["two threads / one"], ">=", 1.7, "x") for n, one in chains
+        )
+    title = TITLES[name]
+    rows = [(f"{title}: {what} left", found[f"{what} left"], "<=", 0, "") for what in ("files", "threads")]
+    rows += [(f"{title}: memory grown", found["memory grown [%]"], "<=", 2.0, "%")]
     if name in parts.CHAINS:
         p99 = found["processor time"]["last / first"]
-        rows += [(f"{TITLES[name]}: p99 of the last hundred / first, processor time", p99, 1.2, "x", False)]
+        rows += [(f"{title}: p99 of the last hundred / first, processor time", p99, "<=", 1.2, "x")]
     if name == "serve":
         load = found["processor time, last tenth / first"]
-        rows += [("ogm serve: processor time of the last tenth / first", load, 1.2, "x", False)]
-        rows += [("ogm serve: failed scans", found["result"]["failed"], 0, "", False)]
-    return [
-        {"what": w, "got": g, "wanted": t, "unit": u, "met": bool(g >= t if least else g <= t)}
-        for w, g, t, u, least in rows
-    ]
+        rows += [(f"{title}: processor time of the last tenth / first", load, "<=", 1.2, "x")]
+        rows += [(f"{title}: failed scans", found["result"]["failed"], "<=", 0, "")]
+    return run.verdicts(rows)
 
 
 def picture(record: Mapping[str, Any], path: Path) -> None:
@@ -95,7 +89,7 @@ def picture(record: Mapping[str, Any], path: Path) -> None:
     memory.set(xlabel="scans", ylabel="resident memory [MB]", ylim=(0, None), title="memory")
     latency.set(xlabel="scans", ylabel="p99 of a hundred scans [ms]", ylim=(0, None), title="processor time of a scan")
     figure.legend(frameon=False, fontsize=8, loc="outside right center")
-    run.save_picture(figure, path, run.caption(record["environment"]))
+    save_picture(figure, path, caption(record["environment"]))
 
 
 def merged(path: Path, name: str, part: Mapping[str, Any], environment: Mapping[str, Any]) -> dict[str, Any]:
@@ -104,7 +98,8 @@ def merged(path: Path, name: str, part: Mapping[str, Any], environment: Mapping[
         old = json.loads(path.read_text())["parts"]
     except (OSError, ValueError, KeyError):
         old = {}
-    where = {key: environment[key] for key in ("command", "date", "cpu", "cores", "load at start")}
+    kept = ("command", "date", "commit", "cpu", "cores", "load at start", "weights")
+    where = {key: environment[key] for key in kept if key in environment}
     new = {**old, name: {**where, **part}}
     return {
         "environment": {**environment, "command": "python benchmarks/soak.py"},
@@ -112,31 +107,25 @@ def merged(path: Path, name: str, part: Mapping[str, Any], environment: Mapping[
     }
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main() -> None:
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--scans", type=int, default=10_000)
     parser.add_argument("--serve-minutes", type=float, default=60.0)
     parser.add_argument("--only", choices=NAMES, help="measure one part, and keep the others of the record")
-    parser.add_argument("--quick", action="store_true", help="see that everything runs; writes no files")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "soak.json")
-    parser.add_argument("--picture", type=Path, default=run.PICTURES / "soak.png")
-    given = parser.parse_args(words)
+    given = parser.parse_args()
     if given.only is None:
-        again = list(sys.argv[1:] if words is None else words)
-        failed = [n for n in NAMES if subprocess.run([sys.executable, __file__, *again, "--only", n]).returncode]
+        again = [sys.executable, *sys.argv]
+        failed = [name for name in NAMES if subprocess.run([*again, "--only", name]).returncode]
         if failed:
             raise SystemExit(f"did not run to the end: {', '.join(failed)}")
         return
-    environment = run.environment()
+    environment = run.environment(*(["lite"] if given.only in ("network", "points", "streams") else []))
     found = measured(given.only, given)
     found["verdicts"] = verdicts(given.only, found)
-    for row in found["verdicts"]:
-        line = f"{row['what']}: {row['got']:.4g} {row['unit']} (wanted {row['wanted']:g})"
-        print(f"{'ok    ' if row['met'] else 'MISSED'} {line}")
-    if not given.quick:
-        record = merged(given.out, given.only, found, environment)
-        run.write_json(given.out, record)
-        picture(record, given.picture)
+    run.print_verdicts(found["verdicts"])
+    record = merged(given.out, given.only, found, environment)
+    run.write_record(given.out, record)
+    picture(record, given.picture)
 
 
 if __name__ == "__main__":

@@ -7,23 +7,24 @@ states what is compared, and what is not comparable about it. Writes benchmarks/
 docs/pictures/speed.png.
 """
 
-import _contenders as make
-import _run as run  # first: it sets the number of threads
+import _contenders as make  # first: it sets the number of threads
+import _run as run
 from _contenders import COPY, HEIGHT_BAND, KISS, LOCAL, NUMPY, OCTOMAP, PYTHON, RAY, STREET_HEIGHT, NamedScan
 
 # isort: split
-import argparse
 import json
 import math
 import os
-import subprocess
-import sys
 import tempfile
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _charts import FLOOR, OURS, PEER, TWIN, caption, draw_times, save_picture
+from _timing import Contender, Times, measure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ogm import GridSpec, Mount
@@ -92,13 +93,12 @@ def two_threads(scan: NamedScan) -> dict[str, float]:
     prepare = partial(os.sched_setaffinity, 0, range(cores)) if hasattr(os, "sched_setaffinity") else None
     with tempfile.TemporaryDirectory() as folder:
         np.save(path := Path(folder) / "points.npy", make.thinned(scan.points, 120_000))
-        command = [sys.executable, "-c", TWO_THREADS, str(path), str(scan.sensor_height)]
-        out = subprocess.run(command, capture_output=True, text=True, check=True, preexec_fn=prepare)  # noqa: PLW1509
-    one, two = map(float, out.stdout.split())
+        out = run.in_new_process(TWO_THREADS, [path, scan.sensor_height], preexec_fn=prepare)
+    one, two = map(float, out.split())
     return {"one thread [1/s]": one, "two threads [1/s]": two, "ratio": two / one}
 
 
-def steps(scan: NamedScan, rounds: int) -> dict[str, run.Times]:
+def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
     """Time the steps of `RayISM`, each on what the steps before it made."""
     points, mount = make.thinned(scan.points, 120_000), Mount(scan.sensor_height)
     ism, cells = RayISM(SPEC, mount), Cells(*SPEC.origin, SPEC.resolution)
@@ -120,7 +120,7 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, run.Times]:
         ),
         "masses": lambda _: ray_mass(work.free, work.hits, polar, alarms, numbers),
     }
-    return run.measure({name: run.Contender(call) for name, call in calls.items()}, rounds)
+    return measure({name: Contender(call) for name, call in calls.items()}, rounds)
 
 
 def first_calls() -> dict[str, dict[str, float]]:
@@ -128,10 +128,7 @@ def first_calls() -> dict[str, dict[str, float]]:
     result = {}
     with tempfile.TemporaryDirectory() as cache:
         for state in ("cold (compiles)", "from the cache"):
-            environment = os.environ | {"NUMBA_CACHE_DIR": cache}
-            command = [sys.executable, "-c", FIRST_CALLS]
-            out = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-            result[state] = json.loads(out.stdout)
+            result[state] = json.loads(run.in_new_process(FIRST_CALLS, env=os.environ | {"NUMBA_CACHE_DIR": cache}))
     return result
 
 
@@ -140,7 +137,7 @@ def compare(scan: NamedScan, size: str, rounds: int) -> dict[str, Any]:
     points, mount, slow = make.thinned(scan.points, SIZES[size][0]), Mount(scan.sensor_height), size == "57.6k"
     ours = make.contenders(SPEC, points, mount, slow)
     others, reasons = make.peers(SPEC, points, scan.sensor_height)
-    times = run.measure(ours | others, rounds)
+    times = measure(ours | others, rounds)
     result = {"size": size, "scan": scan.name, "points": len(points), "left out": reasons, "times": times}
     if slow:
         mass = HeightBandISM(SPEC, mount)(points).mass
@@ -155,10 +152,10 @@ def cost(sizes: list[int], runs: list[tuple[GridSpec, NDArray[np.float32]]], rou
     result: dict[str, Any] = {}
     for model in (HeightBandISM, RayISM):
         calls = {
-            size: run.Contender(lambda ism, p=points: ism(p), partial(model, spec, Mount(STREET_HEIGHT)))
+            size: Contender(lambda ism, p=points: ism(p), partial(model, spec, Mount(STREET_HEIGHT)))
             for size, (spec, points) in zip(map(str, sizes), runs, strict=True)
         }
-        times = list(run.measure(calls, rounds).values())
+        times = list(measure(calls, rounds).values())
         x, y = np.log(sizes), np.log([t.median for t in times])
         slope, steepest = float(np.polyfit(x, y, 1)[0]), float((np.diff(y) / np.diff(x)).max())
         result[model.__name__] = {"times": times, "slope": slope, "steepest step": steepest}
@@ -171,60 +168,30 @@ def verdicts(
     """Return the ratios beside what they have to reach."""
     rows: list[tuple[str, float, str, float, str]] = []
     for comparison in comparisons:
-        times, where = comparison["times"], f"({comparison['scan']}, {comparison['points']} points)"
-        model, factor = (HEIGHT_BAND, 500) if comparison["size"] == "57.6k" else (RAY, 100)
-        trees = {name: t.median for name, t in times.items() if name.startswith(OCTOMAP)}
-        if trees:
-            best, ours = min(trees, key=trees.__getitem__), times[model].median
-            rows.append((f"{model}: times faster than {best} {where}", trees[best] / ours, ">=", factor, "x"))
-        if model == HEIGHT_BAND:
-            ratio = times[model].median / times[COPY].median
-            rows.append((f"{model}: of the time of a copy {where}", ratio, "<=", 12, "x"))
-            continue
-        if KISS in times:
-            ratio = times[KISS].median / times[model].median
-            rows.append((f"{model}: times faster than {KISS} {where}", ratio, ">=", 15, "x"))
-        rows.append((f"{model}: time {where}", times[model].median, "<=", 8, "ms"))
-        rows.append(
-            (f"{model}: of the time of a copy {where}", times[model].median / times[COPY].median, "<=", 10, "x")
-        )
+        medians = {name: times.median for name, times in comparison["times"].items()}
+        where = f"({comparison['scan']}, {comparison['points']} points)"
+        model, factor, copies = (HEIGHT_BAND, 500, 12) if comparison["size"] == "57.6k" else (RAY, 100, 10)
+        trees = [name for name in medians if name.startswith(OCTOMAP)]
+        peers = {min(trees, key=medians.__getitem__): factor} if trees else {}
+        peers |= {KISS: 15} if model == RAY and KISS in medians else {}
+        for peer, limit in peers.items():
+            rows.append(
+                (f"{model}: times faster than {peer} {where}", medians[peer] / medians[model], ">=", limit, "x")
+            )
+        rows.append((f"{model}: of the time of a copy {where}", medians[model] / medians[COPY], "<=", copies, "x"))
+        if model == RAY:
+            rows.append((f"{model}: time {where}", medians[model], "<=", 8, "ms"))
     if threads:
         rows.append((f"{RAY}: two threads against one", threads["ratio"], ">=", 1.6, "x"))
     for model in (HEIGHT_BAND, RAY):
         for kind in ("slope", "steepest step"):
             what = f"{model}: {kind} of log time over log points, to {max(points['points'])} points"
             rows.append((what, points[model][kind], "<=", 1, ""))
-    return [
-        {
-            "what": what,
-            "got": got,
-            "wanted": f"{sign} {wanted:g} {unit}".strip(),
-            "met": got >= wanted if sign == ">=" else got <= wanted,
-        }
-        for what, got, sign, wanted, unit in rows
-    ]
-
-
-def report(record: dict[str, Any]) -> None:
-    """Print the result."""
-    for comparison in record["comparisons"]:
-        print(f"\n{comparison['scan']}, {comparison['points']} points: median (quartiles)")
-        for name, times in sorted(comparison["times"].items(), key=lambda item: item[1].median):
-            disturbed = f", on the core {times.on_core:.0%} of it" if times.on_core < 0.97 else ""
-            print(f"  {name:44} {times}{disturbed}")
-        for name, reason in comparison["left out"].items():
-            print(f"  {name:44} left out: {reason}")
-    print("\nWanted and measured")
-    for row in record["verdicts"]:
-        met = "met   " if row["met"] else "MISSED"
-        print(f"  {met} {row['got']:8.4g}  wanted {row['wanted']:9} {row['what']}")
-    print("\n" + record["note"])
+    return run.verdicts(rows)
 
 
 def picture(record: dict[str, Any], path: Path) -> None:
     """Draw all contenders on a log scale, and how the cost grows."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(13, 10), layout="constrained")
     upper, lower = figure.subfigures(2, 1, height_ratios=(1.5, 1))
     for ax, size in zip(upper.subplots(1, 2), SIZES, strict=True):
@@ -240,65 +207,48 @@ def picture(record: dict[str, Any], path: Path) -> None:
         "OctoMap and KISS-SLAM build 3D maps and do more work: they answer a larger question",
         fontsize=13,
     )
-    run.save_picture(figure, path, run.caption(record))
+    save_picture(figure, path, caption(record))
 
 
-def _bars(ax: Any, comparisons: list[dict[str, Any]]) -> None:
-    times: dict[str, run.Times] = comparisons[0]["times"]
-    colours = dict.fromkeys((HEIGHT_BAND, RAY, LOCAL), run.OURS) | dict.fromkeys((PYTHON, NUMPY), run.TWIN)
-    colours[COPY] = run.FLOOR
-    names = sorted(times, key=lambda name: -times[name].median)
-    medians = [times[name].median for name in names]
-    ax.barh(range(len(names)), medians, color=[colours.get(name, run.PEER) for name in names])
-    for row, median in enumerate(medians):
-        text = f"{median:.3g} ms" if median < 1000 else f"{median:.0f} ms"
-        ax.text(1.02, row, text, va="center", transform=ax.get_yaxis_transform())
-    for other, marker in zip(comparisons[1:], "o^sD", strict=False):
-        rows = [(other["times"][name].median, row) for row, name in enumerate(names) if name in other["times"]]
-        ax.plot(*zip(*rows, strict=True), marker, color="black", markersize=5, mfc="white", label=other["scan"])
-    labels = [name.replace(" of the bytes it", "\nof the bytes it").replace("), ", "),\n") for name in names]
-    ax.set_yticks(range(len(names)), labels, fontsize=9)
-    ax.set_xscale("log")
-    ax.set_xlim(0.05, max(t.median for c in comparisons for t in c["times"].values()) * 2)
-    ax.set_xlabel("ms per scan")
-    ax.set_title(f"{comparisons[0]['points']:,} points; bars: {comparisons[0]['scan']}", fontsize=11)
-    ax.grid(axis="x", alpha=0.3)
-    ax.set_axisbelow(True)
-    labels = ("ogm", "other libraries", "HeightBandISM by hand", "copy")
-    for label, colour in zip(labels, (run.OURS, run.PEER, run.TWIN, run.FLOOR), strict=True):
-        ax.bar(0, 0, color=colour, label=label)
-    ax.legend(loc="upper right", fontsize=9)
+def _bars(axes: Axes, comparisons: list[dict[str, Any]]) -> None:
+    """Draw the times on the first scan as bars, the times on other scans as marks."""
+    first, *others = ({name: times.median for name, times in one["times"].items()} for one in comparisons)
+    first = dict(sorted(first.items(), key=lambda item: item[1]))
+    colours = dict.fromkeys(first, PEER) | dict.fromkeys((HEIGHT_BAND, RAY, LOCAL), OURS)
+    colours |= dict.fromkeys((PYTHON, NUMPY), TWIN) | {COPY: FLOOR}
+    draw_times(axes, first, colours, f"{comparisons[0]['points']:,} points; bars: {comparisons[0]['scan']}")
+    for medians, comparison, marker in zip(others, comparisons[1:], "o^sD", strict=False):
+        rows = [(medians[name], row) for row, name in enumerate(reversed(first)) if name in medians]
+        axes.plot(*zip(*rows, strict=True), marker, color="black", ms=5, mfc="white", label=comparison["scan"])
+    labels = {"ogm": OURS, "other libraries": PEER, "HeightBandISM by hand": TWIN, "copy": FLOOR}
+    for label, colour in labels.items():
+        axes.bar(0, 0, color=colour, label=label)
+    axes.grid(axis="x", alpha=0.3)
+    axes.legend(loc="upper right", fontsize=9)
 
 
-def _curves(ax: Any, one: dict[str, Any], sizes: list[int], labels: list[str]) -> None:
-    for model, colour in ((RAY, run.OURS), (HEIGHT_BAND, "#7fbf7b")):
-        times = one[model]["times"]
+def _curves(axes: Axes, costs: dict[str, Any], sizes: list[int], labels: list[str]) -> None:
+    """Draw time over size for both models."""
+    for model, colour in ((RAY, OURS), (HEIGHT_BAND, "#7fbf7b")):
+        times = costs[model]["times"]
         medians = [t.median for t in times]
-        ax.plot(sizes, medians, "o-", color=colour, label=f"{model}: slope {one[model]['slope']:.2f}")
-        ax.fill_between(sizes, [t.low for t in times], [t.high for t in times], color=colour, alpha=0.2)
-    last = one[RAY]["times"][-1].median
-    linear = [last * size / sizes[-1] for size in sizes]
-    ax.plot(sizes, linear, ":", color="black", linewidth=1, label="linear")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_ylim(min(t.median for t in one[HEIGHT_BAND]["times"]) / 2, last * 2)
-    ax.set_xticks(sizes, labels)
-    ax.set_xticks([], minor=True)
-    ax.set_ylabel("ms per scan")
-    ax.grid(alpha=0.3, which="both")
-    ax.legend(fontsize=9)
+        axes.plot(sizes, medians, "o-", color=colour, label=f"{model}: slope {costs[model]['slope']:.2f}")
+        axes.fill_between(sizes, [t.low for t in times], [t.high for t in times], color=colour, alpha=0.2)
+    last = costs[RAY]["times"][-1].median
+    axes.plot(sizes, [last * size / sizes[-1] for size in sizes], ":", color="black", linewidth=1, label="linear")
+    lowest = min(t.median for t in costs[HEIGHT_BAND]["times"])
+    axes.set(xscale="log", yscale="log", ylim=(lowest / 2, last * 2), ylabel="ms per scan")
+    axes.set_xticks(sizes, labels)
+    axes.set_xticks([], minor=True)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=9)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--scan", type=Path, help="measure on this scan, beside the synthetic one")
     parser.add_argument("--repeats", type=int, default=9, help="rounds; at least 3 for what takes seconds")
-    parser.add_argument("--quick", action="store_true", help="one scan, one round, up to 300 000 points")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "speed.json", help="where the figures go")
-    parser.add_argument("--picture", type=Path, default=run.PICTURES / "speed.png", help="where the picture goes")
     options = parser.parse_args()
-    if options.repeats < 1:
-        parser.error("--repeats must be at least 1")
     rounds = 1 if options.quick else options.repeats
     record = run.environment()
     real = make.real_scans(options.scan) if options.scan or not options.quick else []
@@ -325,15 +275,13 @@ def main() -> None:
     record["two threads"] = two_threads(timed)
     record["verdicts"] = verdicts(record["comparisons"], record["cost of points"], record["two threads"])
     record["note"] = NOTE
-    report(record)
-    run.write_json(options.out, _named(record))
+    run.write_record(options.out, _named(record))
     picture(record, options.picture)
-    print(f"\nwrote {options.out} and {options.picture}")
 
 
 def _named(value: Any) -> Any:
     """Give times their names for the file."""
-    if isinstance(value, run.Times):
+    if isinstance(value, Times):
         return {UNITS.get(key, key): v for key, v in value._asdict().items()}
     if isinstance(value, dict):
         return {key: _named(v) for key, v in value.items()}

@@ -8,10 +8,9 @@ and without that rule: scans by the truth of all other scans, scans and maps by 
 shipped: see benchmarks/README.md. Writes benchmarks/results/truth_mask.json.
 """
 
-from _run import DATA, RESULTS, environment, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -47,7 +46,7 @@ def without_mask() -> Iterator[None]:
 def truths(place: str, others: str, masked: bool) -> list[NDArray[np.uint8]]:
     """Return the truth of every frame of a drive."""
     with nullcontext() if masked else without_mask():
-        return [frame.truth.crop(SPEC).state for frame in open_dataset(DATA / place, others=others)]
+        return [frame.truth.crop(SPEC).state for frame in open_dataset(run.DATA / place, others=others)]
 
 
 def taken_out(masked: list[NDArray[np.uint8]], whole: list[NDArray[np.uint8]]) -> dict[str, float]:
@@ -66,7 +65,7 @@ def compared(place: str, frames: int | None) -> dict[str, Any]:
     maps = {f"{name} + {RULE}": FusedMethod.by_rule(name, one.model, RULE, SPEC) for name, one in scans.items()}
     runner = MethodRunner(scans | maps, SPEC)
     rows: dict[tuple[str, str], list[list[list[float]]]] = {}
-    for k, frame in enumerate(open_dataset(DATA / place, others="later")[:frames]):
+    for k, frame in enumerate(open_dataset(run.DATA / place, others="later")[:frames]):
         runner.update(frame)
         for name, grid in runner.grids().items():
             for others, pair in kinds.items():
@@ -90,22 +89,14 @@ def compared(place: str, frames: int | None) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="three frames of each; writes nothing")
-    given = parser.parse_args()
-    record: dict[str, Any] = {"environment": environment(), "drives": {}}
+    given = run.Parser(__doc__, quick=True).parse_args()
+    record: dict[str, Any] = {"environment": run.environment("lite"), "drives": {}}
     for name, place in DRIVES.items():
-        if not (DATA / place).is_dir():
+        if not (run.DATA / place).is_dir():
             print(f"{name} is left out: there is no {place}", file=sys.stderr)
             continue
         record["drives"][name] = compared(place, 3 if given.quick else None)
-        for others, found in record["drives"][name].items():
-            lost = ", ".join(f"{100 * v:.2f} % of {k}" for k, v in found["share that is taken out"].items())
-            print(f"{name}, {others} scans: {lost} cells are taken out")
-            for method, means in found["means, with and without"].items():
-                print(f"  {method:24}" + "  ".join(f"{m} {a:.3f} / {b:.3f}" for m, (a, b) in means.items()))
-    if not given.quick:
-        write_json(RESULTS / "truth_mask.json", record)
+    run.write_record(given.out, record)
 
 
 if __name__ == "__main__":

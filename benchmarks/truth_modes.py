@@ -7,15 +7,15 @@ narrow sectors against a lidar of 12000 layers every 0.02 degrees. Writes benchm
 docs/pictures/truth_modes.png.
 """
 
-from _run import PICTURES, RESULTS, caption, environment, save_picture, write_json
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from _charts import caption, save_picture
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -168,16 +168,11 @@ def picture(truths: list[dict[str, Truth]], record: Mapping[str, Any], path: Pat
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--frames", type=int, default=6, help="moments in the town (default 6)")
-    parser.add_argument("--quick", action="store_true", help="one moment, a coarse reference")
-    parser.add_argument("--out", type=Path, default=RESULTS / "truth_modes.json", help="where the figures go")
-    parser.add_argument("--picture", type=Path, default=PICTURES / "truth_modes.png")
     options = parser.parse_args()
     frames = 1 if options.quick else options.frames
-    if frames < 1:
-        parser.error("--frames must be at least 1")
-    record = environment()
+    record = run.environment()
     town = build_town(TOWN)
     world = World(town, Scene(town.mesh, threads=1), Scene(town.ground, threads=1))
     traffic, times = Traffic(town, TRAFFIC, clockwise=True), [30.0 + 25.0 * k for k in range(frames)]
@@ -189,12 +184,9 @@ def main() -> None:
     record |= {"town": TOWN, "traffic": TRAFFIC, "moments [s]": times, "published": {"ranges": PUBLISHED}, "note": NOTE}
     record["reference"] = {"layers": layers, "azimuth step [deg]": STEP, "sectors": sectors}
     record |= compare(times, place, layers, sectors)
-    for mode in MODES:
-        print(f"{mode}: {record['against the reference'][mode]}")
-    write_json(options.out, record)
+    run.write_record(options.out, record)
     shown = [{mode: whole(mode, m) for mode in MODES} for m in map(place, range(min(frames, 2)))]
     picture(shown, record, options.picture)
-    print(f"\nwrote {options.out} and {options.picture}")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ benchmarks/README.md. One core. Writes benchmarks/results/world.json.
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import resource
 import tempfile
 import time
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _timing import resident
 from numcodecs import Zstd
 
 from ogm.datasets import open_dataset
@@ -35,11 +35,9 @@ Scans = list[tuple[EvidentialGrid, np.ndarray, float]]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser = run.Parser(__doc__, quick=True)
     parser.add_argument("drives", type=Path)
     parser.add_argument("--kilometres", type=float, default=20.0, help="length of the long drive (20)")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "world.json")
-    parser.add_argument("--quick", action="store_true", help="few repetitions, to see that it runs")
     options = parser.parse_args()
     record: dict[str, Any] = run.environment() | {"cells": "512 x 352 of 0.16 m, tiles of 512 x 512"}
     dataset = open_dataset(options.drives, split="sequences")
@@ -66,8 +64,7 @@ def main() -> None:
         with WorldMap.open(base / "town") as world:
             record["disk"] = on_disk(world, base / "town")
             record["window"] = windows(world, 20 if options.quick else 200)
-    run.write_json(options.out, record)
-    print(f"written {options.out}")
+    run.write_record(options.out, record)
 
 
 def first_scans(frames: Any, count: int) -> Scans:
@@ -95,7 +92,6 @@ def integrating(scans: Scans, base: Path) -> dict[str, Any]:
                     times[name].append(time.perf_counter() - start)
     ms = {name: [round(1e3 * float(q), 3) for q in np.percentile(one, (50, 25, 75))] for name, one in times.items()}
     ratio = {name: round(ms["WorldMap, uint16"][0] / ms[name][0], 2) for name in ms if "Mapper" in name}
-    print("integrate [ms: median, quartiles]", ms, "ratio", ratio)
     return {"ms": ms, "ratio": ratio, "scans": len(times["WorldMap, uint16"])}
 
 
@@ -113,13 +109,12 @@ def merging(scans: Scans, rule: str) -> float:
                 merge(tile, other, WORLD_RULES[rule], 0.98)
             seconds.append(time.perf_counter() - start)
     rate = sum(tile[0].size for tile in tiles) / float(np.median(seconds[1:]))
-    print(f"merge by {rule}: {rate / 1e6:.0f} million cells/s")
     return round(rate / 1e6, 1)
 
 
 def long_drive(grid: EvidentialGrid, url: Path, kilometres: float) -> dict[str, Any]:
     """Drive straight on at 20 scans per 20 m, with 200 MB of tiles in memory, and watch memory and times."""
-    seconds, resident = [], []
+    seconds, memory = [], []
     per_kilometre = 1000
     with WorldMap.create(url, memory=200e6) as world:
         for k in range(int(kilometres * per_kilometre)):
@@ -128,12 +123,12 @@ def long_drive(grid: EvidentialGrid, url: Path, kilometres: float) -> dict[str, 
             world.integrate(grid, T, stamp=0.05 * k)
             seconds.append(time.perf_counter() - start)
             if k % per_kilometre == per_kilometre - 1:
-                resident.append(_resident())
+                memory.append(round(resident()))
         tiles = len(world.tiles())
         start = time.perf_counter()
     closing = time.perf_counter() - start
     ms = 1e3 * np.array(seconds)
-    found = {
+    return {
         "kilometres": kilometres,
         "scans": len(seconds),
         "tiles": tiles,
@@ -142,18 +137,10 @@ def long_drive(grid: EvidentialGrid, url: Path, kilometres: float) -> dict[str, 
         "ms_99": round(float(np.percentile(ms, 99)), 1),
         "ms_most": round(float(ms.max()), 1),
         "hz_mean": round(1e3 / float(ms.mean()), 1),
-        "resident_mb": [round(one / 1e6) for one in resident],
+        "resident_mb": memory,
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
         "closing_seconds": round(closing, 2),
     }
-    print("long drive", found)
-    return found
-
-
-def _resident() -> int:
-    """Return the memory that this process has now [byte]."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize()
 
 
 def on_disk(world: WorldMap, folder: Path) -> dict[str, Any]:
@@ -170,7 +157,7 @@ def on_disk(world: WorldMap, folder: Path) -> dict[str, Any]:
     def stored(name: str) -> float:
         return round(sum(one.stat().st_size for one in (folder / name).rglob("*") if one.is_file()) / seen, 3)
 
-    found = {
+    return {
         "seen_cells": seen,
         "tiles": len(world.tiles()),
         "bytes_per_seen_cell": {
@@ -181,8 +168,6 @@ def on_disk(world: WorldMap, folder: Path) -> dict[str, Any]:
         },
         "by_layer": by_layer,
     }
-    print("on disk", found)
-    return found
 
 
 def windows(world: WorldMap, count: int) -> dict[str, Any]:
@@ -195,7 +180,6 @@ def windows(world: WorldMap, count: int) -> dict[str, Any]:
         world.window(spec)
         seconds.append(time.perf_counter() - start)
     low, median, high = (round(1e3 * float(q), 2) for q in np.percentile(seconds, (25, 50, 75)))
-    print(f"window {median} ms ({low} to {high})")
     return {"ms": [median, low, high], "windows": count}
 
 

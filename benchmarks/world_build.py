@@ -15,21 +15,18 @@ os.environ["OGM_CORES"] = "2"
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import json
-import logging
 import resource
-import socket
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _object_store import s3_server
+from _timing import resident
+from distributed import LocalCluster
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset, open_dataset
@@ -47,16 +44,13 @@ Drives = Mapping[str, Dataset]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("drives", type=Path)
     parser.add_argument("--only", choices=PARTS, nargs="+", default=PARTS, help="parts to measure")
     parser.add_argument("--workers-drives", type=int, default=20, help="drives that one and two workers build (20)")
     parser.add_argument("--every", type=int, default=1, help="take every N-th scan of the drives (1)")
     parser.add_argument("--cells", type=float, default=1e9, help="cells of the large map (1e9)")
     parser.add_argument("--folder", type=Path, help="where maps are made; the town's stays there")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "world_build.json")
-    parser.add_argument("--picture", type=Path, default=run.PICTURES / "world.png")
-    parser.add_argument("--quick", action="store_true", help="two drives, few cells, to see that it runs")
     options = parser.parse_args()
     record: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
     dataset = open_dataset(options.drives, split="sequences")
@@ -82,8 +76,7 @@ def main() -> None:
                     patch = seen_patch(world)
                 record[name] = run.environment() | many_cells(patch, Path(temporary) / "cells", options.cells)
             record |= run.environment()
-            run.write_json(options.out, record)
-    print(f"written {options.out}")
+            run.write_record(options.out, record)
 
 
 def build(place: Mapping[str, Any], drives: Drives, **how: Any) -> float:
@@ -101,17 +94,17 @@ def town(drives: Drives, base: Path, temporary: Path) -> dict[str, Any]:
     found: dict[str, Any] = {"drives": len(drives), "frames": sum(map(len, drives.values())), "seconds": {}}
     here = {"url": base / "town"}
     found["seconds"]["two workers"] = build(here, drives, workers=2)
-    with cluster() as scheduler, s3_server() as storage:
+    one_thread = {"env": dict.fromkeys(run.THREADS, "1"), "threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(n_workers=2, **one_thread) as cluster, s3_server("maps") as storage:
         for name, place in (
             ("Dask, two workers", {"url": temporary / "dask"}),
             ("Dask, two workers, S3", {"url": "s3://maps/town", "storage": storage}),
         ):
-            found["seconds"][name] = build(place, drives, scheduler=scheduler)
+            found["seconds"][name] = build(place, drives, scheduler=cluster.scheduler_address)
             found.setdefault("the same", {})[name] = same(here, place)
     with WorldMap.open(**here) as world:
         found["tiles"], found["levels"] = len(world.tiles()), world.levels
         found["seen_cells"] = sum(int((world.tile(index)[4] > 0).sum()) for index in world.tiles())
-    print("town", found)
     return found
 
 
@@ -130,49 +123,6 @@ def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
         )
 
 
-@contextmanager
-def cluster() -> Iterator[str]:
-    """Start a scheduler of Dask and two workers, each a process; yield the address."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    dask = [sys.executable, "-m", "dask"]
-    one = os.environ | dict.fromkeys(run.THREADS, "1")
-    commands = [["scheduler", "--host", address], *[["worker", address, "--nthreads", "1"]] * 2]
-    started = [
-        subprocess.Popen([*dask, *command, "--no-dashboard"], env=one, stderr=subprocess.DEVNULL)
-        for command in commands
-    ]
-    try:
-        from distributed import Client
-
-        with Client(address, timeout=120, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=120)
-        yield address
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait()
-
-
-@contextmanager
-def s3_server() -> Iterator[dict[str, str]]:
-    """Start a server of S3 on this machine; yield how it is reached. Its bucket is ``maps``."""
-    import boto3
-    from moto.server import ThreadedMotoServer
-
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)  # a line per request
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    endpoint = "http://{}:{}".format(*server.get_host_and_port())
-    keys = {"aws_access_key_id": "test", "aws_secret_access_key": "test", "region_name": "us-east-1"}
-    boto3.client("s3", endpoint_url=endpoint, **keys).create_bucket(Bucket="maps")
-    try:
-        yield {"endpoint": endpoint, "access_key_id": "test", "secret_access_key": "test", "region": "us-east-1"}
-    finally:
-        server.stop()
-
-
 def one_and_two(drives: Drives, base: Path) -> dict[str, Any]:
     """Time the build by one worker and by two, all compiled before; by one also on the processor, in parts."""
     first = next(iter(drives))
@@ -188,19 +138,17 @@ def one_and_two(drives: Drives, base: Path) -> dict[str, Any]:
     for stage in ("sub-maps", "tiles"):
         times = [at for name, at in marks if name == stage]
         parts[stage] = {"tasks": len(times) - 1, "cpu_seconds": round(times[-1] - times[0], 2)}
-    found = {
+    return {
         "drives": len(drives),
         "frames": sum(map(len, drives.values())),
         "seconds": seconds,
         "gain": round(seconds["1"] / seconds["2"], 2),
         "one worker": parts,
         "the same": same({"url": base / "one"}, {"url": base / "two"}),
-        "bytes": {name: _size(base / "one" / name) for name in ("0", "drives")},
-        "objects": {name: _count(base / "one" / name) for name in ("0", "drives")},
+        "bytes": {name: sum(sizes(base / "one" / name)) for name in ("0", "drives")},
+        "objects": {name: len(sizes(base / "one" / name)) for name in ("0", "drives")},
         "load": [round(one, 2) for one in os.getloadavg()],
     }
-    print("workers", found)
-    return found
 
 
 def seen_patch(world: WorldMap) -> EvidentialGrid:
@@ -223,53 +171,41 @@ def many_cells(grid: EvidentialGrid, url: Path, cells: float) -> dict[str, Any]:
     per_tile = grid.mass.shape[0] * grid.mass.shape[1]
     count = int(np.ceil(cells / per_tile))
     columns = int(np.ceil(np.sqrt(count)))
-    resident, begin = [], time.perf_counter()
+    memory, begin = [], time.perf_counter()
     with WorldMap.create(url, memory=MEMORY) as world:
         for n in range(count):
             i, j = divmod(n, columns)
             world.integrate(grid, pose(i * 81.92, j * 81.92), stamp=float(n))
             if (n + 1) * 20 // count > n * 20 // count:  # twenty times
-                resident.append(_resident())
-                print(f"  {(n + 1) / count:.0%} {resident[-1] / 1e6:.0f} MB", flush=True)
+                memory.append(resident())
+                print(f"  {(n + 1) / count:.0%} {memory[-1]:.0f} MB", flush=True)
     seconds = time.perf_counter() - begin
     begin = time.perf_counter()
     with WorldMap.open(url, "r+", memory=MEMORY) as world:
         levels = world.build_overviews()
-        resident.append(_resident())
+        memory.append(resident())
         overviews = time.perf_counter() - begin
         checked = [world.tile(index) for index in world.tiles()[:: max(count // 20, 1)]]
         whole = all(int((tile[4] == 1).sum()) == per_tile for tile in checked)
         tiles = len(world.tiles())
-    found = {
+    return {
         "cells": count * per_tile,
         "tiles": tiles,
         "seconds": round(seconds, 1),
         "overviews_seconds": round(overviews, 1),
         "levels": levels,
-        "bytes_per_cell": round(_size(url / "0") / (count * per_tile), 3),
-        "gigabytes": round(_size(url) / 1e9, 2),
-        "objects": _count(url),
-        "resident_mb": [round(one / 1e6) for one in resident],
+        "bytes_per_cell": round(sum(sizes(url / "0")) / (count * per_tile), 3),
+        "gigabytes": round(sum(sizes(url)) / 1e9, 2),
+        "objects": len(sizes(url)),
+        "resident_mb": [round(megabytes) for megabytes in memory],
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
         "tiles_checked": len(checked) if whole else 0,
     }
-    print("cells", found)
-    return found
 
 
-def _resident() -> int:
-    """Return the memory that this process has now [byte]."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-
-
-def _size(folder: Path) -> int:
-    """Return the bytes of all files below a folder."""
-    return sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())
-
-
-def _count(folder: Path) -> int:
-    """Return the number of files below a folder."""
-    return sum(one.is_file() for one in folder.rglob("*"))
+def sizes(folder: Path) -> list[int]:
+    """Return the bytes of each file below a folder."""
+    return [file.stat().st_size for file in folder.rglob("*") if file.is_file()]
 
 
 def picture(world: WorldMap, record: Mapping[str, Any], path: Path) -> None:

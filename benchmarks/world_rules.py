@@ -21,7 +21,6 @@ Definitions
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -96,12 +95,10 @@ RULES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("fit", type=Path)
     parser.add_argument("report", type=Path)
     parser.add_argument("--every", type=int, default=1, help="take every N-th scan of FIT (1)")
-    parser.add_argument("--out", type=Path, default=run.RESULTS / "world_rules.json")
-    parser.add_argument("--picture", type=Path, default=run.PICTURES / "world_rules.png")
     options = parser.parse_args()
     record: dict[str, Any] = run.environment() | {"chosen": CHOSEN}
     with tempfile.TemporaryDirectory() as folder:
@@ -109,8 +106,7 @@ def main() -> None:
             found = [prepare(*one, Path(folder)) for one in towns_of(path, every)]
             record[part] = summary(found)
     picture(*found[0], record, options.picture)
-    run.write_json(options.out, record)
-    print(f"written {options.out} and {options.picture}")
+    run.write_record(options.out, record)
 
 
 def prepare(
@@ -186,16 +182,11 @@ def evaluate(town: Town, drives: dict[str, Tiles], rule: Rule) -> dict[TileIndex
                 tile = np.zeros_like(part)
             else:
                 both = (part[4] > 0) & (tile[4] > 0)
-                next_occupied = both & (occupied | (free & parked))
-                next_free = both & free & ~parked
-                m = tile[:2].astype(np.float32) / MASS_STEPS
-                p = m[1] + (1 - m[0] - m[1]) / 2
-                sums["next"] += np.count_nonzero(next_occupied) + np.count_nonzero(next_free)
-                sums["next_loss"] += _loss(p[next_occupied]) + _loss(1 - p[next_free])
-                sums["next_occupied"] += np.count_nonzero(next_occupied)
-                sums["next_free"] += np.count_nonzero(next_free)
-                sums["next_false_free"] += np.count_nonzero(m[0][next_occupied] > 0.5)
-                sums["next_ghosts"] += np.count_nonzero(m[1][next_free] > 0.5)
+                found = counted(tile, both & free & ~parked, both & (occupied | (free & parked)))
+                sums["next"] += found["free"] + found["occupied"]
+                sums["next_loss"] += found["loss_free"] + found["loss_occupied"]
+                for key in ("occupied", "free", "false_free", "ghosts"):
+                    sums[f"next_{key}"] += found[key]
             combine(tile, part, rule)
             stood = parked & now_occupied & free
             gone[stood], was[stood] = False, True
@@ -203,22 +194,28 @@ def evaluate(town: Town, drives: dict[str, Tiles], rule: Rule) -> dict[TileIndex
             gone[was & now_free & ~parked] = True
         if tile is None:
             continue
-        known = tile[4] > 0
-        m = tile[:2].astype(np.float32) / MASS_STEPS
-        p = m[1] + (1 - m[0] - m[1]) / 2
-        free, occupied = free & known, occupied & known
-        sums["free"], sums["occupied"] = np.count_nonzero(free), np.count_nonzero(occupied)
-        sums["ghosts"], sums["false_free"] = np.count_nonzero(m[1][free] > 0.5), np.count_nonzero(m[0][occupied] > 0.5)
-        sums["hit"], sums["free_hit"] = np.count_nonzero(m[1][occupied] > 0.5), np.count_nonzero(m[0][free] > 0.5)
-        sums["loss_free"], sums["loss_occupied"] = _loss(1 - p[free]), _loss(p[occupied])
-        left = gone & free
-        sums["left"] = np.count_nonzero(left)
-        sums["left_occupied"], sums["left_free"] = (
-            np.count_nonzero(m[1][left] > 0.5),
-            np.count_nonzero(m[0][left] > 0.5),
-        )
-        result[index] = np.array([sums[one] for one in SUMS], np.float64)
+        known, nothing = tile[4] > 0, np.zeros(truth.shape, np.bool_)
+        sums |= counted(tile, free & known, occupied & known)
+        left = counted(tile, gone & free & known, nothing)
+        sums |= {"left": left["free"], "left_occupied": left["ghosts"], "left_free": left["free_hit"]}
+        result[index] = np.array([sums[key] for key in SUMS], np.float64)
     return result
+
+
+def counted(tile: NDArray[Any], free: NDArray[np.bool_], occupied: NDArray[np.bool_]) -> dict[str, float]:
+    """Return the sums of a tile over truly free and truly occupied cells."""
+    m = tile[:2].astype(np.float32) / MASS_STEPS
+    p = m[1] + (1 - m[0] - m[1]) / 2
+    return {
+        "free": np.count_nonzero(free),
+        "occupied": np.count_nonzero(occupied),
+        "ghosts": np.count_nonzero(m[1][free] > 0.5),
+        "false_free": np.count_nonzero(m[0][occupied] > 0.5),
+        "hit": np.count_nonzero(m[1][occupied] > 0.5),
+        "free_hit": np.count_nonzero(m[0][free] > 0.5),
+        "loss_free": _loss(1 - p[free]),
+        "loss_occupied": _loss(p[occupied]),
+    }
 
 
 def _loss(p: NDArray[Any]) -> float:

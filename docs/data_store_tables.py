@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from record_tables import table
+
 __all__ = ["data_store_tables"]
 
 ROWS = {
@@ -18,12 +20,11 @@ def data_store_tables(record: Mapping[str, Any]) -> list[str]:
     sets = record["sets"]
     heads = [f"{where}, {one['samples']:,}" for one in sets for where in ("folder", "S3")]
     places = [one[where] for one in sets for where in ("folder", "s3")]
-    lines = [_row("samples/s", *heads), _row("---", *["---:"] * len(heads)).replace(" ", "")]
-    lines += [_row(title, *[f"{one[name]['samples_per_s']:.1f}" for one in places]) for name, title in ROWS.items()]
+    rows = [[title, *(f"{one[name]['samples_per_s']:.1f}" for one in places)] for name, title in ROWS.items()]
     parts = [("two training processes, one each that loads", "two ranks", lambda both: f"{sum(both):.1f}")]
     parts += [("training of `lite` on one core", "training", lambda one: f"{one['samples_per_s']:.1f}")]
     parts += [("of its time it waits", "training", lambda one: f"{100 * one['waiting']:.1f} %")]
-    lines += [_row(title, *[show(one[name]) if name in one else "" for one in places]) for title, name, show in parts]
+    rows += [[title, *(show(one[name]) if name in one else "" for one in places)] for title, name, show in parts]
     small, large = sets[0], sets[-1]
     few, one = (each["s3"]["shards, 1 loading"] for each in (small, large))
     read, many = (large["s3"][f"requests, {order}"] for order in ("shards", "all"))
@@ -44,8 +45,4 @@ def data_store_tables(record: Mapping[str, Any]) -> list[str]:
         f"{growth * (LARGE - count):.0f} MB more in each process that opens it. Answers after 30 ms, for the seven "
         "requests of a shard at once, would cost 3 ms per sample and process, beside some 55 ms of preparation.",
     ]
-    return ["\n".join(lines), *facts]
-
-
-def _row(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
+    return [table(["samples/s", *heads], rows), *facts]

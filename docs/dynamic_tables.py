@@ -4,6 +4,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from record_tables import half_width, table
+
 __all__ = ["dynamic_tables"]
 
 HYBRID, PLAIN, NUSS = "hybrid, matching, 200k", "hybrid, 200k", "Nuss, 1M"
@@ -55,13 +57,14 @@ def dynamic_tables(found: Mapping[str, Any]) -> list[str]:
         _table(LATER, later),
     ]
     reached = sum(target[-1] for target in found["targets"])
-    lines = ["| target, behind | missed | measured | wanted |", "|---|---|---:|---:|"]
+    missed = []
     for run, name, (value, low, high), limit, met in found["targets"]:
         if not met:
-            half = f" ± {(high - low) / 2:.3f}" if None not in (low, high) and high > low else ""
+            half = half_width((value, low, high)).replace("\xa0", " ")
             title = re.sub(r"^\w+", lambda key: WORDS.get(key[0], key[0]), name)
-            lines.append(f"| `{run}` | {title} | {value:.3f}{half} | {limit} |")
-    return [*parts, f"**Targets**, set beforehand: {reached} of {len(found['targets'])} reached.", "\n".join(lines)]
+            missed.append([f"`{run}`", title, f"{value:.3f}{half}", limit])
+    parts.append(f"**Targets**, set beforehand: {reached} of {len(found['targets'])} reached.")
+    return [*parts, table(["target, behind", "missed", "measured", "wanted"], missed, left=2)]
 
 
 def _rows(
@@ -82,9 +85,7 @@ def _table(columns: Mapping[str, Column], maps: Mapping[str, Any], intervals: bo
         values = {name: [text.partition("\xa0")[0] for text in row] for name, row in values.items()}
     some = [k for k in range(len(columns)) if any(row[k] for row in values.values())]
     heads = [list(columns.values())[k][0] for k in some]
-    lines = [f"| map | {' | '.join(heads)} |", f"|---|{'---:|' * len(heads)}"]
-    lines += [f"| {name} | {' | '.join(row[k] for k in some)} |" for name, row in values.items() if any(row)]
-    return "\n".join(lines)
+    return table(["map", *heads], [[name, *(row[k] for k in some)] for name, row in values.items() if any(row)])
 
 
 def _cell(one: Mapping[str, Any], key: str, digits: int, factor: int, together: bool) -> str:
@@ -92,12 +93,6 @@ def _cell(one: Mapping[str, Any], key: str, digits: int, factor: int, together: 
         value = one["pooled"].get(key)
         return "" if value is None else f"{factor * value:.{digits}f}"
     interval: Sequence[float | None] = one["mean and 95 % interval"].get(key, (None,) * 3)
-    value, low, high = interval
-    if value is None:
+    if interval[0] is None:
         return ""
-    half = (
-        f"\xa0±\xa0{factor * (high - low) / 2:.{digits}f}"
-        if low is not None and high is not None and high > low
-        else ""
-    )
-    return f"{factor * value:.{digits}f}{half}"
+    return f"{factor * interval[0]:.{digits}f}{half_width(interval, digits, factor)}"

@@ -1,11 +1,9 @@
-"""Make the pictures and the tables of times of docs/evidence.md: ``python docs/make_evidence_pictures.py``.
+"""Make the pictures of docs/evidence.md: ``python docs/make_evidence_pictures.py``.
 
 Opinion triangles show two masses A and B, their combination (star), and the path to it: the rule applied to A and to
 B discounted by every reliability from 0 to 1. Times are those of benchmarks/results/evidence.json.
 """
 
-import json
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,12 +13,12 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from evidence_tables import of_other_library, times_per_grid
+from record_tables import record
 
 from ogm import evidence
 
 PICTURES = Path(__file__).parent / "pictures"
-PAGE = Path(__file__).parent / "evidence.md"
-RECORD = Path(__file__).parents[1] / "benchmarks" / "results" / "evidence.json"
 A, B = np.array([0.5, 0.2]), np.array([0.1, 0.6])
 STEPS = np.linspace(0, 1, 101)
 BLUE, ORANGE, DARK, LIGHT = "#1f77b4", "#d55e00", "#222222", "#999999"
@@ -95,22 +93,11 @@ def picture_of_discounting() -> None:
     save(figure, "discounting")
 
 
-def times_per_grid(record: dict[str, Any]) -> dict[str, float]:
-    """Return the time of each task of the benchmark on the whole grid [ms]; other libraries are extrapolated."""
-    scale = math.prod(record["grid"]["shape"]) / record["grid"]["cells of other libraries"]
-    return {name: ms * scale if of_other_library(name) else ms for name, ms in record["milliseconds"].items()}
-
-
-def of_other_library(task: str) -> bool:
-    """Return whether another library was measured."""
-    return task.split()[0] not in ("copy", "numba", "numpy", "powerset")
-
-
-def picture_of_times(record: dict[str, Any]) -> None:
+def picture_of_times(found: dict[str, Any]) -> None:
     """Draw the times of the fused rules, of other libraries, of a copy and of a general frame."""
     times = {
         name: ms
-        for name, ms in times_per_grid(record).items()
+        for name, ms in times_per_grid(found).items()
         if "with discount" in name or of_other_library(name) or name in ("copy", "powerset K=3 dempster")
     }
     names = sorted(times, key=times.__getitem__, reverse=True)
@@ -123,49 +110,11 @@ def picture_of_times(record: dict[str, Any]) -> None:
     axes.set_xlim(0.05, 5 * max(times.values()))
     axes.tick_params(axis="y", labelsize=8)
     axes.spines[["top", "right"]].set_visible(False)
-    nx, ny = record["grid"]["shape"]
+    nx, ny = found["grid"]["shape"]
     axes.set_xlabel(f"time for a grid of {nx} x {ny} cells [ms], one core; other libraries extrapolated")
-    axes.set_title(f"{record['machine']['cpu']}, {record['date']}", fontsize=9, loc="left")
+    axes.set_title(f"{found['machine']['cpu']}, {found['date']}", fontsize=9, loc="left")
     figure.savefig(PICTURES / "evidence_speed.png", dpi=110, metadata={"Software": ""})
     plt.close(figure)
-
-
-def write_tables(record: dict[str, Any]) -> None:
-    """Replace the tables of times in docs/evidence.md."""
-    times = times_per_grid(record)
-    rules = [name.removeprefix("numpy ") for name in times if name.startswith("numpy") and name.count(" ") == 1]
-    lines = ["| rule | numpy [ms] | numba [ms] | fastest other library [ms] |", "|---|---|---|---|"]
-    for name in rules:
-        numba = times.get(f"numba {name} with discount")
-        others = [
-            (ms, key.split()[0]) for key, ms in times.items() if of_other_library(key) and key.endswith(f" {name}")
-        ]
-        other = "{:,.0f} ({})".format(*min(others)) if others else ""
-        lines.append(f"| `{name}` | {times[f'numpy {name}']:.1f} | {f'{numba:.2f}' if numba else ''} | {other} |")
-    machine = record["machine"]
-    versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
-    lines += ["", f"{machine['cpu']}, one core, {record['date']}; {versions}; `{record['command']}`."]
-    replace_between("times", lines)
-    copies = ("copy", "copy of half")
-    lines = [
-        "A copy of all bytes takes {:.2f} ms, one of half of them {:.2f} ms.".format(*(times[c] for c in copies)),
-        "",
-        "| with the discount included | time [ms] | x copying the bytes | x the same traffic |",
-        "|---|---|---|---|",
-    ]
-    for task, ms in times.items():
-        if "with discount" in task:
-            ratios = " | ".join(f"{ms / times[copy]:.2f}" for copy in copies)
-            lines.append(f"| {task.replace(' with discount', '')} | {ms:.2f} | {ratios} |")
-    replace_between("copies", lines)
-
-
-def replace_between(name: str, lines: list[str]) -> None:
-    """Replace the text between two markers of docs/evidence.md."""
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    before, rest = PAGE.read_text().split(begin)
-    _, after = rest.split(end)
-    PAGE.write_text(f"{before}{begin}\n" + "\n".join(lines) + f"\n{end}{after}")
 
 
 def picture_of_the_maximal_unknown() -> None:
@@ -181,28 +130,18 @@ def picture_of_the_maximal_unknown() -> None:
 
 
 def main() -> None:
-    """Make all pictures and tables."""
+    """Make all pictures."""
     plt.rcParams["font.family"] = "DejaVu Sans"
     for name in (
-        "dempster",
-        "yager",
-        "disjunctive",
-        "pcr5",
-        "murphy",
-        "cumulative",
-        "cumulative_epistemic",
-        "averaging",
-        "weighted",
-        "consensus_compromise",
+        *("dempster", "yager", "disjunctive", "pcr5", "murphy", "cumulative", "cumulative_epistemic"),
+        *("averaging", "weighted", "consensus_compromise"),
     ):
         picture_of_a_rule(name, getattr(evidence, name))
     picture_of_a_rule("conjunctive", lambda a, b: evidence.close_world(evidence.conjunctive(a, b)))
     picture_of_a_rule("cautious", lambda a, b: evidence.close_world(evidence.cautious(a, b)))
     picture_of_discounting()
     picture_of_the_maximal_unknown()
-    record = json.loads(RECORD.read_text())
-    picture_of_times(record)
-    write_tables(record)
+    picture_of_times(record("evidence"))
 
 
 if __name__ == "__main__":

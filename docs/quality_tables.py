@@ -3,7 +3,9 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-__all__ = ["tables"]
+from record_tables import percent, table, value
+
+__all__ = ["quality_tables"]
 
 Record = Mapping[str, Any]
 Titles = Mapping[str, str]
@@ -18,20 +20,11 @@ HEIGHTS = {"": "0.05 m", "from10_": "0.10 m", "from50_": "0.50 m"}
 RANGE = {"iou_occupied": 3, "false_free": 3, "missed_occupied": 3, "free_recall_1": 3}
 DRIVES = ("brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "free_recall_1", "mean_unknown")
 MEMORY = ("brier", "iou_occupied", "false_free")
-FUSED = (
-    "ray",
-    "ray + cautious",
-    "ray + dempster",
-    "ray + bayes",
-    "lite",
-    "lite + cautious",
-    "lite + dempster",
-    "lite + bayes",
-)
+FUSED = tuple(f"{model}{rule}" for model in ("ray", "lite") for rule in ("", " + cautious", " + dempster", " + bayes"))
 REAL = ("brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "mean_unknown")
 
 
-def tables(record: Record) -> dict[str, str]:
+def quality_tables(record: Record) -> dict[str, str]:
     """Return all tables by the names of their markers; those that the record has nothing for are left out."""
     found: dict[str, str] = {}
     titles = {name: one["title"] for name, one in record["metrics"].items()}
@@ -66,7 +59,7 @@ def _extent(part: Record) -> str:
 def _town(part: Record, metrics: Sequence[str], titles: Titles) -> str:
     models = part["models"]
     rows = [[titles[m], *(_with_ends(one["mean"][m]) for one in models.values())] for m in metrics]
-    return _markdown(["mean (95 %)", *models], rows)
+    return table(["mean (95 %)", *models], rows)
 
 
 def _low(part: Record, titles: Titles) -> str:
@@ -76,7 +69,7 @@ def _low(part: Record, titles: Titles) -> str:
         for prefix, height in HEIGHTS.items():
             cells = [_with_ends(one["mean"][prefix + metric]) for one in models.values()]
             rows.append([titles[metric] if not prefix else "", height, *cells])
-    return _markdown(["mean (95 %)", "obstacles from", *models], rows, left=2)
+    return table(["mean (95 %)", "obstacles from", *models], rows, left=2)
 
 
 def _predicting(models: Record) -> Record:
@@ -89,8 +82,8 @@ def _maps(part: Record) -> Record:
 
 
 def _list(models: Record, metrics: Sequence[str], titles: Titles) -> str:
-    rows = [[f"`{name}`", *(_value(one["mean"][m][0]) for m in metrics)] for name, one in models.items()]
-    return _markdown(["", *(titles[m] for m in metrics)], rows)
+    rows = [[f"`{name}`", *(value(one["mean"][m][0]) for m in metrics)] for name, one in models.items()]
+    return table(["", *(titles[m] for m in metrics)], rows)
 
 
 def _reversed(models: Record) -> list[str]:
@@ -110,7 +103,7 @@ def _pairs(part: Record, names: Iterable[str], metrics: Sequence[str], titles: T
             wins, ties, losses = one["wins, ties, losses"]
             cells = [f"{wins} / {ties} / {losses}", _with_ends(one["difference"]), _p(one["p"])]
             rows.append([name if m == there[0] else "", titles[m], *cells])
-    return _markdown(["", "", "wins / ties / losses", "difference (95 %)", "p"], rows, left=2)
+    return table(["", "", "wins / ties / losses", "difference (95 %)", "p"], rows, left=2)
 
 
 def _range(part: Record, titles: Titles) -> str:
@@ -122,9 +115,9 @@ def _range(part: Record, titles: Titles) -> str:
     rows = []
     for m, digits in RANGE.items():
         for k, (name, one) in enumerate(_predicting(part["models"]).items()):
-            values = [_value(value, digits) for value in one["by range"][m]]
+            values = [value(score, digits) for score in one["by range"][m]]
             rows.append([titles[m] if k == 0 else "", f"`{name}`", *values])
-    return _markdown(["", "", *bins], rows, left=2)
+    return table(["", "", *bins], rows, left=2)
 
 
 def _memory(part: Record, names: Iterable[str], titles: Titles) -> str:
@@ -135,7 +128,7 @@ def _memory(part: Record, names: Iterable[str], titles: Titles) -> str:
         one = part["paired"].get(f"{name} against {scans}") if plus else None
         if one is not None:
             rows.append([f"`{name}`", *(_with_ends(one[m]["ratio"]) for m in MEMORY)])
-    return _markdown(["map against its scans: ratio of means (95 %)", *(titles[m] for m in MEMORY)], rows)
+    return table(["map against its scans: ratio of means (95 %)", *(titles[m] for m in MEMORY)], rows)
 
 
 def _real(recordings: Record, kind: str, titles: Titles) -> str:
@@ -146,39 +139,26 @@ def _real(recordings: Record, kind: str, titles: Titles) -> str:
         shown = {m: scores for m, scores in models.items() if kind == "alone" or m in FUSED}
         for k, (method, scores) in enumerate(shown.items()):
             rows.append([_what(name, part) if k == 0 else "", f"`{method}`"])
-            rows[-1] += [_value(scores["mean"][m][0]) for m in REAL]
-    return _markdown(["", "", *(titles[m] for m in REAL)], rows, left=2)
+            rows[-1] += [value(scores["mean"][m][0]) for m in REAL]
+    return table(["", "", *(titles[m] for m in REAL)], rows, left=2)
 
 
 def _what(name: str, part: Record) -> str:
     shares, frames = part["truth, mean shares"], part["frames"]
-    text = f"{_percent(shares['free'])} free, {_percent(shares['occupied'])} occupied"
+    text = f"{percent(shares['free'])} free, {percent(shares['occupied'])} occupied"
     extent = part.get("extent", f"{frames} {'frame' if frames == 1 else 'frames'}")
     return f"{name}, {extent}; {text}"
 
 
-def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    rule = "|" + "---|" * left + "---:|" * (len(head) - left)
-    return "\n".join(["| " + " | ".join(head) + " |", rule, *("| " + " | ".join(row) + " |" for row in rows)])
-
-
-def _value(value: float | None, digits: int = 3) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %"
-
-
 def _with_ends(interval: Sequence[float | None]) -> str:
-    value, low, high = interval
-    if value is None or low is None or high is None:
-        return _value(value)
-    digits, to = 2 if abs(value) >= 1 else 3, " to " if low < 0 else "–"
-    return f"{value:.{digits}f} ({low:.{digits}f}{to}{high:.{digits}f})".replace(" ", "\xa0")
+    mean, low, high = interval
+    if mean is None or low is None or high is None:
+        return value(mean)
+    digits, to = 2 if abs(mean) >= 1 else 3, " to " if low < 0 else "–"
+    return f"{mean:.{digits}f} ({low:.{digits}f}{to}{high:.{digits}f})".replace(" ", "\xa0")
 
 
-def _p(value: float | None) -> str:
-    if value is None:
+def _p(p: float | None) -> str:
+    if p is None:
         return ""
-    return f"{value:.3f}" if value >= 1e-3 else f"{value:.0e}"
+    return f"{p:.3f}" if p >= 1e-3 else f"{p:.0e}"

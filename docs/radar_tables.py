@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from record_tables import table
+
 __all__ = ["far_tables", "fusion_tables", "radar_tables"]
 
 METRICS = {
@@ -14,100 +16,81 @@ FUSED = {
     "nll": "log loss", "iou_free": "IoU free", "iou_occupied": "IoU occupied", "false_free": "false free",
 }  # fmt: skip
 STATIC_FUSED = ("nll", "iou_free", "iou_occupied", "false_free")
+PAIRED = ("nll", "brier", "iou_free", "false_free")
+MEAN = "mean over drives ± half of the 95 % interval"
 ALIKE = "RadarISM, static"  # without what moves: nearly the same scores
 
 
 def radar_tables(record: Mapping[str, Any]) -> list[str]:
     """Return the tables of scores, of pairs, of detections, and of the recorded frame."""
-    radars = record["radars"]
-    lines = [
-        f"Frames: {record['frames']}, drives: {record['drives']}.",
-        "",
-        _row(["radar", "model", *METRICS.values()]),
-    ]
-    lines.append(_rule(2, len(METRICS)))
-    for name, found in radars.items():
-        scores = {model: one for model, one in found["scores"].items() if model != ALIKE}
-        lines += [_row([name, model, *(f"{one[key]:.3f}" for key in METRICS)]) for model, one in scores.items()]
-    pairs = [
-        _row(
-            [
-                "`RadarISM` minus another, mean over drives ± half of the 95 % interval",
-                "log loss",
-                "Brier",
-                "IoU free",
-                "false free",
-            ]
-        )
-    ]
-    pairs.append(_rule(1, 4))
-    for name, found in radars.items():
+    scores, pairs, counts = [], [], []
+    for name, found in record["radars"].items():
+        for model, one in found["scores"].items():
+            if model != ALIKE:
+                scores.append([name, model, *(f"{one[key]:.3f}" for key in METRICS)])
         compared = found["RadarISM minus another, mean over drives, 95 %"]
-        for other in (other for other in compared["nll"] if other in ("rays (RayISM)", "Werber 2015")):
-            numbers = (compared[key][other] for key in ("nll", "brier", "iou_free", "false_free"))
-            pairs.append(_row([f"{name}: {other}", *map(_difference, numbers)]))
-    head = ["radar", "detections (least, median, most)", "objects", "ground", "ghosts", "clutter"]
-    counts = [_row([*head, "Doppler of standing things, 5 to 95 % [m/s]", "time of a sweep [s]"]), _rule(1, 7)]
-    for name, found in radars.items():
+        for other in ("rays (RayISM)", "Werber 2015"):
+            if other in compared["nll"]:
+                pairs.append([f"{name}: {other}", *(_difference(compared[key][other]) for key in PAIRED)])
         one = found["detections"]
         least, middle, most = one["per sweep, least, median, most"]
         low, _, high = one["compensated Doppler of static things, 5, 50, 95 %"]
         shares = (f"{100 * share:.0f} %" for share in one["share of each"].values())
-        spread = f"{low:+.2f} to {high:+.2f}"
-        counts.append(
-            _row([name, f"{least}, {middle:.0f}, {most}", *shares, spread, f"{one['seconds per sweep']:.3f}"])
-        )
-    tables = ["\n".join(rows) for rows in (lines, pairs, counts)]
+        ends = f"{low:+.2f} to {high:+.2f}", f"{one['seconds per sweep']:.3f}"
+        counts.append([name, f"{least}, {middle:.0f}, {most}", *shares, *ends])
+    head = ["radar", "detections (least, median, most)", "objects", "ground", "ghosts", "clutter"]
+    tables = [
+        f"Frames: {record['frames']}, drives: {record['drives']}.\n\n"
+        + table(["radar", "model", *METRICS.values()], scores, left=2),
+        table([f"`RadarISM` minus another, {MEAN}", *(METRICS[key] for key in PAIRED)], pairs),
+        table([*head, "Doppler of standing things, 5 to 95 % [m/s]", "time of a sweep [s]"], counts),
+    ]
     if times := record.get("ms per sweep, 512 x 352 cells"):
         each = ", ".join(f"{name} {time:.1f} ms" for name, time in times.items())
         tables.append(f"Time of one sweep of 300 detections on 512 x 352 cells, median, one core: {each}.")
     if "ARS548, recorded" in record:
         for key, edges in _edges(record["ARS548, recorded"]).items():
-            rows = [_row([key.split()[0], *edges]), _rule(1, len(edges))]
-            for title in ("ARS548, recorded", "ARS548, simulated"):
-                rows.append(_row([title, *(f"{n:.0f}" for n in record[title][key])]))
-            tables.append("\n".join(rows))
+            names = ("ARS548, recorded", "ARS548, simulated")
+            tables.append(
+                table([key.split()[0], *edges], [[name, *(f"{n:.0f}" for n in record[name][key])] for name in names])
+            )
     return tables
 
 
 def fusion_tables(record: Mapping[str, Any]) -> list[str]:
     """Return the tables of lidar with radar against lidar alone: means over drives, and differences."""
-    rows = [_row(["", *FUSED.values()]), _rule(1, len(FUSED))]
-    rows += [_row([name, *(f"{one[key]:.3f}" for key in FUSED)]) for name, one in record["mean"].items()]
-    less = [
-        _row(["minus lidar alone, mean over drives ± half of the 95 % interval", *FUSED.values()]),
-        _rule(1, len(FUSED)),
-    ]
-    for name, one in record["minus lidar"].items():
-        less.append(_row([name, *(_difference(one[key]) for key in FUSED)]))
-    times = [_row(["", "objects", "in sight", "detected", "median time to detect [s]"]), _rule(2, 3)]
+    means = [[name, *(f"{one[key]:.3f}" for key in FUSED)] for name, one in record["mean"].items()]
+    less = [[name, *(_difference(one[key]) for key in FUSED)] for name, one in record["minus lidar"].items()]
+    times = []
     for name, found in record["drives"].items():
         pairs = [pair for one in found for pair in zip(one["seconds to detect"], one["approaching"], strict=True)]
         for group, wanted in (("all that move", (True, False)), ("approaching vehicles", (True,))):
-            seconds = [one for one, approaching in pairs if approaching in wanted]
-            times.append(_row([name, group, *_times(seconds)]))
+            times.append([name, group, *_times([seconds for seconds, approaching in pairs if approaching in wanted])])
     head = f"Drives: {len(record['drives']['lidar'])}, reliability of radar beside lidar: "
-    return [f"{head}{record['reliability of radar']:g}.", *("\n".join(table) for table in (rows, less, times))]
+    return [
+        f"{head}{record['reliability of radar']:g}.",
+        table(["", *FUSED.values()], means),
+        table([f"minus lidar alone, {MEAN}", *FUSED.values()], less),
+        table(["", "objects", "in sight", "detected", "median time to detect [s]"], times, left=2),
+    ]
 
 
 def far_tables(record: Mapping[str, Any]) -> list[str]:
     """Return the tables of maps below and beyond 60 m, in clear air and in fog, with and without radar."""
-    drives, keys = record["drives"], [key for key in FUSED if key in STATIC_FUSED]
-    rows = [_row(["", *(FUSED[key] for key in keys), "moving participants in sight", "shown"]), _rule(1, len(keys) + 2)]
+    drives, titles, rows = record["drives"], [FUSED[key] for key in STATIC_FUSED], []
     for name in drives[0]:
         for band in drives[0][name]:
             each = [one[name][band] for one in drives]
-            means = [sum(one[key] for one in each) / len(each) for key in keys]
-            seen, shown = (sum(one["traffic"][k] for one in each) for k in (0, 1))
-            rows.append(_row([f"{name}: {band}", *(f"{mean:.3f}" for mean in means), str(seen), str(shown)]))
-    less = [
-        _row(["with radar minus without, mean over drives ± half of the 95 % interval", *(FUSED[key] for key in keys)])
-    ]
-    less.append(_rule(1, len(keys)))
-    for name, one in record["radar minus none"].items():
-        less.append(_row([name, *(_difference(one[key]) for key in keys)]))
+            means = [f"{sum(one[key] for one in each) / len(each):.3f}" for key in STATIC_FUSED]
+            rows.append([f"{name}: {band}", *means, *(sum(one["traffic"][k] for one in each) for k in (0, 1))])
+    changes = record["radar minus none"].items()
+    less = [[name, *(_difference(one[key]) for key in STATIC_FUSED)] for name, one in changes]
     head = f"Drives: {len(drives)}, visibility in fog: {record['visibility in fog [m]']:g} m, "
-    return [f"{head}reliability of radar: {record['reliability of radar']:g}.", "\n".join(rows), "\n".join(less)]
+    return [
+        f"{head}reliability of radar: {record['reliability of radar']:g}.",
+        table(["", *titles, "moving participants in sight", "shown"], rows),
+        table([f"with radar minus without, {MEAN}", *titles], less),
+    ]
 
 
 def _times(seconds: Sequence[float | None]) -> list[str]:
@@ -134,11 +117,3 @@ def _difference(found: Sequence[float]) -> str:
     """Return a difference and half of its interval, which is symmetric."""
     mean, low, high = found
     return f"{mean:+.3f} ±\xa0{(high - low) / 2:.3f}"
-
-
-def _row(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _rule(texts: int, numbers: int) -> str:
-    return f"|{'---|' * texts}{'---:|' * numbers}"

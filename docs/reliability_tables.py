@@ -5,16 +5,15 @@
 A record that is not there gives "not run".
 """
 
-import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
+from record_tables import find_record, link, table
+
 __all__ = ["reliability_tables"]
 
-RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
 MISSING = "not run"
 FAILURES = ("crashes", "hangs", "over limit", "undocumented")  # of inputs; each must be 0
 SHOWN = 5  # readers with the largest peaks, which have a row of their own
@@ -30,34 +29,26 @@ LONG = {
 
 def reliability_tables() -> dict[str, str]:
     """Return the tables of inputs, of faults and of long runs."""
-    return {
-        "inputs": _of(_record("fuzz"), "fuzz", _inputs),
-        "faults": _of(_record("faults"), "faults", _faults),
-        "soak": _of(_record("soak"), "soak", _soak),
-    }
+    return {"inputs": _of("fuzz", _inputs), "faults": _of("faults", _faults), "soak": _of("soak", _soak)}
 
 
 def failed() -> list[str]:
     """Return what must be 0 and is not, or was not met."""
     wrong: list[str] = []
-    if fuzz := _record("fuzz"):
+    if fuzz := find_record("fuzz"):
         wrong += [f"{name}: {fuzz[name]}" for name in FAILURES if fuzz[name]]
-    if faults := _record("faults"):
+    if faults := find_record("faults"):
         lost = faults["injected"] - faults["survived"]
         wrong += [f"{name}: {n}" for name, n in (("not survived", lost), ("lost", faults["lost"])) if n]
         wrong += [f"left behind: {faults['left behind']}"] if faults["left behind"] else []
         wrong += [f"full disk: {one}" for one in faults["full disk"].get("failures", ())]
-    for part in (_record("soak") or {"parts": {}})["parts"].values():
+    for part in (find_record("soak") or {"parts": {}})["parts"].values():
         wrong += [f"{row['what']}: {row['got']:.4g} {row['unit']}" for row in part["verdicts"] if not row["met"]]
     return wrong
 
 
-def _record(name: str) -> Any:
-    path = RESULTS / f"{name}.json"
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
-
-
-def _of(record: Any, name: str, parts: Any) -> str:
+def _of(name: str, parts: Any) -> str:
+    record = find_record(name)
     if record is None:
         return MISSING
     return "\n\n".join([*parts(record), _source(record, name)])
@@ -69,12 +60,7 @@ def _source(record: Mapping[str, Any], name: str) -> str:
     cores = f"{found['cores']} cores" if "cores" in found else None
     words = [found.get("date", "").split(" ")[0], found.get("cpu"), cores]
     words = [f"`{found['command']}`" if "command" in found else None, *words]
-    return f"*{', '.join(filter(None, words))}; [record](../benchmarks/results/{name}.json).*"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = [f"| {' | '.join(head)} |", f"|---|{'---:|' * (len(head) - 1)}"]
-    return "\n".join([*lines, *(f"| {' | '.join(map(str, row))} |" for row in rows)])
+    return f"*{', '.join(filter(None, words))}; {link(name)}.*"
 
 
 def _inputs(record: Mapping[str, Any]) -> list[str]:
@@ -89,7 +75,7 @@ def _inputs(record: Mapping[str, Any]) -> list[str]:
         [name, f"{one['inputs']:,}", *(one[key] for key in FAILURES), f"{one['peak [MB]']:.0f}"] for name, one in rows
     ]
     head = ["", "inputs", "crashes", "hangs", "over a limit", "undocumented errors", "peak [MB]"]
-    return [_table(head, cells)]
+    return [table(head, cells)]
 
 
 def _faults(record: Mapping[str, Any]) -> list[str]:
@@ -98,7 +84,7 @@ def _faults(record: Mapping[str, Any]) -> list[str]:
     rows = [[f"`{one['command']}`", *(one[key] for key in keys)] for one in record["commands"]]
     sums = [sum(one[key] for one in record["commands"]) for key in signals]
     rows += [["**all**", *sums, *(record[key] for key in keys[3:])]]
-    parts = [_table(["ended by", *keys[:3], "survived", "finished work lost", "files left behind", keys[-1]], rows)]
+    parts = [table(["ended by", *keys[:3], "survived", "finished work lost", "files left behind", keys[-1]], rows)]
     disk = record["full disk"]
     if disk:
         facts = [f"{value} {name}" for name, value in disk.items() if isinstance(value, int)]
@@ -125,7 +111,7 @@ def _soak(record: Mapping[str, Any]) -> list[str]:
         cells = [f"{one['memory grown [%]']:.1f} %", f"{_second_half(memory):.1f} %", f"{ratio:.2f}"]
         rows.append([title, length, *cells, one["files left"], one["threads left"]])
     head = ["", "length", "memory grown", "in the second half", "time, last / first", "files left", "threads left"]
-    parts = [_table(head, rows)]
+    parts = [table(head, rows)]
     if "points" in found:
         one = found["points"]
         models = [f"`{name}` {model['refused'] or _huge(model)}" for name, model in one["models"].items()]

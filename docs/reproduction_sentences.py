@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from record_tables import percent, value
+
 __all__ = ["sentences"]
 
 Record = Mapping[str, Any]
@@ -125,13 +127,3 @@ def _sentence_of_real(recordings: Record) -> str:
         f"{', for ' + others if others else ''}\n([quality](quality.md#real-recordings); false alarms cost nothing on "
         "two sets)."
     )
-
-
-def value(number: float | None, digits: int = 3) -> str:
-    """Return a number with some digits; nothing for None."""
-    return "" if number is None else f"{number:.{digits}f}"
-
-
-def percent(share: float) -> str:
-    """Return a share in per cent."""
-    return f"{100 * share:.1f} %"

@@ -30,7 +30,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
         f"ogm.simulation.{name}"
         for name in (
             *("plan", "recipe", "dataset", "sample", "store", "sensors", "lidar", "mounts", "radars", "radar"),
-            *("scene", "mesh", "materials"),
+            *("scene", "hand_built_scenes", "mesh", "materials"),
         )
     ),
 }

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from record_tables import change, table
+
 __all__ = ["build_tables", "cost_tables", "rule_tables", "world_tables"]
 
 # Of the cost model: what no measurement of ours gives.
@@ -19,18 +21,16 @@ def world_tables(record: Mapping[str, Any]) -> list[str]:
         "EvidentialMapper, 624 x 624": "`EvidentialMapper.update`, window 624 x 624, as `ogm fuse` has it",
         "EvidentialMapper, 512 x 352": "`EvidentialMapper.update`, window 512 x 352, without corners of turned scans",
     }
-    times = [_row("a scan of 512 x 352 cells", "median", "quartiles", "`WorldMap` takes"), "|---|---:|---:|---:|"]
+    times = []
     for name, title in titles.items():
         median, low, high = scans["ms"][name]
         ratio = f"x {scans['ratio'][name]:.2f}" if name in scans["ratio"] else ""
-        times.append(_row(title, f"{median:.2f} ms", f"{low:.2f}–{high:.2f}", ratio))
+        times.append([title, f"{median:.2f} ms", f"{low:.2f}–{high:.2f}", ratio])
     median, low, high = window["ms"]
-    times.append(
-        _row("reading a window of 512 x 352 cells from a folder", f"{median:.1f} ms", f"{low:.1f}–{high:.1f}", "")
-    )
+    name = "reading a window of 512 x 352 cells from a folder"
+    times.append([name, f"{median:.1f} ms", f"{low:.1f}–{high:.1f}", ""])
     rates = ", ".join(f"{rule} {rate:.0f}" for rule, rate in record["merge"].items())
-    sizes = [_row("on disk, per seen cell", "bytes"), "|---|---:|"]
-    sizes += [_row(name, f"{value:.2f}") for name, value in disk["bytes_per_seen_cell"].items()]
+    sizes = [[name, f"{size:.2f}"] for name, size in disk["bytes_per_seen_cell"].items()]
     resident = drive["resident_mb"]
     built, drive_of = (
         record["build"],
@@ -44,7 +44,8 @@ def world_tables(record: Mapping[str, Any]) -> list[str]:
         f"The process has {resident[0]} MB after the first kilometre, {resident[-1]} MB after the last, "
         f"{max(resident)} MB at most.",
     ]
-    return ["\n".join(times), "\n".join(sizes), *facts]
+    head = ["a scan of 512 x 352 cells", "median", "quartiles", "`WorldMap` takes"]
+    return [table(head, times), table(["on disk, per seen cell", "bytes"], sizes), *facts]
 
 
 def rule_tables(record: Mapping[str, Any]) -> list[str]:
@@ -59,19 +60,16 @@ def rule_tables(record: Mapping[str, Any]) -> list[str]:
         "left_free": "left: free",
         "next_false_free": "next drive: false free",
     }
-    table = [_row("rule", *titles.values()), "|---|" + "---:|" * len(titles)]
-    for name, one in record["report"]["rules"].items():
-        shown = f"**{name}**" if name == record["chosen"] else name
-        table.append(_row(shown, *(f"{one[key]:.3f}" for key in titles)))
+    rows = [
+        [f"**{name}**" if name == record["chosen"] else name, *(f"{one[key]:.3f}" for key in titles)]
+        for name, one in record["report"]["rules"].items()
+    ]
     better = record["report"]["rules"][record["chosen"]]["difference"]
-    found = ", ".join(
-        f"{title} {better[key][0]:+.3f} ({better[key][1]:+.3f} to {better[key][2]:+.3f})"
-        for key, title in titles.items()
-    )
+    found = ", ".join(f"{title} {change(better[key])}" for key, title in titles.items())
     report, fit = record["report"], record["fit"]
     cells = report["cells"]
     return [
-        "\n".join(table),
+        table(["rule", *titles.values()], rows),
         f"{report['drives']} drives through {report['towns']} towns, {report['frames']:,} scans; "
         f"{cells['free']:,} free and {cells['occupied']:,} occupied cells, {cells['left']:,} that parked cars left. "
         f"The default was chosen on {fit['drives']} drives through another town. Its differences to `cautious`, "
@@ -145,8 +143,4 @@ def cost_tables(world: Mapping[str, Any], build: Mapping[str, Any]) -> list[str]
         (f"a loop closure moves a drive of {LOOP / 1e3:.0f} km: tiles made anew", f"{again:,.0f}"),
         ("from tiles of sub-maps", f"{reread:,.0f}, {reread * per_part / hours:.1f} core hours"),
     ]
-    return ["\n".join([_row("1e12 seen cells", "by the model"), "|---|---:|", *(_row(*row) for row in rows)])]
-
-
-def _row(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
+    return [table(["1e12 seen cells", "by the model"], rows)]

@@ -1,9 +1,7 @@
 """Evaluations from sums, intervals over drives and paired comparisons."""
 
 import math
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
+from itertools import product
 
 import numpy as np
 import pytest
@@ -15,12 +13,18 @@ from ogm.metrics import ConfusionSums, accumulate, score
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
 EVEN = np.full(4, 0.25)
-FILE = Path(__file__).parents[2] / "benchmarks/interval_coverage.py"
-FOUND = spec_from_file_location(FILE.stem, FILE)
-assert FOUND is not None
-assert FOUND.loader is not None
-coverage = sys.modules[FILE.stem] = module_from_spec(FOUND)
-FOUND.loader.exec_module(coverage)
+SHAPES = {  # distributions of the values of a metric
+    "normal": stats.norm(10),
+    "share, mean 0.2": stats.beta(2, 8),
+    "share, mean 0.1": stats.beta(1, 9),
+    "share, mean 0.95": stats.beta(19, 1),
+    "error, lognormal": stats.lognorm(0.7),
+}
+ALIKE = ((0.2, 0.8), (0.7, 0.5))  # share of the variance between drives, correlation of neighbours within one
+CASES = [  # drives, frames of a drive, shape, share between drives, correlation
+    *((drives, (10, 100), shape, *alike) for drives, shape, alike in product((5, 12, 24), SHAPES, ALIKE)),
+    *((1, (n, n), shape, 0.0, lag) for n, shape, (_, lag) in product((100, 200), SHAPES, ALIKE)),
+]
 
 
 def sums(frames: int, methods: int = 2) -> list[list[ConfusionSums]]:
@@ -59,14 +63,31 @@ def test_frames_of_a_drive_are_grouped_and_others_stand_alone() -> None:
 # --- Coverage ---------------------------------------------------------------------------------------
 
 
+def two_methods(case: tuple, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return values of two equally good methods, (2, frames), and the drive of each frame."""
+    drives, (low, high), shape, between, lag = case
+    apart = np.abs(np.subtract.outer(np.arange(high), np.arange(high)))
+    root = np.linalg.cholesky(between + (1 - between) * lag**apart)  # of the covariance of a drive's frames
+    normal = rng.standard_normal((2, drives, high)) @ root.T
+    normal[1] = 0.8 * normal[0] + 0.6 * normal[1]
+    drive, frame = np.nonzero(np.arange(high) < rng.integers(low, high + 1, drives)[:, None])
+    return SHAPES[shape].ppf(stats.norm.cdf(normal[:, drive, frame])), drive
+
+
 def assert_covers(case: tuple, repeats: int) -> None:
     """Check that 93 to 97 % of the intervals hold the truth, and 3 to 7 % of p are small, but for chance."""
-    found = coverage.coverage(coverage.Case(*case), repeats, np.random.default_rng(0))
+    rng, truth, held = np.random.default_rng(0), SHAPES[case[2]].mean(), []
+    for _ in range(repeats):
+        (a, b), drives = two_methods(case, rng)
+        mean, alone, pair = mean_interval(a, drives), mean_interval(a), compare_paired(a, b, "lower", drives)
+        holds = [one.low <= right <= one.high for one, right in ((mean, truth), (pair.ratio, 1.0), (alone, truth))]
+        held.append([*holds, pair.p < 0.05])
     chance = stats.norm.ppf(0.999) * np.sqrt(0.05 * 0.95 / repeats)
-    for name in ("mean", "ratio"):
-        assert 0.93 - chance < found[name] < 0.97 + chance, (case, name, found)
-    assert 0.03 - chance < found["p below 0.05"] < 0.07 + chance, (case, found)
-    assert found["mean, frames as independent"] < 0.9, (case, found)
+    of_mean, of_ratio, as_independent, small = np.mean(held, axis=0)
+    for share in (of_mean, of_ratio):
+        assert 0.93 - chance < share < 0.97 + chance, (case, share)
+    assert 0.03 - chance < small < 0.07 + chance, (case, small)
+    assert as_independent < 0.9, (case, as_independent)
 
 
 @pytest.mark.parametrize("drives", [5, 12, 24])
@@ -79,7 +100,7 @@ def test_intervals_of_a_long_drive_hold_its_mean() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", coverage.cases(), ids=str)
+@pytest.mark.parametrize("case", CASES, ids=str)
 def test_intervals_hold_the_truth_whatever_the_metric(case: tuple) -> None:
     assert_covers(case, 4000)
 

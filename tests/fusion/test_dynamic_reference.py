@@ -1,9 +1,5 @@
 """The dynamic map against its slow reference in numpy, step by step on random scenes."""
 
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,17 +7,13 @@ from hypothesis import strategies as st
 
 from ogm.fusion import DynamicMapper, DynamicSettings
 from ogm.fusion.dynamic.hashed_noise import scan_key
+from ogm.fusion.dynamic.reference import MeasuredGroups, NumpyFilter
 from ogm.fusion.dynamic.resampling import group_velocities
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 
-FILE = Path(__file__).parents[2] / "benchmarks/_dynamic_numpy.py"
-_SPEC = spec_from_file_location("_dynamic_numpy", FILE)
-reference = sys.modules["_dynamic_numpy"] = module_from_spec(_SPEC)
-_SPEC.loader.exec_module(reference)
-
 SPEC = GridSpec.centered(length=6.4, width=4.8, resolution=0.2)
-GROUPS = reference.Groups(
+GROUPS = MeasuredGroups(
     np.kron(np.arange(4).reshape(2, 2), np.ones((16, 12), np.int32)).astype(np.int32),
     np.array([[2.0, -1.0], [0.0, 3.0], [0.0, 0.0]]),
     np.array([[[4.0, 1.0], [1.0, 2.0]], [[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]]]),
@@ -34,7 +26,7 @@ def random_scan(rng: np.random.Generator) -> EvidentialGrid:
     return EvidentialGrid(SPEC, mass.astype(np.float32))
 
 
-def copy_state(mapper: DynamicMapper, plain: "reference.NumpyFilter") -> None:
+def copy_state(mapper: DynamicMapper, plain: NumpyFilter) -> None:
     """Give the reference the map's state, so that rounding does not add up."""
     cells, p = mapper._cells, mapper._particles
     plain.free, plain.static = cells.free.astype(float), cells.static.astype(float)
@@ -42,7 +34,7 @@ def copy_state(mapper: DynamicMapper, plain: "reference.NumpyFilter") -> None:
     plain.state, plain.mass = np.stack([p.x, p.y, p.vx, p.vy])[:, : p.start[-1]].copy(), mapper._particle_mass
 
 
-def check_step(mapper: DynamicMapper, plain: "reference.NumpyFilter") -> None:
+def check_step(mapper: DynamicMapper, plain: NumpyFilter) -> None:
     grid = mapper.dynamic_grid
     for name in ("free", "static", "dynamic"):
         np.testing.assert_allclose(getattr(grid, name), getattr(plain, name), atol=2e-6, err_msg=name)
@@ -71,7 +63,7 @@ def check_step(mapper: DynamicMapper, plain: "reference.NumpyFilter") -> None:
 def test_map_equals_its_slow_reference(seed, filter, particles, speed, measured):
     rng = np.random.default_rng(seed)
     mapper = DynamicMapper(SPEC, particles, filter=filter, matching=False, seed=seed)
-    plain = reference.NumpyFilter(SPEC.shape, SPEC.resolution, particles, mapper.settings)
+    plain = NumpyFilter(SPEC.shape, SPEC.resolution, particles, mapper.settings)
     if measured:
         slot = group_velocities(
             GROUPS.label, GROUPS.velocity, GROUPS.information, 6.0, 0.95, mapper.settings.motion_odds

@@ -1,31 +1,18 @@
 """Hand-built scenes: what must not be predicted free is not, and all else is predicted no worse than before."""
 
 import json
-import sys
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 from ogm.geometric import RayISM
+from ogm.simulation.hand_built_scenes import MOUNT, SCENES, SPEC, hand_built_scene
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-
-
-def load(name: str) -> ModuleType:
-    spec = spec_from_file_location(name, BENCHMARKS / f"{name}.py")
-    module = sys.modules[name] = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-load("_scene_scan")  # which `_scenes` imports
-scenes = load("_scenes")
-ISM = RayISM(scenes.SPEC, scenes.MOUNT)
-BEFORE = json.loads((BENCHMARKS / "results/scenes.json").read_text())["before"]["scenes"]
+ISM = RayISM(SPEC, MOUNT)
+RECORD = Path(__file__).parents[2] / "benchmarks/results/scenes.json"
+BEFORE = json.loads(RECORD.read_text())["before"]["scenes"]
 TOLERANCE = 0.02  # of a share, against the model before
 
 # What the model does not reach: scene -> measured share of the cells, per requirement
@@ -102,7 +89,7 @@ def known(cases: list, not_met: dict) -> list:
 
 def names(*starts: str) -> list[str]:
     """Return the scenes whose names begin so."""
-    found = [name for name in scenes.BUILDERS if name.startswith(starts)]
+    found = [name for name in SCENES if name.startswith(starts)]
     assert found, starts
     return found
 
@@ -114,8 +101,8 @@ def steps(lowest: float) -> list[str]:
 @cache
 def predicted(name: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return a scene's regions, and which cells have a mass of free, and of occupied, of more than 1/2."""
-    one = scenes.scene(name)
-    return one.regions, ISM(one.scan).mass > 0.5
+    scene = hand_built_scene(name)
+    return scene.regions, ISM(scene.scan).mass > 0.5
 
 
 def shares(name: str, region: str) -> tuple[float, float]:
@@ -190,12 +177,12 @@ def test_all_else_is_predicted_no_worse_than_before(name: str) -> None:
 
 
 def test_every_beam_of_a_scene_returns_or_is_known_not_to() -> None:
-    one = scenes.scene("trailer 0.9 m at 12 m")
-    assert len(one.scan) + len(one.scan.no_returns) == 32 * 1800
-    front, road = one.points_on("overhang"), one.points_on("ground")
+    scene = hand_built_scene("trailer 0.9 m at 12 m")
+    assert len(scene.scan) + len(scene.scan.no_returns) == 32 * 1800
+    front, road = scene.points_on("overhang"), scene.points_on("ground")
     np.testing.assert_allclose(front[:, 0], 12.08, atol=0.11)
     assert front[:, 2].min() > 0.88
     along = np.linalg.norm(road - [0, 0, 1.9], axis=1)
     assert np.std(road[:, 2] * along / 1.9) == pytest.approx(0.02, rel=0.03)
-    assert not (one.regions["under"] & one.regions["overhang"]).any()
-    assert (one.truth.state[one.regions["under"]] == 2).all()
+    assert not (scene.regions["under"] & scene.regions["overhang"]).any()
+    assert (scene.truth.state[scene.regions["under"]] == 2).all()

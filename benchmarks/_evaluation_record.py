@@ -1,20 +1,18 @@
-"""What `quality` keeps of an evaluation: means with intervals, pooled scores, scores by range, pairs."""
+"""Parts of an evaluation in records: means, intervals, pooled scores, scores by range, pairs, beliefs."""
 
 import json
 import math
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _quality_inputs import AGAINST, model_of
+from _quality_methods import AGAINST, model_of
 from numpy.typing import NDArray
 
 from ogm.evaluation import Comparison, Evaluation, compare_paired
 from ogm.evaluation.report import describe_extent, describe_intervals
 from ogm.metrics import METRICS, RANGES, ConfusionSums, by_range, evilog_published, reasons
-from ogm.storage.files import atomic_write
 
 KEPT = (
     "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known", "false_free",
@@ -29,6 +27,38 @@ PAIRED = (
 )  # fmt: skip
 BINS = 15  # of belief
 CONFUSION = "called unknown, free, occupied, of truly unknown, free, occupied"
+
+
+def means_of(result: Evaluation, metrics: Sequence[str]) -> dict[str, Any]:
+    """Return the numbers of frames and drives, and the means of all methods."""
+    return {
+        "frames": len(result.frames),
+        "drives": len({frame.sequence or frame.name for frame in result.frames}),
+        "means": {name: {m: result.macro(name)[m] for m in metrics} for name in result.methods},
+    }
+
+
+def differences(result: Evaluation, name: str, base: str, metrics: Sequence[str]) -> dict[str, list[float]]:
+    """Return the differences of a method from `base` with 95 % intervals over drives."""
+    found = result.compare(name, base)
+    return {m: list(found[m].difference) for m in metrics if m in found}
+
+
+def compared(result: Evaluation, base: str, metrics: Sequence[str]) -> dict[str, Any]:
+    """Return the means of all methods, and the differences of the others from `base`."""
+    others = [name for name in result.methods if name != base]
+    pairs = {name: differences(result, name, base, metrics) for name in others}
+    return means_of(result, metrics) | {f"minus {base}": pairs}
+
+
+def pair(comparison: Comparison) -> dict[str, Any]:
+    """Return a paired comparison: frames won, p, difference and ratio with their intervals."""
+    return {
+        "wins, ties, losses": [comparison.wins, comparison.ties, comparison.losses],
+        "p": comparison.p,
+        "difference": list(comparison.difference),
+        "ratio": list(comparison.ratio),
+    }
 
 
 def record_of(result: Evaluation) -> dict[str, Any]:
@@ -107,15 +137,6 @@ def earlier(folder: Path, name: str) -> ConfusionSums:
     return total
 
 
-def write(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a record as JSON, whole or not at all; lists of numbers in one line."""
-    text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False)
-    short = re.sub(r"\[[^\[\]{}\"]*\]", lambda found: re.sub(r"\s+", " ", found[0]), text)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path, "w") as file:
-        file.write(short + "\n")
-
-
 def _compared(result: Evaluation) -> dict[str, dict[str, Any]]:
     """Compare every method with the baseline and with `ray`, frame by frame; a map also with its own scans."""
     found = {}
@@ -125,20 +146,11 @@ def _compared(result: Evaluation) -> dict[str, dict[str, Any]]:
                 continue
             pairs = {m: (result.of(name, m), result.of(other, m)) for m in PAIRED}
             found[f"{name} against {other}"] = {
-                m: _pair(compare_paired(*pair, METRICS[m].better, result.drives))
-                for m, pair in pairs.items()
-                if not np.isnan(pair).all(axis=1).any()
+                m: pair(compare_paired(*values, METRICS[m].better, result.drives))
+                for m, values in pairs.items()
+                if not np.isnan(values).all(axis=1).any()
             }
     return found
-
-
-def _pair(one: Comparison) -> dict[str, Any]:
-    return {
-        "wins, ties, losses": [one.wins, one.ties, one.losses],
-        "p": one.p,
-        "difference": list(one.difference),
-        "ratio": list(one.ratio),
-    }
 
 
 def _shares(confusion: NDArray[np.float64]) -> list[list[float]]:

@@ -1,11 +1,10 @@
-"""What `quality` compares, and on which data: models, maps, simulated and real data sets."""
+"""Sensor models and maps that `quality.py` compares."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from ogm import GridSpec
-from ogm.datasets import Dataset, open_dataset
+from ogm.datasets import Dataset
 from ogm.evaluation import FusedMethod, SingleScanMethod
 from ogm.evidence import dempster
 from ogm.evidence.map_rules import BAYES, RULES
@@ -16,18 +15,6 @@ AGAINST = (BASELINE, "ray")  # what every method is compared with, frame by fram
 MODELS = (BASELINE, "height-band-released", "ray", "lite")
 PLAIN = "dempster-plain"
 SLOW = ("pcr6", "averaging", "weighted")  # run in numpy, ten times slower
-REAL = {
-    "KITTI, single scans": "kitti_object",
-    "KITTI, drive 0005": "kitti_raw_0005",
-    "KITTI, odometry 00": "kitti_odometry_00",
-    "Argoverse 2": "argoverse2_adcf",
-    "nuScenes": "nuscenes_n015",
-    "SUSTechPOINTS": "sustechpoints",
-    "SemanticKITTI, labelled scans": "labelled_range_images/semantic_kitti",
-    "nuScenes, labelled scans": "labelled_range_images/nuscenes",
-}
-MIN_SCANS = 3  # of a sequence that is fused
-
 Methods = dict[str, SingleScanMethod | FusedMethod]
 
 
@@ -62,35 +49,6 @@ def all_maps(models: dict[str, SingleScanMethod], spec: GridSpec, quick: bool = 
 def model_of(name: str) -> str:
     """Return the sensor model of a method."""
     return name.partition(" + ")[0]
-
-
-class QualityInput(NamedTuple):
-    """A real recording, for single scans and for maps, or the reason why it is left out."""
-
-    name: str
-    alone: Dataset | None
-    fused: Dataset | None
-    reason: str = ""
-
-
-def real(folder: Path) -> Iterator[QualityInput]:
-    """Yield the recordings of `REAL`, opened for single scans and, with poses, for maps."""
-    for name, place in REAL.items():
-        if not (folder / place).exists():
-            yield QualityInput(name, None, None, f"there is no {place}")
-            continue
-        try:
-            alone = open_dataset(folder / place)
-        except ValueError as error:
-            yield QualityInput(name, None, None, str(error).replace(str(folder), "OGM_DATA"))
-            continue
-        yield QualityInput(name, alone, open_dataset(folder / place, others="later") if _is_drive(alone) else None)
-
-
-def _is_drive(dataset: Dataset) -> bool:
-    """Tell whether all frames belong to sequences, with stamps and poses."""
-    posed = all(frame.sequence and frame.stamp is not None for frame in dataset)
-    return posed and len(dataset) >= MIN_SCANS * len(dataset.sequences) and dataset[0].T_map_sensor is not None
 
 
 def every(dataset: Dataset, step: int, drives: int | None = None) -> list[int]:

@@ -1,7 +1,8 @@
-"""The dynamic map's filter in plain numpy: the reference of `ogm.fusion.DynamicMapper`, and the yardstick of its speed.
+"""Slow reference of the filter of `ogm.fusion.DynamicMapper`, in plain numpy.
 
-Its formulas are those of the documentation, its sums are numpy's, and its particles are sorted by argsort; the random
-numbers are the same hash, so that both filters hold the same particles up to rounding.
+It follows the formulas of the documentation with the sums of numpy and sorts particles by argsort. Its random numbers
+are those of the kernels (`hashed_noise`), so that both filters hold the same particles up to rounding. Tests compare
+the two, and `benchmarks/dynamic_speed.py` times one against the other.
 """
 
 import math
@@ -12,14 +13,16 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import multivariate_normal
 
-from ogm.fusion import DynamicSettings
+from ogm.fusion.dynamic.settings import DynamicSettings
+
+__all__ = ["MeasuredGroups", "NumpyFilter"]
 
 Array = NDArray[np.floating]
 TABLE = ndtri((np.arange(4096) + 0.5) / 4096)
 TABLE = (TABLE / TABLE.std()).astype(np.float32)
 
 
-def split_mix(number: NDArray[np.uint64], key: np.uint64) -> NDArray[np.uint64]:
+def split_mix(number: NDArray[np.integer], key: np.uint64) -> NDArray[np.uint64]:
     """Return the hash of numbers and a key (SplitMix64)."""
     z = (number.astype(np.uint64) + key) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -33,7 +36,7 @@ def bits(h: NDArray[np.uint64], k: int) -> NDArray[np.int64]:
 
 
 @dataclass
-class Groups:
+class MeasuredGroups:
     """Measured velocities: label (nx, ny) from 1 on, velocity (G, 2), information (G, 2, 2)."""
 
     label: NDArray[np.int32]
@@ -72,7 +75,7 @@ class NumpyFilter:
         seconds: float,
         key: np.uint64,
         shift: tuple[int, int] = (0, 0),
-        groups: Groups | None = None,
+        groups: MeasuredGroups | None = None,
     ) -> None:
         """Make one step with the masses (nx, ny, 2) of a scan on the cells of the window."""
         for name in ("free", "static", "to_occupied", "to_free"):
@@ -99,7 +102,7 @@ class NumpyFilter:
         root = math.sqrt(seconds)
         position = np.float32(self.settings.position_noise * root)
         velocity = np.float32(self.settings.velocity_noise * root)
-        by = np.float32([[one * self.resolution] for one in shift])
+        by = np.array([[cells * self.resolution] for cells in shift], np.float32)
         self.state[:2] = self.state[:2] + self.state[2:] * np.float32(seconds) + position * noise[:2] - by
         self.state[2:] += velocity * noise[2:]
         u = np.floor(self.state[:2] * (np.float32(1) / np.float32(self.resolution))).astype(np.int64)
@@ -107,7 +110,8 @@ class NumpyFilter:
         cell = u[0, inside] * self.shape[1] + u[1, inside]
         order = np.argsort(cell, kind="stable")
         self.state = self.state[:, inside][:, order]
-        return cell[order]
+        sorted_cells: NDArray[np.int64] = cell[order]
+        return sorted_cells
 
     def _update_cells(self, z: Array, seconds: float, cell: NDArray[np.int64]) -> tuple[Array, Array]:
         """Combine prediction and scan; return the masses of dynamic that survive and that appear."""
@@ -137,7 +141,7 @@ class NumpyFilter:
         self.to_free = np.maximum(keep * self.to_free, conflict_occupied)
         return share * dynamic, (1 - s.static_share) * born + leaves
 
-    def _weigh_motion(self, surviving: Array, born: Array, groups: Groups | None) -> tuple[Array, Array]:
+    def _weigh_motion(self, surviving: Array, born: Array, groups: MeasuredGroups | None) -> tuple[Array, Array]:
         """Multiply the odds of dynamic where a velocity was measured by the ratio of its likelihoods, at least 1."""
         dynamic = surviving + born
         if groups is None:
@@ -158,7 +162,7 @@ class NumpyFilter:
         return surviving * factor, born * factor
 
     def _draw(
-        self, surviving: Array, born: Array, cell: NDArray[np.int64], key: np.uint64, groups: Groups | None
+        self, surviving: Array, born: Array, cell: NDArray[np.int64], key: np.uint64, groups: MeasuredGroups | None
     ) -> None:
         """Draw each cell's particles anew: survivors systematically from its own, births by random numbers."""
         cells = len(surviving)
@@ -188,7 +192,7 @@ class NumpyFilter:
         where = np.concatenate([owner, np.repeat(np.arange(cells), copies[:, 1])])
         self.state = np.concatenate([survivors, births], axis=1)[:, np.argsort(where, kind="stable")]
 
-    def _chances(self, cell: NDArray[np.int64], groups: Groups | None) -> tuple[Array, NDArray[np.int64]]:
+    def _chances(self, cell: NDArray[np.int64], groups: MeasuredGroups | None) -> tuple[Array, NDArray[np.int64]]:
         """Return the chance of every particle to be drawn, and the group of every cell (0: none)."""
         chance, row = np.ones(len(cell)), np.zeros(self.shape[0] * self.shape[1], np.int64)
         if groups is not None:
@@ -208,7 +212,7 @@ class NumpyFilter:
         parts = [np.bincount(cell, chance * one, cells) / total for one in (dx * dx, dx * dy, dy * dy)]
         self.mean, self.covariance = mean.T.reshape(*self.shape, 2), np.stack(parts, -1).reshape(*self.shape, 3)
 
-    def _mix_births(self, surviving: Array, born: Array, row: NDArray[np.int64], groups: Groups | None) -> None:
+    def _mix_births(self, surviving: Array, born: Array, row: NDArray[np.int64], groups: MeasuredGroups | None) -> None:
         """Make the moments those of the mixture of what survives and what is born."""
         mean, covariance = self._birth_normals(groups)
         parts = np.stack([surviving, born]) / np.maximum(surviving + born, 1e-300)
@@ -220,7 +224,7 @@ class NumpyFilter:
         whole = np.einsum("kc,kcij->cij", parts, both).reshape(-1, 4)[:, [0, 1, 3]]
         self.mean, self.covariance = mixed.reshape(*self.shape, 2), whole.reshape(*self.shape, 3)
 
-    def _birth_normals(self, groups: Groups | None) -> tuple[Array, Array]:
+    def _birth_normals(self, groups: MeasuredGroups | None) -> tuple[Array, Array]:
         """Return mean and covariance of the velocity of births without a group, and of those of each group."""
         wide = np.eye(2) * self.settings.birth_speed**2
         if groups is None:
@@ -230,7 +234,7 @@ class NumpyFilter:
         return np.concatenate([np.zeros((1, 2)), mean]), np.concatenate([wide[np.newaxis], covariance])
 
     def _births(
-        self, copies: NDArray[np.int64], key: np.uint64, row: NDArray[np.int64], groups: Groups | None
+        self, copies: NDArray[np.int64], key: np.uint64, row: NDArray[np.int64], groups: MeasuredGroups | None
     ) -> Array:
         """Return new particles, uniform in their cells; velocities by the measurement of the group, or without."""
         cells, numbers = len(copies), copies[:, 1]

@@ -1,0 +1,248 @@
+"""Tables of the learned models: quality, losses, heads, training, combination, time."""
+
+from collections.abc import Mapping
+
+from record_tables import change, record, table, with_source
+
+MODELS = ("height-band", "ray", "lite")  # the released baseline predicts no cell: docs/quality.md
+QUALITY = (
+    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
+    *("ece", "ece_relative", "auroc_unknown", "mean_unknown", "kl_e10"),
+)
+LOSSES = (  # titles of what is compared of trainings; the last is what the reverse KL minimises
+    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known"),
+    *("false_free", "missed_occupied", "ece", "auroc_unknown", "kl_e10"),
+)
+OLD_EXTENT = "100 frames of 10 drives in 1 town"  # of records that do not say it
+
+
+def headline() -> str:
+    """Return the table of the README: three models on the simulated test drives."""
+    means = record("deep_quality")["models"]
+    titles = {
+        "brier": "Brier score ↓",
+        "iou_free": "IoU free ↑",
+        "iou_occupied": "IoU occupied ↑",
+        "false_free": "occupied cells predicted free ↓",
+        "auroc_unknown": "finding unknown cells (AUROC) ↑",
+    }
+    models = ("height-band", "ray", "lite")
+    rows = [
+        [title, *(f"{means[model]['macro'][metric]['value']:.3f}" for model in models)]
+        for metric, title in titles.items()
+    ]
+    return table([extent(), "paper's baseline", "`RayISM`", "`lite`"], rows)
+
+
+def extent() -> str:
+    """Return how many frames, drives and towns `deep_quality` is of."""
+    return record("deep_quality").get("extent", OLD_EXTENT)
+
+
+def combined() -> str:
+    """Return what the combination of `ray` and `lite` reaches, beside its parts."""
+    found = record("combined")
+    titles = {
+        "nll": "log loss",
+        "false_free": "false free",
+        "brier": "Brier",
+        "iou_free": "IoU free",
+        "iou_occupied": "IoU occupied",
+        "ece": "ECE",
+    }
+    simulated = {f"validation `{name}`": one for name, one in found["validation"].items()}
+    rows = []
+    for name, one in (simulated | found["real"]).items():
+        place = f"{name}, frames: {one['frames']}, drives: {one['drives']}"
+        for model, mean in one["means"].items():
+            cells = ["–" if mean[metric] is None else f"{mean[metric]:.3f}" for metric in titles]
+            rows.append([place if model == "ray" else "", f"`{model}`" if " " not in model else model, *cells])
+    tables = [table(["", "", *titles.values()], rows, left=2)]
+    rows = []
+    for name, one in simulated.items():  # with intervals; the others can be subtracted
+        for other, compared in one["against"].items():
+            differences = [compared[metric]["difference"] for metric in ("nll", "false_free", "brier")]
+            cells = map(change, differences)
+            rows.append([f"{name}: against `{other}`", *cells])
+    tables.append(table(["`combined` minus a part (95 %)", "log loss", "false free", "Brier"], rows))
+    cost = found["cost [ms]"]
+    text = (
+        f"Cost on one core, best of many calls ({found.get('cost measured', 'the same run')}): "
+        f"`ray` {cost['ray']:.1f} ms, `lite` {cost['lite']:.1f} ms, `combined` "
+        f"{cost['combined']:.1f} ms, of which combining {cost['combining alone']:.2f} ms (copying both grids: "
+        f"{cost['copy of both grids']:.2f} ms)."
+    )
+    return with_source("combined", *tables, text)
+
+
+def deep_quality() -> str:
+    """Return means over frames of all models on the test frames."""
+    found = record("deep_quality")
+    rows = []
+    for metric in QUALITY:
+        facts = found["metrics"][metric]
+        arrow = {"lower": " ↓", "higher": " ↑"}.get(facts["better"] or "", "")
+        cells = []
+        for model in MODELS:
+            one = found["models"][model]["macro"][metric]
+            ends = "" if one["low"] is None else f"\xa0({one['low']:.3f}–{one['high']:.3f})"
+            cells.append(f"{one['value']:.3f}{ends}")
+        rows.append([f"{facts['title']}{arrow}", *cells])
+    return table(["mean (95 %)", *(f"`{model}`" for model in MODELS)], rows)
+
+
+def deep_targets() -> str:
+    """Return which targets `lite` reaches."""
+    rows = [
+        [row["what"], row["wanted"], f"{row['value']:.3f}", "reached" if row["met"] else "**missed**"]
+        for row in sorted(record("deep_quality")["wanted"], key=lambda row: row["what"].startswith(("kl_", "legacy")))
+    ]
+    return table(["target of `lite`", "wanted", "measured", ""], rows)
+
+
+def deep_occupied() -> str:
+    """Return what models predict of occupied cells, by what stands in them."""
+    found = record("deep_quality")["occupied cells by what stands there, pooled"]
+    kinds = {
+        "participants": "traffic participants with 50 returns or more",
+        "thick": "all else, where 3 x 3 cells fit",
+        "thin": "all else, thinner (kerbs, fences, poles, edges)",
+    }
+    rows = []
+    for kind, title in kinds.items():
+        for what, word in (("false free", "free"), ("called occupied", "occupied")):
+            rows.append([f"{title}: {word}", *(f"{100 * found[model][kind][what]:.1f} %" for model in MODELS)])
+    return table(["occupied cells, predicted", *(f"`{model}`" for model in MODELS)], rows)
+
+
+def deep_losses() -> str:
+    """Return what networks reach that were trained alike with other losses."""
+    scores = record("deep_losses")["scores"]
+    metrics = [metric for metric in LOSSES if metric in scores["reverse KL"]]
+    titles = [record("deep_quality")["metrics"][metric]["title"] for metric in metrics]
+    rows = [[name, *(f"{one[metric]['value']:.3f}" for metric in metrics)] for name, one in scores.items()]
+    return table(["loss, one seed each", *titles], rows)
+
+
+def losses_of_the_paper() -> str:
+    """Return the losses of the paper, of its code, and our default."""
+    scores = record("deep_losses")["scores"]
+    names = {
+        "squares as printed": "as printed, α / S",
+        "squares as released": "as released, e / S",
+        "squares as released, occupied x 100": "as released, occupied x 100",
+        "reverse KL": "reverse KL, our default",
+    }
+    metrics = {
+        "brier": "Brier",
+        "iou_free": "IoU free",
+        "iou_occupied": "IoU occupied",
+        "auroc_unknown": "AUROC unknown",
+        "ece": "ECE",
+        "kl_e10": "KL, E = 10",
+    }
+    rows = [[title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)] for name, title in names.items()]
+    return table(["", *metrics.values()], rows)
+
+
+def divergences() -> str:
+    """Return the divergences of `lite` and of both baselines, with the frames that `lite` wins."""
+    found = record("deep_quality")
+    titles = {
+        "kl_e10": "KL[grid ‖ truth], E = 10",
+        "kl_e1": "KL[grid ‖ truth], E = 1, as the code's labels",
+        "kl_e1_scaled": "the same, a tenth of every model's evidence",
+        "legacy_kl": 'the released code\'s "KL", not averaged',
+    }
+    rows = []
+    for metric, title in titles.items():
+        cells = [f"{found['models']['lite']['macro'][metric]['value']:.3f}"]
+        for other in ("height-band", "height-band-released"):
+            cells.append(f"{found['models'][other]['macro'][metric]['value']:.3f}")
+            cells.append(f"{found['paired'][f'lite against {other}'][metric]['wins']:.0f}")
+        rows.append([title, *cells])
+    return table(
+        ["mean, and frames that `lite` wins", "`lite`", "baseline, evidence 10", "", "baseline as released", ""], rows
+    )
+
+
+def objects() -> str:
+    """Return what share of annotated real objects the models predict occupied, and free."""
+    found = record("objects")
+    models = ("height-band", "ray", "first lite", "lite", "combined")
+    sets = found["sets"] | {name if name == "all" else f"all, {name}": one for name, one in found["all"].items()}
+    rows = []
+    for name, one in sets.items():
+        shares = (one["models"][model] for model in models)
+        cells = [f"{100 * share['occupied']:.1f}, {100 * share['free']:.1f}" for share in shares]
+        rows.append([name, f"{one['objects']}, {one['boxes']}", *cells])
+    return table(["occupied, free [% of cells]", "objects, boxes", *models], rows)
+
+
+def deep_heads() -> str:
+    """Return what other heads of the network change."""
+    found = record("deep_heads")["sets"]["validation"]
+    areas = {name: f"{value:.2f}" for name, value in found["wrong cells"]["auroc"].items()}
+    telling = {
+        "shipped": f"unknown {areas['unknown']}, smaller mass {areas['smaller mass']}",
+        "several": f"unknown {areas['unknown of several']}, spread {areas['spread of several']}",
+    }
+    titles = {"head": "last layer", "detail": "at full resolution too", "several": "five last layers"}
+    shown = ("nll", "false_free", "iou_occupied")
+    rows = [["shipped", *(f"{found['means']['shipped'][one]:.3f}" for one in shown), telling["shipped"]]]
+    for name, title in titles.items():
+        rows.append([title, *(change(found["minus shipped"][name][m]) for m in shown), telling.get(name, "")])
+    heads = ["", "log loss", "false free", "IoU occupied", "telling wrong cells (AUROC) by"]
+    return with_source("deep_heads", table(heads, rows))
+
+
+def deep_training() -> str:
+    """Return how truth and inputs change a short training."""
+    shown = ("nll", "false_free", "iou_free", "iou_occupied")
+    titles = {"hd": "`hd`, minus `aimed`", "no rays": "`aimed` without rays, minus `aimed`"}
+    rows = []
+    for truth, found in record("deep_training")["truth of validation"].items():
+        by = {"dense": "12,000 layers"}.get(truth, f"`{truth}`")
+        rows.append([by, "`aimed`", *(f"{found['means']['aimed'][one]:.3f}" for one in shown)])
+        rows += [["", title, *(change(found["minus aimed"][name][m]) for m in shown)] for name, title in titles.items()]
+    heads = ["evaluated by", "trained on", "log loss", "false free", "IoU free", "IoU occupied"]
+    return with_source("deep_training", table(heads, rows))
+
+
+def deep_speed() -> str:
+    """Return the time of the networks."""
+    found = record("deep_speed")
+    times, summary = found["times [ms]"], found["summary"]
+
+    def ms(name: str) -> str:
+        return f"{times[name]['median']:.3g} ms"
+
+    parts = {
+        "points to `EvidentialGrid`": ("lite, whole", "paper, whole"),
+        "pillars": ("pillars", "pillars"),
+        "features and feature map": ("lite, pillars to feature map", "paper, pillars to feature map"),
+        "feature map to evidence": ("lite, feature map to evidence", "paper, feature map to evidence"),
+        "its convolutions alone": ("lite, convolutions", "paper, convolutions"),
+    }
+    rows = [[title, *map(ms, names)] for title, names in parts.items()]
+    networks = [summary[name] for name in ("lite", "paper")]
+    rows += [
+        ["scans per second", *(f"{one['scans per second']:.3g}" for one in networks)],
+        ["share of the time outside convolutions", *(f"{one['share outside convolutions']:.0%}" for one in networks)],
+        ["`RayISM`, `HeightBandISM` in the same run", f"{ms('RayISM')}, {ms('HeightBandISM')}", ""],
+    ]
+    networks_table = table(["57,600 points, two cores", "`lite`", "`paper`"], rows)
+    return f"{networks_table}\n\n{deep_engines(found)}" if "differences in mass" in found else networks_table
+
+
+def deep_engines(found: Mapping) -> str:
+    """Return the times of the engines of the shipped network."""
+    times, starts = found["times [ms]"], found["loading, first import to first grid"]
+    rows = []
+    for name, error in found["differences in mass"].items():
+        engine = name.removeprefix("lite by ")
+        faster = found["summary"]["engines, torch / engine"][name]["medians"]
+        start = f"{starts[engine]['best [s]']:.2g} s" if engine in starts else ""
+        rows.append([engine, f"{times[name]['median']:.3g} ms", f"{faster:.2f}", start, f"{error['largest']:.1e}"])
+    heads = ["`lite`, points to `EvidentialGrid`", "time", "times as fast as torch", "import to first grid"]
+    return table([*heads, "largest difference of a mass"], rows)
