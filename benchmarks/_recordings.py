@@ -20,7 +20,7 @@ REAL = {
 MIN_SCANS = 3  # of a sequence that is fused
 
 
-class Recording(NamedTuple):
+class QualityInput(NamedTuple):
     """A real recording, for single scans and for maps, or the reason why it is left out."""
 
     name: str
@@ -38,18 +38,18 @@ def recordings(folder: Path) -> Iterator[tuple[str, Dataset]]:
             yield recording.name, recording.alone
 
 
-def real(folder: Path) -> Iterator[Recording]:
+def real(folder: Path) -> Iterator[QualityInput]:
     """Yield the recordings of `REAL`, opened for single scans and, with poses, for maps."""
     for name, place in REAL.items():
         if not (folder / place).exists():
-            yield Recording(name, None, None, f"there is no {place}")
+            yield QualityInput(name, None, None, f"there is no {place}")
             continue
         try:
             alone = open_dataset(folder / place)
         except ValueError as error:
-            yield Recording(name, None, None, str(error).replace(str(folder), "OGM_DATA"))
+            yield QualityInput(name, None, None, str(error).replace(str(folder), "OGM_DATA"))
             continue
-        yield Recording(name, alone, open_dataset(folder / place, others="later") if _is_drive(alone) else None)
+        yield QualityInput(name, alone, open_dataset(folder / place, others="later") if _is_drive(alone) else None)
 
 
 def _is_drive(dataset: Dataset) -> bool:
