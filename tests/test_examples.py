@@ -297,3 +297,18 @@ def test_no_example_is_left_out_and_none_is_long() -> None:
     }  # fmt: skip
     for path in EXAMPLES.glob("*.py"):
         assert sum(bool(line.strip()) for line in path.read_text().splitlines()) <= 60, path.name
+
+
+def test_ego_motion_filters_and_smooths() -> None:
+    module = example("ego_motion")
+    errors = module.compare(3)
+    assert errors["filter"] < 0.6 * min(errors["fixes"], errors["dead reckoning"])
+    assert errors["smoother"] < 0.8 * errors["filter"]
+    ego = module.EgoMotion(0.0, [0, 0, 0, 5.0, 0.5], [0.001] * 5)  # a circle of 10 m
+    for stamp in np.linspace(0, 4 * np.pi, 127)[1:]:
+        assert ego.measure("speed", stamp, 5.0, 0.001)
+        assert ego.measure("yaw_rate", stamp, 0.5, 0.0001)
+    assert not ego.measure("position", stamp, [100.0, 0.0], 1.0)
+    path = module.trajectory(*ego.smoothed()).poses
+    np.testing.assert_allclose(np.hypot(path[:, 0, 3], path[:, 1, 3] - 10), 10, atol=0.03)
+    np.testing.assert_allclose(path[-1], np.eye(4), atol=0.03)

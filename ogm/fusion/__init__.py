@@ -12,7 +12,6 @@ from ogm.fusion.dynamic.prediction import predict_dynamic
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.ego.deskewing import deskew, extrapolate
 from ogm.fusion.ego.registration import odometry
-from ogm.fusion.ego.smoothing import EgoMotion
 from ogm.fusion.evidential import EvidentialMapper
 from ogm.fusion.factory import covering_window, make_mapper, rolling_window
 from ogm.fusion.mapper import Mapper
@@ -24,7 +23,6 @@ __all__ = [
     "BinaryBayesMapper",
     "DynamicMapper",
     "DynamicSettings",
-    "EgoMotion",
     "EvidentialMapper",
     "FusionStep",
     "Mapper",

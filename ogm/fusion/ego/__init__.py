@@ -1,1 +1,1 @@
-"""Motion of the ego vehicle: odometry from scans, smoothing of poses, de-skewing of scans."""
+"""Motion of the ego vehicle: odometry from scans, de-skewing of scans."""
