@@ -50,7 +50,7 @@ class Scan(ShownInNotebooks):
     doppler : (N,) float32, optional
         Radial velocity, positive away from the sensor [m/s].
     rcs : (N,) float32, optional
-        Radar cross section [dBsm].
+        Radar cross section [dBsm], NaN where unknown; None for scans of lidars.
     sensor : str
         Name of the sensor.
     doppler_interval : float, optional

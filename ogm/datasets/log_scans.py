@@ -1,4 +1,4 @@
-"""The scans of a log: where they lie, which sensor took them when, and where that was."""
+"""The scans of a log: their places in the files, their sensors and stamps, and the poses of those."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -15,15 +15,17 @@ from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageRef
 from ogm.storage.files import OgmError
 
-__all__ = ["CLOUD", "LIDAR_TYPES", "LogScans", "ScanRef"]
+__all__ = ["CLOUD", "RADAR_TYPES", "SCAN_TYPES", "LogScans", "ScanRef"]
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
-LIDAR_TYPES = (
-    CLOUD,
-    "velodyne_msgs/msg/VelodyneScan",
-    "livox_ros_driver/msg/CustomMsg",
-    "livox_ros_driver2/msg/CustomMsg",
-)
+_LIDAR_TYPES = (
+    CLOUD, "velodyne_msgs/msg/VelodyneScan", "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg",
+)  # fmt: skip
+RADAR_TYPES = (
+    "radar_msgs/msg/RadarScan", "continental_msgs/msg/ContinentalArs548DetectionList",
+    "continental_msgs/msg/ContinentalSrr520DetectionList",
+)  # fmt: skip
+SCAN_TYPES = (*_LIDAR_TYPES, *RADAR_TYPES)
 _HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, as `Mount` has it around one
 
 
@@ -44,7 +46,7 @@ class LogScans:
     ----------
     log : LogReader
     topic : str or iterable of str
-        By default the only one of a lidar.
+        By default the only one of a lidar, or of a radar where there is no lidar.
 
     Raises
     ------
@@ -141,7 +143,7 @@ class LogScans:
         Raises
         ------
         OgmError
-            If there are several lidars, and no frame base_link that transforms join them with.
+            If there are several sensors, and no frame base_link that transforms join them with.
         """
         floor = self._in_frames(self.transforms.floor_frame)
         heights = [None] * len(self.refs) if floor is None or (floor[:, 2, 3] <= 0).any() else floor[:, 2, 3].tolist()
@@ -151,7 +153,7 @@ class LogScans:
         if T is None:
             raise OgmError(
                 f"{self.path}: {self.transforms.missing_vehicle(list(self.by_frame))}, so that the scans of several "
-                "lidars cannot be brought together; choose one topic (--topic)"
+                "sensors cannot be brought together; choose one topic (--topic)"
             )
         places, first = T[:, :3, 3], {scan.topic: n for n, scan in reversed(list(enumerate(self.refs)))}
         x, y = np.array([places[n, :2] for n in first.values()]).T
@@ -178,21 +180,20 @@ class LogScans:
 
 def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
     """Return the topics to read scans of."""
-    path, types = log.paths[0], ", ".join(LIDAR_TYPES)
+    path, types = log.paths[0], ", ".join(SCAN_TYPES)
     named = {name: f"{name} ({facts.type})" for name, facts in log.topics.items()}
-    scans = [name for name, facts in log.topics.items() if facts.type in LIDAR_TYPES and facts.count]
+    scans = [name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and facts.count]
     listed = ", ".join(named[name] for name in scans) or "none"
     for name in wanted:
         if name not in log.topics:
             other = ", ".join(log.topics) or "none"
-            raise OgmError(f"{path} has no topic {name}; with lidar scans there are {listed}, others are {other}")
+            raise OgmError(f"{path} has no topic {name}; with scans there are {listed}, others are {other}")
         if name not in scans:
             found = f"{log.topics[name].count} messages of {log.topics[name].type}"
-            raise OgmError(f"topic {name} of {path} has {found}, wanted scans of a lidar ({types}); there are {listed}")
-    if not wanted and not scans:
-        raise OgmError(
-            f"{path} has no scans of a lidar ({types}); its topics are {', '.join(named.values()) or 'none'}"
-        )
-    if not wanted and len(scans) > 1:
-        raise OgmError(f"{path} has several topics with lidar scans, {listed}: choose by topic (--topic)")
-    return tuple(dict.fromkeys(wanted or scans))
+            raise OgmError(f"topic {name} of {path} has {found}, wanted scans ({types}); there are {listed}")
+    if not scans:
+        raise OgmError(f"{path} has no scans ({types}); its topics are {', '.join(named.values()) or 'none'}")
+    usual = [name for name in scans if log.topics[name].type in _LIDAR_TYPES] or scans
+    if not wanted and len(usual) > 1:
+        raise OgmError(f"{path} has several topics with scans, {listed}: choose by topic (--topic)")
+    return tuple(dict.fromkeys(wanted or usual))

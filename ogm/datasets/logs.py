@@ -1,4 +1,4 @@
-"""Logs: the lidar scans of ROS bags and MCAPs, with the poses that transforms or odometry in them give."""
+"""Logs: scans of lidars and radars in ROS bags and MCAPs, with poses by the transforms or odometry in them."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -12,14 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.frames import RawFrame, SensorPlace
-from ogm.datasets.log_scans import CLOUD, LIDAR_TYPES, LogScans
+from ogm.datasets.log_scans import CLOUD, RADAR_TYPES, SCAN_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.paths import ending_of
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.io.axes import rotation_to_flu
 from ogm.io.logs import LOG_ENDINGS, LogMessage, LogReader, open_log
 from ogm.io.logs.opening import log_files
-from ogm.io.messages import scan_from_livox, scan_from_point_cloud2, scan_from_velodyne_scan
+from ogm.io.messages import (
+    scan_from_continental,
+    scan_from_livox,
+    scan_from_point_cloud2,
+    scan_from_radar_scan,
+    scan_from_velodyne_scan,
+)  # fmt: skip
 from ogm.pose import pose, rotate
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
@@ -38,9 +44,9 @@ def is_log(paths: Sequence[Path]) -> bool:
 
 
 class LogRecording(Recording):
-    """Lidar scans of a log, by the stamps of their headers.
+    """Scans of a log, by the stamps of their headers.
 
-    Points are turned to the axes of the vehicle (base_link) if transforms state them. Several lidars give frames in
+    Points are turned to the axes of the vehicle (base_link) if transforms state them. Several sensors give frames in
     the vehicle's frame, each with its place in it.
     """
 
@@ -85,7 +91,7 @@ class LogRecording(Recording):
         if scans.types != {CLOUD} and options.units:
             raise ValueError(f"{scans.path} has scans of known units; leave out intensity_max and time_unit")
         if len(scans.topics) > 1 and options.sensor_position is not None:
-            raise ValueError("sensor_position (--sensor-position) is for the points of one lidar; choose one topic")
+            raise ValueError("sensor_position (--sensor-position) is for the points of one sensor; choose one topic")
         return cls(paths[0], scans, options)
 
     @cached_property
@@ -104,12 +110,21 @@ class LogRecording(Recording):
         return RawFrame(turn_scan(replace(scan, sensor=ref.frame), self._turns[n]))
 
     def place(self, n: int) -> SensorPlace:
-        """Return the place of the lidar of a scan."""
+        """Return the place of the sensor of a scan."""
         return SensorPlace() if self._places is None else self._places[n]
 
+    def height(self, n: int) -> float:
+        """Return the height of a sensor; that of a radar, which shows no ground, by the transform from a lidar."""
+        lidars = (k for k, ref in enumerate(self._scans) if not self._is_radar(ref.topic))
+        reference = next(lidars, n) if self._is_radar(self._scans[n].topic) else n
+        return super().height(reference) + self.place(n).above_first - self.place(reference).above_first
+
+    def _is_radar(self, topic: str) -> bool:
+        return self.log.topics[topic].type in RADAR_TYPES
+
     def truth(self, n: int) -> NoReturn:
-        """Raise OgmError: scans of several lidars have no truth."""
-        raise OgmError("truth is not made of the scans of several lidars: choose one topic (--topic)")
+        """Raise OgmError: scans of several sensors have no truth."""
+        raise OgmError("truth is not made of the scans of several sensors: choose one topic (--topic)")
 
 
 def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
@@ -129,8 +144,8 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
     for name, facts in log.topics.items():
         rate = "" if np.isnan(facts.rate) else f", {facts.rate:.1f} Hz"
         found[name] = f"{facts.type}, {facts.count} message{'s' * (facts.count != 1)}{rate}"
-    lidars = [name for name, facts in log.topics.items() if facts.type in LIDAR_TYPES and facts.count]
-    scans = {name: LogScans(log, name) for name in lidars}
+    scanned = [name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and facts.count]
+    scans = {name: LogScans(log, name) for name in scanned}
     transforms = next((one.transforms for one in scans.values()), None) or LogTransforms(log)
     pairs = transforms.buffer.pairs.items()
     found["transforms"] = ", ".join(f"{a} <- {b}{' (static)' * static}" for (a, b), static in pairs) or "none"
@@ -155,11 +170,15 @@ def _date(stamp: float) -> str:
 
 
 def _scan(message: LogMessage, units: Mapping[str, Any]) -> Scan:
-    """Return the scan of a message of any of `LIDAR_TYPES`."""
+    """Return the scan of a message of any of `SCAN_TYPES`."""
     if message.type == CLOUD:
         return scan_from_point_cloud2(message.decode(), **units)
     if message.type.endswith("/CustomMsg"):
         return scan_from_livox(message.raw)
+    if message.type.startswith("continental_msgs/"):
+        return scan_from_continental(message.decode())
+    if message.type.startswith("radar_msgs/"):
+        return scan_from_radar_scan(message.decode())
     return scan_from_velodyne_scan(message.decode())
 
 

@@ -109,8 +109,8 @@ def open_dataset(
     spec : GridSpec, optional
         Cells of the states and pictures in a folder of truth grids, which do not state them.
     topic : str or iterable of str
-        Lidar topics of a log; by default the only lidar's. Frames of several lidars come in the order of their stamps,
-        and need transforms from base_link to each lidar.
+        Topics of a log with scans; by default the only lidar's, or the only radar's. Frames of several come in the
+        order of their stamps, and need transforms from base_link to each sensor.
     frame : str, optional
         Fixed frame of the poses of a log; by default map, odom, world, or the root of the transforms.
     sensors : str or iterable of str

@@ -138,7 +138,7 @@ def _to_flu(poses: Poses, axes: Axes) -> Poses:
 def _check_one_sensor(dataset: Dataset) -> None:
     recording = dataset.recording
     if len({recording.place(n).name for n in range(len(recording.frames))}) > 1:
-        raise ValueError(f"{dataset.name} has scans of several lidars, poses are of one: choose one topic (--topic)")
+        raise ValueError(f"{dataset.name} has scans of several sensors, poses are of one: choose one topic (--topic)")
 
 
 def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress: Progress) -> Dataset:

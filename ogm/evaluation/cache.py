@@ -3,10 +3,6 @@
 import hashlib
 import json
 import os
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -16,28 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.motion import FrameMotion
-from ogm.metrics import ConfusionSums, MotionSums, ObjectCells
+from ogm.metrics import ConfusionSums, MotionSums, ObjectCells, PredictionSums
+from ogm.storage.archive import UNREADABLE
 from ogm.storage.files import OgmError, atomic_write, update_hint
 
 __all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
 
 _FORMAT = "ogm.frames/1"
-_UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged frames
-    OSError,
-    ValueError,
-    LookupError,
-    EOFError,
-    ArithmeticError,
-    AttributeError,
-    MemoryError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+_MOTION: dict[str, Any] = {  # parts of a FrameMotion
+    "motion": MotionSums, "objects": ObjectCells, "predicted": PredictionSums,
+}  # fmt: skip
 
 
 class FrameResult(NamedTuple):
@@ -104,7 +88,7 @@ class ResultCache:
         for number in numbers:
             try:
                 self.load(number)
-            except _UNREADABLE:
+            except UNREADABLE:
                 self._path(number).unlink(missing_ok=True)
                 found.append(number)
         return found
@@ -130,8 +114,8 @@ class ResultCache:
         arrays |= {f"sums {name}": np.stack(column) for name, column in columns}
         arrays |= {f"picture {name}": np.frombuffer(data, np.uint8) for name, data in result.pictures.items()}
         for k, motion in result.motion.items():
-            arrays |= {f"motion {k} {name}": array for name, array in motion.sums._asdict().items()}
-            arrays |= {f"objects {k} {name}": array for name, array in motion.objects._asdict().items()}
+            for (part, kind), values in zip(_MOTION.items(), motion, strict=True):
+                arrays |= {f"{part} {k} {name}": array for name, array in zip(kind._fields, values, strict=True)}
         with atomic_write(self._path(frame)) as file:
             np.savez_compressed(file, **arrays)
 
@@ -161,8 +145,8 @@ def _read_motion(data: Mapping[str, Any]) -> dict[int, FrameMotion]:
     """Return the motion of a frame by the places of methods."""
     found = {}
     for k in sorted({int(name.split()[1]) for name in data if name.startswith("motion ")}):
-        sums = MotionSums(*(data[f"motion {k} {name}"] for name in MotionSums._fields))
-        found[k] = FrameMotion(sums, ObjectCells(*(data[f"objects {k} {name}"] for name in ObjectCells._fields)))
+        parts = (kind(*(data[f"{part} {k} {name}"] for name in kind._fields)) for part, kind in _MOTION.items())
+        found[k] = FrameMotion(*parts)
     return found
 
 

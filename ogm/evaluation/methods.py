@@ -130,9 +130,20 @@ class FusedMethod:
         """Return the map around the frame that was fused last."""
         return self._mapper.view(spec)
 
-    def dynamic_grid(self, spec: GridSpec) -> DynamicGrid | None:
-        """Return the map around the frame that was fused last with its motion; None if it knows none."""
-        return self._mapper.dynamic_view(spec) if isinstance(self._mapper, DynamicMapper) else None
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether the map knows motion."""
+        return isinstance(self._mapper, DynamicMapper)
+
+    def dynamic_grid(self, spec: GridSpec) -> DynamicGrid:
+        """Return the dynamic map around the frame that was fused last."""
+        assert isinstance(self._mapper, DynamicMapper)
+        return self._mapper.dynamic_view(spec)
+
+    def predicted(self, seconds: float) -> DynamicGrid:
+        """Return the dynamic map, in map coordinates, some time [s] after the frame that was fused last."""
+        assert isinstance(self._mapper, DynamicMapper)
+        return self._mapper.predicted(seconds)
 
     def state(self) -> str:
         """Return what the results depend on besides the description."""
@@ -273,16 +284,19 @@ class MethodRunner:
         assert self._frame is not None
         return {name: one.grid(self._frame, self.spec, self._of(one)) for name, one in self.methods.items()}
 
+    @property
+    def dynamic(self) -> dict[int, FusedMethod]:
+        """Methods that make dynamic grids, by their places."""
+        methods = enumerate(self.methods.values())
+        return {k: method for k, method in methods if isinstance(method, FusedMethod) and method.is_dynamic}
+
     def dynamic_grids(self) -> dict[int, tuple[DynamicGrid, NDArray[np.bool_]]]:
         """Return the dynamic grids of the last frame, by the places of their methods.
 
         Each with the cells that the scan shows as occupied: a mass of more than 1/2.
         """
-        found = {}
-        for place, one in enumerate(self.methods.values()):
-            if isinstance(one, FusedMethod) and (grid := one.dynamic_grid(self.spec)) is not None:
-                found[place] = grid, resample_to(self._measured[id(one.model)], self.spec).occupied > DETECTION
-        return found
+        measured = {k: resample_to(self._measured[id(one.model)], self.spec) for k, one in self.dynamic.items()}
+        return {k: (one.dynamic_grid(self.spec), measured[k].occupied > DETECTION) for k, one in self.dynamic.items()}
 
     @property
     def _single(self) -> list[SingleScanMethod]:

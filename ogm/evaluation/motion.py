@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
+from ogm.evaluation.predictions import PREDICTED
 from ogm.evaluation.statistics import Interval, mean_interval
 from ogm.metrics import (
     MOTION_METRICS,
     Detection,
     MotionSums,
     ObjectCells,
+    PredictionSums,
     accumulate_motion,
     detection_times,
     distances,
@@ -22,6 +24,7 @@ from ogm.metrics import (
     object_cells,
     predicted_moving,
     score_motion,
+    score_prediction,
 )  # fmt: skip
 from ogm.scan import Boxes
 from ogm.state import Motion
@@ -44,10 +47,14 @@ POINTS = 200  # of a curve, at most
 
 
 class FrameMotion(NamedTuple):
-    """What is kept of a dynamic grid in one frame: sums over cells, and the objects that the scan shows."""
+    """What is kept of a dynamic grid in one frame.
+
+    Sums over cells, the objects that the scan shows, and sums of the prediction that was made for this frame.
+    """
 
     sums: MotionSums
     objects: ObjectCells
+    predicted: PredictionSums
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +68,8 @@ class MotionResult:
         Each metric of `ogm.metrics.MOTION_METRICS`; NaN where a frame has no value.
     pooled : tuple of MotionSums
         Of every method, the sums over all frames.
+    predicted : tuple of PredictionSums
+        Of every method, the sums over all frames for which a prediction was made.
     detections : tuple of list of Detection
         Of every method, of the objects of all sequences.
     drives : list of str
@@ -70,6 +79,7 @@ class MotionResult:
     methods: tuple[str, ...]
     values: dict[str, NDArray[np.float64]]
     pooled: tuple[MotionSums, ...]
+    predicted: tuple[PredictionSums, ...]
     detections: tuple[list[Detection], ...]
     drives: list[str]
 
@@ -91,13 +101,15 @@ class MotionCollector:
         self._names = tuple(methods)
         self._rows: list[dict[int, dict[str, float]]] = []
         self._pooled: dict[int, MotionSums] = {}
+        self._predicted: dict[int, PredictionSums] = {}
         self._objects: dict[int, dict[str, list[tuple[float, ObjectCells]]]] = {}
 
     def add(self, motion: Mapping[int, FrameMotion], sequence: str, stamp: float | None) -> None:
         """Take a frame in: what was kept of it, by the places of the methods."""
         self._rows.append({k: score_motion(one.sums) for k, one in motion.items()})
         for k, one in motion.items():
-            self._pooled[k] = self._pooled[k].plus(one.sums) if k in self._pooled else one.sums
+            self._pooled[k] = self._pooled.get(k, MotionSums.zeros()).plus(one.sums)
+            self._predicted[k] = self._predicted.get(k, PredictionSums.zeros()).plus(one.predicted)
             if stamp is not None:
                 self._objects.setdefault(k, {}).setdefault(sequence, []).append((stamp, one.objects))
 
@@ -111,11 +123,13 @@ class MotionCollector:
         times = tuple(
             [found for frames in self._objects.get(k, {}).values() for found in detection_times(frames)] for k in places
         )
-        pooled = tuple(self._pooled[k] for k in places)
-        return MotionResult(tuple(self._names[k] for k in places), values, pooled, times, drives)
+        pooled, predicted = tuple(self._pooled[k] for k in places), tuple(self._predicted[k] for k in places)
+        return MotionResult(tuple(self._names[k] for k in places), values, pooled, predicted, times, drives)
 
 
-def compare_motion(grid: DynamicGrid, occupied: NDArray[np.bool_], motion: Motion, boxes: Boxes | None) -> FrameMotion:
+def compare_motion(
+    grid: DynamicGrid, occupied: NDArray[np.bool_], motion: Motion, boxes: Boxes | None, predicted: PredictionSums
+) -> FrameMotion:
     """Compare a dynamic grid with the true motion of a frame.
 
     Parameters
@@ -128,11 +142,13 @@ def compare_motion(grid: DynamicGrid, occupied: NDArray[np.bool_], motion: Motio
         On the same cells.
     boxes : Boxes, optional
         Those that `motion.box` counts.
+    predicted : PredictionSums
+        See `ogm.evaluation.predictions.Predictions.compare`.
     """
     boxes = Boxes.empty() if boxes is None else boxes
     moving = predicted_moving(grid)
     sums = accumulate_motion(grid, motion, occupied, boxes.label, distances(grid.spec), moving)
-    return FrameMotion(sums, object_cells(motion, occupied, moving, boxes.track))
+    return FrameMotion(sums, object_cells(motion, occupied, moving, boxes.track), predicted)
 
 
 def motion_record(result: MotionResult | None) -> dict[str, Any] | None:
@@ -140,13 +156,15 @@ def motion_record(result: MotionResult | None) -> dict[str, Any] | None:
     if result is None:
         return None
     methods = {}
-    for name, sums, found in zip(result.methods, result.pooled, result.detections, strict=True):
+    rows = zip(result.methods, result.pooled, result.predicted, result.detections, strict=True)
+    for name, sums, predicted, found in rows:
+        scores = score_prediction(predicted)
         seconds = [one.seconds for one in found]
         recall, precision, threshold = motion_curve(sums)
         thin = np.linspace(0, len(recall) - 1, min(len(recall), POINTS)).astype(int)
         methods[name] = {
             "macro": {metric: result.interval(name, metric) for metric in MOTION_METRICS},
-            "micro": score_motion(sums),
+            "micro": score_motion(sums) | {f"predicted_{name}": scores[name] for name in PREDICTED},
             "cells": {"moving": sums.cells[0, 0], "static": sums.cells[-1, 0]},
             "time to detect": {
                 "objects": len(seconds),
@@ -157,7 +175,8 @@ def motion_record(result: MotionResult | None) -> dict[str, Any] | None:
             "curve": {"recall": recall[thin], "precision": precision[thin], "threshold": threshold[thin]},
             "per frame": {metric: rows[result.methods.index(name)] for metric, rows in result.values.items()},
         }
-    return {"metrics": MOTION_METRICS, "methods": methods}
+    predictions = {f"predicted_{name}": metric for name, metric in PREDICTED.items()}
+    return {"metrics": MOTION_METRICS | predictions, "methods": methods}
 
 
 def group_motion(record: Mapping[str, Any] | None) -> list[list[str]]:

@@ -17,6 +17,7 @@ from ogm.evaluation.cache import FrameResult, ResultCache
 from ogm.evaluation.methods import FusedMethod, Method, MethodRunner
 from ogm.evaluation.motion import compare_motion
 from ogm.evaluation.motion_pictures import draw_motion
+from ogm.evaluation.predictions import Predictions
 from ogm.grid import GridSpec
 from ogm.metrics import accumulate, distances
 from ogm.pose import transform_points
@@ -55,16 +56,17 @@ class FrameTask:
     ) -> Iterator[tuple[int, FrameResult | None]]:
         """Evaluate frames in this process; yield each number, in order, with its result if that is not in the cache."""
         runner = MethodRunner(self.methods, self.spec)
-        wanted, away = set(numbers), distances(self.spec)
+        wanted, away, predictions = set(numbers), distances(self.spec), Predictions()
         for number in progress(self._to_read(numbers)):
             frame = self.dataset[number]
             runner.update(frame, evaluated=number in wanted)
-            if number not in wanted:
-                continue
-            result = self._evaluate(runner, frame, away)
-            if cache is not None:
-                cache.save(number, result)
-            yield number, None if cache is not None else result
+            if number in wanted:
+                result = self._evaluate(runner, predictions, frame, away)
+                if cache is not None:
+                    cache.save(number, result)
+                yield number, None if cache is not None else result
+            for place, method in runner.dynamic.items():
+                predictions.predict(place, method, frame)
 
     def share_out(
         self, numbers: Sequence[int], progress: Progress, cache: ResultCache | None, workers: int, scheduler: str | None
@@ -89,7 +91,9 @@ class FrameTask:
                     pass
                 yield from found
 
-    def _evaluate(self, runner: MethodRunner, frame: Frame, away: NDArray[Any]) -> FrameResult:
+    def _evaluate(
+        self, runner: MethodRunner, predictions: Predictions, frame: Frame, away: NDArray[Any]
+    ) -> FrameResult:
         """Return the result of the frame that the runner has taken in."""
         spec = self.spec
         if frame.truth is None:
@@ -101,7 +105,11 @@ class FrameTask:
         shares = np.bincount(state.ravel(), minlength=4) / state.size
         dynamic = runner.dynamic_grids()
         moved = truth.motion if dynamic else None
-        motion = {} if moved is None else {k: compare_motion(*one, moved, frame.boxes) for k, one in dynamic.items()}
+        motion = {}
+        if moved is not None:
+            for k, (grid, occupied) in dynamic.items():
+                predicted = predictions.compare(k, frame, truth, occupied)
+                motion[k] = compare_motion(grid, occupied, moved, frame.boxes, predicted)
         pictures: dict[str, bytes] = {}
         if self.draw is not None:
             points, ground_z = _points(frame)

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import os
+import struct
 import tokenize
 import zipfile
 import zlib
@@ -18,11 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.storage.files import OgmError, atomic_write, update_hint
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["attributes_checksum", "open_archive", "stated_format", "write_archive"]
+__all__ = ["UNREADABLE", "attributes_checksum", "open_archive", "stated_format", "write_archive"]
 
-_UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives, and grids on what they held
+UNREADABLE = (  # raised by zipfile, zlib and numpy on damaged archives, and by grids on their content
     zipfile.BadZipFile,
     zlib.error,
+    struct.error,
     tokenize.TokenError,
     ArithmeticError,
     EOFError,
@@ -182,7 +184,7 @@ def _errors_of(path: str | os.PathLike[str]) -> Iterator[None]:
     """Turn the errors of a damaged file into one that names it."""
     try:
         yield
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
             raise
         text = str(error).replace(str(path), "it") or type(error).__name__

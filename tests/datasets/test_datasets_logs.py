@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from typer.testing import CliRunner
 
 from ogm.cli import app
 from ogm.datasets import Dataset, open_dataset, with_odometry, with_poses
@@ -270,14 +271,14 @@ def test_topics_are_listed_where_one_must_be_chosen(log: Callable[..., Path]) ->
     two = log(
         [cloud(np.eye(4), START, topic="/front"), cloud(np.eye(4), START, topic="/rear"), odometry(START, np.eye(4))]
     )
-    with pytest.raises(OgmError, match=r"several topics with lidar scans, /front \(sens.*\), /rear .*--topic"):
+    with pytest.raises(OgmError, match=r"several topics with scans, /front \(sens.*\), /rear .*--topic"):
         open_dataset(two)
     assert len(open_dataset(two, topic="/rear")) == 1
-    with pytest.raises(OgmError, match=r"has no topic /side; with lidar scans there are /front .*/odom"):
+    with pytest.raises(OgmError, match=r"has no topic /side; with scans there are /front .*/odom"):
         open_dataset(two, topic="/side")
     with pytest.raises(OgmError, match="topic /odom of .* has 1 messages of nav_msgs/msg/Odometry"):
         open_dataset(two, topic="/odom")
-    with pytest.raises(OgmError, match=r"has no scans of a lidar .* its topics are /odom \(nav_msgs"):
+    with pytest.raises(OgmError, match=r"has no scans .* its topics are /odom \(nav_msgs"):
         open_dataset(log([odometry(START, np.eye(4))], "odometry.mcap"))
 
 
@@ -341,14 +342,50 @@ def test_several_lidars_need_base_link(log: Callable[..., Path]) -> None:
         open_dataset(log(rows), topic=["/front/points", "/rear/points"])
 
 
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_radar_is_fused_beside_a_lidar_or_alone(log: Callable[..., Path], ending: str) -> None:
+    """A detection every 4 m along the wall and one of a car that comes; the radar looks to the front, 3 m before."""
+    T_base_radar = pose(3.0, 0.0, 0.1)
+    rows, kind = [*drive(), fixed("base_link", "radar", T_base_radar)], "radar_msgs/msg/RadarScan"
+    for stamp, T in zip(STAMPS + STEP / 4, MAP_BASE, strict=True):
+        seen = transform_points(inverse(T @ T_base_radar), np.array([[WALL, y, 1.0] for y in range(-8, 9, 4)]))
+        away, azimuth, up = np.linalg.norm(seen, axis=1), np.arctan2(seen[:, 1], seen[:, 0]), seen[:, 2]
+        returns = [
+            SimpleNamespace(
+                range=r, azimuth=a, elevation=np.arcsin(z / r), doppler_velocity=-4 * np.cos(a), amplitude=1.0
+            )
+            for r, a, z in zip(away, azimuth, up, strict=True)
+        ]
+        header = SimpleNamespace(seq=0, stamp=ros_stamp(stamp), frame_id="radar")
+        rows += [("/radar", kind, SimpleNamespace(header=header, returns=returns), stamp + 0.01)]
+        rows += [moved("map", "base_link", stamp, T, late=0.1)]
+    path = log(rows, f"both{ending}")
+    assert open_dataset(path).facts["topics"] == ["/points"]
+    both = open_dataset(path, topic=["/points", "/radar"])
+    assert [frame.scan.rcs is not None for frame in both] == [False, True] * FRAMES
+    radar = both[1]
+    assert radar.scan.sensor == "radar"
+    assert np.abs(on_map(both, 1)[:, 0] - WALL).max() < 1e-3
+    np.testing.assert_allclose(radar.mount.origin, [3.0, 0.0, 0.6], atol=1e-3)  # by the lidar, which shows the ground
+    with pytest.raises(OgmError, match="shows the ground"):
+        open_dataset(path, topic="/radar")[0].mount  # noqa: B018
+    for topics in (["/radar"], ["/points", "/radar"]):
+        size = ["--ism", "ray", "--length", "40", "--width", "24", "--sensor-height", "1.7"]
+        chosen = [f"--topic={topic}" for topic in topics]
+        result = CliRunner().invoke(app, ["fuse", str(path), *chosen, *size, "--out", str(path.parent / "m.npz")])
+        assert result.exit_code == 0, result.output
+    only = log([row for row in rows if row[0] != "/points"], f"radar{ending}")
+    assert open_dataset(only).facts["topics"] == ["/radar"]
+
+
 def test_odometry_and_truth_are_for_one_lidar(log: Callable[..., Path], tmp_path: Path) -> None:
     dataset = open_dataset(log(two_lidars()), topic=["/front/points", "/rear/points"])
-    with pytest.raises(ValueError, match="several lidars"):
+    with pytest.raises(ValueError, match="several sensors"):
         with_odometry(dataset)
     write_poses(tmp_path / "poses.txt", Trajectory(STAMPS, MAP_BASE))
-    with pytest.raises(ValueError, match="several lidars"):
+    with pytest.raises(ValueError, match="several sensors"):
         with_poses(dataset, tmp_path / "poses.txt")
-    with pytest.raises(OgmError, match="truth is not made of the scans of several lidars"):
+    with pytest.raises(OgmError, match="truth is not made of the scans of several sensors"):
         _ = dataset[0].truth
     assert not dataset.motion_distorted
 

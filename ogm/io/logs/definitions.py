@@ -19,6 +19,9 @@ _LIVOX = {
 _BOTH = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nVelodynePacket[] packets",
+    "radar_msgs/msg/RadarReturn": "float32 range\nfloat32 azimuth\nfloat32 elevation\nfloat32 doppler_velocity\n"
+    "float32 amplitude",
+    "radar_msgs/msg/RadarScan": "std_msgs/Header header\nRadarReturn[] returns",
     **{f"{package}/msg/{name}": text for package in ("livox_ros_driver", "livox_ros_driver2")
        for name, text in _LIVOX.items()},
 }  # fmt: skip
@@ -53,7 +56,7 @@ def message_types(ros: int) -> Any:
     ----------
     ros : {1, 2}
         Those of Noetic, or of the latest ROS 2, with those of velodyne_msgs, livox_ros_driver, livox_ros_driver2,
-        grid_map_msgs, and of ROS 1 tf2_msgs and tf.
+        radar_msgs, grid_map_msgs, and of ROS 1 tf2_msgs and tf.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -1,6 +1,7 @@
 """Radars: ``radar_msgs/RadarScan`` and Continental's detections. ``PointCloud2`` has a converter of its own."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,7 +32,8 @@ def scan_from_radar_scan(message: Any) -> Scan:
     -------
     Scan
         `Scan.doppler` is ``doppler_velocity`` as it stands: the message does not define its sign, ours is positive away
-        from the sensor. Intensities are 0: the message's amplitude has no common unit.
+        from the sensor. Intensities are 0: the message's amplitude has no common unit. `Scan.rcs`, which marks scans
+        of radars, is NaN: the message has no cross sections.
 
     Raises
     ------
@@ -44,7 +46,8 @@ def scan_from_radar_scan(message: Any) -> Scan:
     flat = distance * np.cos(elevation)
     x, y, z = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
     table = Table("RadarScan", {"x": x, "y": y, "z": z, "doppler": doppler}, fields=_FIELDS)
-    return scan_from_table(table, where, stamp=stamp_seconds(message.header.stamp))[0]
+    scan = scan_from_table(table, where, stamp=stamp_seconds(message.header.stamp))[0]
+    return replace(scan, rcs=np.full(len(scan), np.float32(np.nan)))
 
 
 @reads_message
