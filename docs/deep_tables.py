@@ -110,8 +110,9 @@ def deep_occupied() -> str:
     }
     rows = []
     for kind, title in kinds.items():
-        for state, verb in (("free", "false"), ("occupied", "called")):  # names of the record
-            shares = (100 * found[model][kind][f"{verb} {state}"] for model in MODELS)
+        for state in ("free", "occupied"):
+            key = next(name for name in found[MODELS[0]][kind] if name.endswith(state))
+            shares = (100 * found[model][kind][key] for model in MODELS)
             rows.append([f"{title}: {state}", *(f"{share:.1f} %" for share in shares)])
     return table(["occupied cells, predicted", *(f"`{model}`" for model in MODELS)], rows)
 
