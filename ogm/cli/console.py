@@ -112,9 +112,9 @@ def print_facts(facts: Mapping[str, str]) -> None:
     out.print(table, markup=False)
 
 
-def ticked(items: Iterable[T], what: str) -> Iterable[T]:
-    """Iterate with a progress bar, which disappears in the end."""
-    return track(list(items), what, console=stderr, transient=True)
+def ticked(items: Iterable[T], title: str, total: int | None = None) -> Iterable[T]:
+    """Iterate with a progress bar, which disappears in the end; `total` is for items whose number is not known."""
+    return track(items, title, total, console=stderr, transient=True)
 
 
 @contextmanager

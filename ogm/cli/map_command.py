@@ -14,8 +14,6 @@ from rich.text import Text
 
 from ogm.cli import options
 from ogm.cli.console import chosen_model, distinct, first_call, out, report_errors, stderr, ticked
-from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, write_grid
-from ogm.storage.files import error_text
 
 if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
@@ -110,11 +108,10 @@ def map_(
     resolution: options.Resolution = 0.16,
 ) -> None:
     """Map scans to evidential grids, one each, and draw them."""
-    from ogm import plot
     from ogm.datasets import open_dataset
     from ogm.grid import GridSpec
     from ogm.models.named import RELEASED
-    from ogm.scan import run_model
+    from ogm.workflows import map_to_files
 
     spec = GridSpec.centered(length, width, resolution)
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
@@ -128,45 +125,24 @@ def map_(
     dataset, ism = open_dataset(scans, **reading, **placed), chosen_model(ism, spec)  # type: ignore[arg-type]
     model = _model(ism, spec, sensor_height, sensor_position)
     estimated = sensor_height is None and ism != RELEASED and dataset.format.startswith(("scans", "log"))
-    names = [frame.name.replace("/", "_") for frame in dataset]
-    if len(set(names)) < len(names):
-        raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
     if out_path is None and picture is None:
         out_path, picture = Path(), Path()
-    grids = _outputs(out_path, names, MAP_ENDINGS, "--out")
-    pictures = _outputs(picture, names, (".png",), "--picture")
-    if grids[0] is not None:
-        check_grid_output(grids[0])
-        if grids[0] == pictures[0]:
-            raise ValueError(f"--out and --picture would both write {grids[0]}; give two names")
-    table, failed, heights, warm = _table(), [], set(), False
-    outputs = zip(dataset, distinct(names), grids, pictures, strict=True)
-    for frame, short, grid_path, picture_path in ticked(outputs, "mapping"):
-        try:
-            if not warm:
-                with first_call():
-                    run_model(model, frame)
-                warm = True
-            grid, seconds = _timed(partial(run_model, model, frame))
-            if grid_path is not None:
-                write_grid(grid_path, PlacedGrid(grid, frame_id="vehicle", stamp=frame.stamp))
-            if picture_path is not None:
-                cloud = plot.points_panel(frame.scan.points, grid.spec, frame.name)
-                plot.save_picture(picture_path, cloud, grid, titles=["", ism])
-            _row(table, short, len(frame.scan), grid, seconds)
-            if estimated:
-                heights.add(f"{frame.mount.sensor_height:.2f} m")
-        except (ValueError, TypeError, OSError) as error:
-            if len(names) == 1:
-                raise
-            failed.append(f"{frame.name}: {error_text(error)}")
+    results = map_to_files(dataset, model, out_path, picture, title=ism, first_call=first_call)
+    names = distinct([frame.name.replace("/", "_") for frame in dataset])
+    table, heights, failed = _table(), set(), False
+    for name, (frame, grid, seconds, error) in ticked(zip(names, results, strict=True), "mapping", len(names)):
+        if grid is None:
+            stderr.print(f"ogm: {frame.name}: {error}", markup=False)
+            failed = True
+            continue
+        _row(table, name, len(frame.scan), grid, seconds)
+        if estimated:
+            heights.add(f"{frame.mount.sensor_height:.2f} m")
     if heights:
         stderr.print(f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)")
     if table.row_count:
         out.print(f"{_cells(spec)}, {ism}", markup=False, soft_wrap=True)
         out.print(table)
-    for line in failed:
-        stderr.print(f"ogm: {line}", markup=False)
     if failed:
         raise typer.Exit(2)
 
@@ -210,7 +186,7 @@ def _row(table: Table, name: str, count: int, grid: "EvidentialGrid", seconds: f
     table.add_row(Text(name.encode("utf-8", "replace").decode()), f"{count}", *shares, f"{1e3 * seconds:.1f}")
 
 
-def _timed(call: "Callable[[], EvidentialGrid]", repeats: int = 1) -> tuple["EvidentialGrid", float]:
+def _timed(call: "Callable[[], EvidentialGrid]", repeats: int) -> tuple["EvidentialGrid", float]:
     """Return a grid and the seconds that it took: the median of some repeats."""
     seconds = []
     for _ in range(repeats):
@@ -218,22 +194,3 @@ def _timed(call: "Callable[[], EvidentialGrid]", repeats: int = 1) -> tuple["Evi
         grid = call()
         seconds.append(time.perf_counter() - start)
     return grid, statistics.median(seconds)
-
-
-def _outputs(path: Path | None, names: list[str], endings: tuple[str, ...], option: str) -> list[Path | None]:
-    """Return where each output goes: to a file for a single scan, or into a folder, with the first ending.
-
-    Folders are made.
-    """
-    if path is None:
-        return [None] * len(names)
-    ending = path.suffix.lower()
-    if ending in endings and (ending == ".zarr" or not path.is_dir()):
-        if len(names) > 1:
-            raise ValueError(f"{option} {path} is one file for {len(names)} scans; give a folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return [path]
-    if path.suffix and not path.is_dir():
-        raise ValueError(f"{option} {path}: give a name that ends in {', '.join(endings)}, or a folder")
-    path.mkdir(parents=True, exist_ok=True)
-    return [path / f"{name}{endings[0]}" for name in names]

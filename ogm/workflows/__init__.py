@@ -1,4 +1,4 @@
-"""Whole jobs: a drive fused to a map and its files, many drives in folders of their own.
+"""Whole jobs: scans mapped to files, a drive fused to a map and its files, many drives in folders of their own.
 
 >>> from ogm import open_dataset
 >>> from ogm.workflows import FuseOptions, Outputs, fuse_drive
@@ -11,7 +11,9 @@ from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
 from ogm.workflows.fuse_options import FuseOptions, Outputs
 from ogm.workflows.fusion_run import FusionRun
 from ogm.workflows.one_drive import FuseInto, fuse_drive, posed
+from ogm.workflows.scan_maps import ScanMap, map_to_files
 
 __all__ = [
-    "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "drives_of", "fuse_drive", "fuse_drives", "posed",
+    "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap",
+    "drives_of", "fuse_drive", "fuse_drives", "map_to_files", "posed",
 ]  # fmt: skip

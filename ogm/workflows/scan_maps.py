@@ -1,0 +1,111 @@
+"""Scans mapped one by one, a grid file and a picture each. ``ogm map`` parses its options and calls `map_to_files`."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import NamedTuple
+
+from ogm.datasets import Dataset
+from ogm.grid import EvidentialGrid
+from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, write_grid
+from ogm.plot import points_panel, save_picture
+from ogm.scan import Frame, InverseSensorModel, run_model
+from ogm.storage.files import error_text
+
+__all__ = ["ScanMap", "map_to_files"]
+
+
+class ScanMap(NamedTuple):
+    """Grid of one scan, and the seconds that the model took; or the error that it failed with."""
+
+    frame: Frame
+    grid: EvidentialGrid | None
+    seconds: float
+    error: str = ""
+
+
+def map_to_files(
+    dataset: Dataset,
+    model: InverseSensorModel,
+    grids: Path | None = None,
+    pictures: Path | None = None,
+    *,
+    title: str = "",
+    first_call: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> Iterator[ScanMap]:
+    """Map each scan by itself and write its grid and its picture.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    model : InverseSensorModel
+    grids : Path, optional
+        File of the grid of a single scan, of any format of `ogm.io.grids.write_grid`, or a folder for ``.npz`` files
+        with the names of the frames. Folders are made.
+    pictures : Path, optional
+        ``.png`` file, or folder.
+    title : str
+        Title of the grid in pictures.
+    first_call : function
+        Returns a context manager around the first call of the model, which may compile kernels and is not timed.
+
+    Returns
+    -------
+    iterator of ScanMap
+        One scan after another, each after its files are written. Of several scans, one that fails yields its error.
+
+    Raises
+    ------
+    ValueError
+        Before any scan is mapped: if two scans share a name, several have one file, or an ending has no format.
+    """
+    names = [frame.name.replace("/", "_") for frame in dataset]
+    if len(set(names)) < len(names):
+        raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
+    to_grids = _outputs(grids, names, MAP_ENDINGS, "--out")
+    to_pictures = _outputs(pictures, names, (".png",), "--picture")
+    if to_grids[0] is not None:
+        check_grid_output(to_grids[0])
+        if to_grids[0] == to_pictures[0]:
+            raise ValueError(f"--out and --picture would both write {to_grids[0]}; give two names")
+
+    def mapped() -> Iterator[ScanMap]:
+        warm = False
+        for frame, grid_file, picture in zip(dataset, to_grids, to_pictures, strict=True):
+            try:
+                if not warm:
+                    with first_call():
+                        run_model(model, frame)
+                    warm = True
+                start = time.perf_counter()
+                grid = run_model(model, frame)
+                seconds = time.perf_counter() - start
+                if grid_file is not None:
+                    write_grid(grid_file, PlacedGrid(grid, frame_id="vehicle", stamp=frame.stamp))
+                if picture is not None:
+                    cloud = points_panel(frame.scan.points, grid.spec, frame.name)
+                    save_picture(picture, cloud, grid, titles=["", title])
+                yield ScanMap(frame, grid, seconds)
+            except (ValueError, TypeError, OSError) as error:
+                if len(names) == 1:
+                    raise
+                yield ScanMap(frame, None, 0.0, error_text(error))
+
+    return mapped()
+
+
+def _outputs(path: Path | None, names: Sequence[str], endings: tuple[str, ...], option: str) -> list[Path | None]:
+    """Return the path of each output: a file for a single scan, or files in a folder, with the first ending."""
+    if path is None:
+        return [None] * len(names)
+    ending = path.suffix.lower()
+    if ending in endings and (ending == ".zarr" or not path.is_dir()):
+        if len(names) > 1:
+            raise ValueError(f"{option} {path} is one file for {len(names)} scans; give a folder")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return [path]
+    if path.suffix and not path.is_dir():
+        raise ValueError(f"{option} {path}: give a name that ends in {', '.join(endings)}, or a folder")
+    path.mkdir(parents=True, exist_ok=True)
+    return [path / f"{name}{endings[0]}" for name in names]
