@@ -584,7 +584,6 @@ def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, mo
         (("{data}", "--fused", "best"), "--fused takes cautious"),
         (("{data}", "--truth", "boxes"), "(--truth) is for recordings"),
         (("{data}", "--truth", "hearsay"), "--truth takes boxes"),
-        (("{data}", "--resample", "linear"), "--resample must be one of"),
         (("{data}", "--grids", "{nothing}"), "there is no folder"),
         (("{data}", "--grids", "{data}"), "holds no grids"),
     ],

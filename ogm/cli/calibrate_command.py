@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from rich.table import Table
+from typer import Argument, Option
 
 from ogm.cli.console import out, report_errors, stderr, ticked
 from ogm.cli.options import FolderAxes, TruthSources, parsed_axes
@@ -15,32 +15,26 @@ if TYPE_CHECKING:
 
 @report_errors
 def calibrate_command(
-    data: Annotated[
-        Path, typer.Argument(help="A data set with truth: a recording, or what `ogm simulate` made.", metavar="DATA")
-    ],
-    ism: Annotated[str, typer.Option(help="Model: ray, height-band, or an earlier result to start from.")] = "ray",
+    data: Annotated[Path, Argument(help="Recording with truth, or dataset of `ogm simulate`.", metavar="DATA")],
+    ism: Annotated[str, Option(help="Model: ray, height-band, or an earlier result to start from.")] = "ray",
     fit: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Fitted parameters with commas between; =LOW:HIGH sets the bounds of the search. [default: the "
             "error rates, weights and heights, see docs/evaluation.md]",
             metavar="NAME[=LOW:HIGH],...",
         ),
     ] = None,
-    split: Annotated[
-        str | None, typer.Option(help="Part of a simulated data set: train, val, test or sequences. [default: train]")
-    ] = None,
+    split: Annotated[str | None, Option(help="Split of simulated data. [default: train]")] = None,
     truth: TruthSources = None,
     axes: FolderAxes = "flu",
     base_rate: Annotated[
         str,
-        typer.Option(
-            help="P(occupied) of a cell of which nothing is known; data: the share of occupied cells.", metavar="P"
-        ),
+        Option(help="P(occupied) of a cell of which nothing is known; data: the share of occupied cells.", metavar="P"),
     ] = "data",
-    every: Annotated[int, typer.Option(help="Use every N-th frame.", metavar="N")] = 1,
-    threads: Annotated[int, typer.Option(help="Frames that are mapped at the same time.")] = 1,
-    out_path: Annotated[Path | None, typer.Option("--out", help="The result. [default: ./MODEL.json]")] = None,
+    every: Annotated[int, Option(help="Use every N-th frame.", metavar="N")] = 1,
+    threads: Annotated[int, Option(help="Frames that are mapped at the same time.")] = 1,
+    out_path: Annotated[Path | None, Option("--out", help="The result. [default: ./MODEL.json]")] = None,
 ) -> None:
     """Fit the parameters of a geometric model to the labels of your own sensor's data, by maximum likelihood.
 

@@ -1,9 +1,9 @@
 """All commands as one `app`: demo, map, fuse, serve, convert, simulate, train, calibrate, evaluate, ..."""
 
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
+from typer import Option
 
 import ogm
 from ogm.cli.calibrate_command import calibrate_command
@@ -21,13 +21,6 @@ from ogm.cli.world_command import world_app
 from ogm.plot.colours import use_colours
 
 __all__ = ["app"]
-
-
-class ColourSet(StrEnum):
-    """The names of `ogm.plot.colours.COLOURS`."""
-
-    SAFE = "safe"
-    PAPER = "paper"
 
 
 app: typer.Typer = typer.Typer(
@@ -58,10 +51,11 @@ app.add_typer(world_app)
 
 @app.callback(invoke_without_command=True)
 def _options(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+    version: Annotated[bool, Option("--version", help="Print the version and stop.")] = False,
     colors: Annotated[
-        ColourSet, typer.Option(help="safe: blue is free and orange occupied; paper: green is free and red occupied.")
-    ] = ColourSet.SAFE,
+        Literal["safe", "paper"],
+        Option(help="safe: blue is free and orange occupied; paper: green is free and red occupied."),
+    ] = "safe",
 ) -> None:
     use_colours(colors)
     if version:

@@ -10,16 +10,10 @@ from ogm.cli.console import print_facts, report_errors
 if TYPE_CHECKING:
     from ogm.grid import GridSpec
 
-GridFile = Annotated[
-    Path, Argument(help="Map or grid: .npz, .yaml (map_server), .tif, .nc, .zarr, .mcap, .db3, .bag, .png, .npy.")
-]
+GridFile = Annotated[Path, Argument(help="Map or grid: .npz, .yaml, .tif, .nc, .zarr, .mcap, .db3, .bag, .png, .npy.")]
 OutFile = Annotated[Path, Argument(help="File to write, by its ending; its folder is made if need be.")]
-Mode = Annotated[
-    str | None, Option(help="Of .yaml: trinary, scale or raw (exact values of 0 ... 100). [default: trinary]")
-]
-Crs = Annotated[
-    str | None, Option(help="Coordinate reference system of OUT (.tif, .nc, .zarr), in metres, such as EPSG:25832.")
-]
+Mode = Annotated[str | None, Option(help="Of .yaml: trinary, scale or raw (0 to 100). [default: trinary]")]
+Crs = Annotated[str | None, Option(help="Coordinate reference system of OUT, in metres, such as EPSG:25832.")]
 Pose = Annotated[
     tuple[float, float, float] | None,
     Option(help="Where GRID's frame lies in that of OUT: x y [m] and yaw [rad].", metavar="X Y YAW"),

@@ -4,11 +4,11 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal
 
-import typer
 from rich.table import Table
 from rich.text import Text
+from typer import Argument, Option
 
 from ogm.cli.console import distinct, out, printable, report_errors, stderr, ticked
 from ogm.cli.options import FixedFrame, FolderAxes, Scheduler, Sensor, Topic, TruthSources, Workers, parsed_axes
@@ -32,7 +32,7 @@ FEW = 6  # methods that have a column each
 
 Data = Annotated[
     Any,
-    typer.Argument(
+    Argument(
         parser=as_path,
         help="A data set with truth: a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...), what "
         "`ogm simulate` made (also s3://bucket/data), or a folder of truth grids.",
@@ -41,7 +41,7 @@ Data = Annotated[
 ]
 Fused = Annotated[
     str | None,
-    typer.Option(
+    Option(
         help=f"Evaluate each model also fused over time, by rules with commas between: {', '.join(MAP_RULES)}.",
         metavar="RULE[,RULE]...",
     ),
@@ -51,12 +51,10 @@ Fused = Annotated[
 @report_errors
 def evaluate(
     data: Data,
-    more: Annotated[
-        list[str] | None, typer.Argument(help="Further models, after --ism NAME.", metavar="[NAME]...")
-    ] = None,
+    more: Annotated[list[str] | None, Argument(help="Further models, after --ism NAME.", metavar="[NAME]...")] = None,
     ism: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Models: height-band, height-band-released, ray, lite, combined, radar, deep-radar, weights that `ogm "
             "train` wrote (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite, "
             "unless --grids are given]",
@@ -66,15 +64,14 @@ def evaluate(
     fused: Fused = None,
     grids: Annotated[
         list[Path] | None,
-        typer.Option(help="Folder of precomputed grids (.npz, .npy, .png) with the frames' names; may be repeated."),
+        Option(help="Folder of precomputed grids (.npz, .npy, .png) with the frames' names; may be repeated."),
     ] = None,
     resample: Annotated[
-        str | None,
-        typer.Option(help="Resample --grids with other cells: area, nearest or cautious. [default: refuse them]"),
+        Literal["area", "nearest", "cautious"] | None, Option(help="Resample --grids. [default: refuse others]")
     ] = None,
     split: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Part of a simulated data set: train, val, test or sequences. [default: val, or the one that has "
             "samples; sequences with --fused]"
         ),
@@ -84,15 +81,15 @@ def evaluate(
     topic: Topic = None,
     fixed_frame: FixedFrame = None,
     sensor: Sensor = None,
-    samples: Annotated[int | None, typer.Option(help="Frames, drawn at random. [default: all]")] = None,
-    every: Annotated[int, typer.Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
-    frames: Annotated[int, typer.Option(help="Frames with pictures in the report.")] = 100,
-    seed: Annotated[int, typer.Option(help="Random seed of --samples.")] = 0,
+    samples: Annotated[int | None, Option(help="Frames, drawn at random. [default: all]")] = None,
+    every: Annotated[int, Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
+    frames: Annotated[int, Option(help="Frames with pictures in the report.")] = 100,
+    seed: Annotated[int, Option(help="Random seed of --samples.")] = 0,
     workers: Workers = 1,
     scheduler: Scheduler = None,
-    out_folder: Annotated[
-        Path, typer.Option("--out", help="Folder for report.html, report.json, frames.csv, metrics.png, frames.png.")
-    ] = Path("report"),
+    out_folder: Annotated[Path, Option("--out", help="Folder for the report, its figures and tables.")] = Path(
+        "report"
+    ),
 ) -> None:
     """Evaluate sensor models, maps and precomputed grids on the same frames, and write a report.
 
@@ -114,13 +111,10 @@ def evaluate(
     from ogm.evaluation.runner import REPORT_FILES
     from ogm.evaluation.selection import choose_frames, named_methods
     from ogm.extras import import_extra
-    from ogm.fusion.resample import ResampleMethod
     from ogm.grid import GridSpec
 
     for package in ("scipy", "matplotlib"):  # before hours of work
         import_extra(package, "evaluate")
-    if resample not in (None, *get_args(ResampleMethod)):
-        raise ValueError(f"--resample must be one of {', '.join(get_args(ResampleMethod))}, got {resample}")
     rules = _words(fused, "--fused", MAP_RULES)
     sources = _words(truth, "--truth", SOURCES)
     if frames < 1:
@@ -142,7 +136,7 @@ def evaluate(
         **log,  # type: ignore
     )
     numbers = choose_frames(dataset, samples, every, seed)
-    methods = named_methods(names, rules, grids or [], spec, resample)  # type: ignore[arg-type]
+    methods = named_methods(names, rules, grids or [], spec, resample)
     result = run_evaluation(
         methods,
         dataset,

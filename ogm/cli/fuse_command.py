@@ -42,17 +42,13 @@ RadarReliability = Annotated[
     ),
 ]
 Rule = Annotated[str | None, Option(help=f"Combine by: {', '.join(MAP_RULES)}. [default: cautious]")]
-Dynamic = Annotated[
-    bool, Option("--dynamic", help="Tell what moves from what stands, with velocities: --rule dynamic, or nuss.")
-]
+Dynamic = Annotated[bool, Option("--dynamic", help="Separate moving from static, with velocities: --rule dynamic.")]
 Particles = Annotated[int | None, Option(help="Of a dynamic map: how many carry what moves. [default: 200000]")]
 HalfLife = Annotated[
     float | None,
     Option(help="Time in which belief halves [s], or inf; of dynamic maps that in static. [default: 2; bayes: inf]"),
 ]
-Window = Annotated[
-    str, Option(help="rolling: follows the vehicle. fixed: covers the drive (--half-life inf keeps it).")
-]
+Window = Annotated[str, Option(help="rolling: follows the vehicle. fixed: covers the drive.")]
 Out = Annotated[
     File,
     Option(

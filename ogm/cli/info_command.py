@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from ogm.cli.console import print_facts, report_errors
 from ogm.cli.options import FixedFrame, IntensityMax, TimeUnit, parsed_axes
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 @report_errors
 def info(
-    scan: Annotated[Path, typer.Argument(help="A scan, a grid (.npz), a folder of scans, a data set or a log.")],
-    axes: Annotated[str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")] = "flu",
+    scan: Annotated[Path, Argument(help="A scan, a grid (.npz), a folder of scans, a data set or a log.")],
+    axes: Annotated[str, Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")] = "flu",
     intensity_max: IntensityMax = None,
     time_unit: TimeUnit = None,
     fixed_frame: FixedFrame = None,

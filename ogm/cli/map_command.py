@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 from rich.text import Text
+from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import chosen_model, distinct, first_call, out, report_errors, stderr, ticked
@@ -33,7 +34,7 @@ DEMO_MODELS = {
 
 @report_errors
 def demo(
-    out_folder: Annotated[Path, typer.Option("--out", help="Folder for the pictures and ogm-demo.npz.")] = Path("."),
+    out_folder: Annotated[Path, Option("--out", help="Folder for the pictures and ogm-demo.npz.")] = Path("."),
 ) -> None:
     """Map two shipped scans and draw them: points, two geometric models, the learned one, the two combined.
 
@@ -73,14 +74,14 @@ def demo(
 def map_(
     scans: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             help="Scan files (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder, a data set, a log "
             "(.mcap .db3 .bag)."
         ),
     ],
     ism: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Sensor model: combined, ray, height-band, height-band-released, lite, radar, deep-radar, what `ogm "
             "train` or `ogm export` wrote, or the .json of `ogm calibrate`. [default: combined; ray where the network "
             "is not installed or does not suit the grid]"
@@ -96,13 +97,13 @@ def map_(
     sensor: options.Sensor = None,
     out_path: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--out",
             help="Grid file (.npz, .yaml of map_server, .tif, .nc, .zarr, .png of masses as colours), or a folder of "
             ".npz files; made if need be. [default: ./NAME.npz]",
         ),
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="Picture (.png), or a folder. [default: ./NAME.png]")] = None,
+    picture: Annotated[Path | None, Option(help="Picture (.png), or a folder. [default: ./NAME.png]")] = None,
     length: options.Length = None,
     width: options.Width = None,
     resolution: options.Resolution = 0.16,

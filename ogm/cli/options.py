@@ -20,9 +20,7 @@ Axes = Annotated[
         help="Axes of the files: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.",
     ),
 ]
-FolderAxes = Annotated[
-    str, Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")
-]
+FolderAxes = Annotated[str, Option(help="Axes of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")]
 TruthSources = Annotated[
     str | None,
     Option(
@@ -32,12 +30,8 @@ TruthSources = Annotated[
     ),
 ]
 IntensityMax = Annotated[float | None, Option(help="The file's intensity that means 1; by default the format's.")]
-TimeUnit = Annotated[
-    float | None, Option(help="The file's unit of time [s]; by default whole numbers are nanoseconds, others seconds.")
-]
-SensorHeight = Annotated[
-    float | None, Option(help="Sensor above ground [m]; by default stated by the data, or estimated.")
-]
+TimeUnit = Annotated[float | None, Option(help="Unit of time [s]. [default: 1e-9 of whole numbers, else 1]")]
+SensorHeight = Annotated[float | None, Option(help="Sensor above ground [m]. [default: stated, or estimated]")]
 SensorPosition = Annotated[
     tuple[float, float, float] | None,
     Option(help="x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),
@@ -58,8 +52,6 @@ Sensor = Annotated[
         metavar="SENSOR",
     ),
 ]
-FixedFrame = Annotated[
-    str | None, Option("--frame", help="Of a log: fixed frame of the poses. [default: map, odom, world or the root]")
-]
+FixedFrame = Annotated[str | None, Option("--frame", help="Of a log: fixed frame. [default: map, odom, world, root]")]
 Workers = Annotated[int, Option(help="Processes of this machine.", min=1)]
 Scheduler = Annotated[str | None, Option(help="Use a Dask cluster instead: tcp://host:port.")]

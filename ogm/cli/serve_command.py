@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
 SCAN_RATE = 10.0  # [Hz] of scans without stamps
 
-ScanPaths = Annotated[
-    list[Path] | None, Argument(help="Files of scans, a folder, a data set, or a log.", metavar="SCANS")
-]
+ScanPaths = Annotated[list[Path] | None, Argument(help="Files of scans, a folder, a data set, a log.", metavar="SCANS")]
 Listen = Annotated[
     str | None,
     Option(help="Take scans and poses from a TCP connection instead; see docs/live.md.", metavar="[HOST:]PORT"),

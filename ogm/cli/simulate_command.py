@@ -1,12 +1,12 @@
 """``ogm simulate``: towns, traffic and lidars to a data set of points with their truth."""
 
 import errno
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn, track
+from typer import Argument, Option
 
 from ogm.cli.console import out, print_facts, report_errors, stderr
 
@@ -16,87 +16,57 @@ if TYPE_CHECKING:
     from ogm.simulation.workers import Estimate, Made
 
 
-class TruthMode(StrEnum):
-    """Ways to observe the truth by their names on the command line."""
-
-    aimed = "aimed"
-    hd = "hd"
-    none = "none"
+TruthMode = Literal["aimed", "hd", "none"]
 
 
 @report_errors
 def simulate(
-    path: Annotated[Path | None, typer.Argument(help="Folder for the data set: new, or empty.")] = None,
-    samples: Annotated[
-        int | None, typer.Option(help="Training samples, from --drives in turn. [default: 10000]")
-    ] = None,
+    path: Annotated[Path | None, Argument(help="Folder for the data set: new, or empty.")] = None,
+    samples: Annotated[int | None, Option(help="Training samples, from --drives in turn. [default: 10000]")] = None,
     recipe: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="gen2: 4800 samples in 69 towns with country roads, many lidars, faults, weather; sets all but seed, "
             "sizes and truth. [default: the paper's recipe]"
         ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Random seed. [default: 1]")] = None,
-    validation: Annotated[
-        int | None, typer.Option(help="Samples of other traffic in the same town. [default: samples / 10]")
-    ] = None,
-    test: Annotated[int | None, typer.Option(help="Samples of another town. [default: samples / 100]")] = None,
-    sequences: Annotated[
-        int | None, typer.Option(help="Pieces of 10 s at 10 Hz, 100 samples each. [default: 0]")
-    ] = None,
-    lidar: Annotated[
-        str | None, typer.Option(help="One lidar, such as vlp-32c, for all samples. [default: a mix, 85 % vlp-32c]")
-    ] = None,
+    seed: Annotated[int | None, Option(help="Random seed. [default: 1]")] = None,
+    validation: Annotated[int | None, Option(help="Samples of other traffic there. [default: samples / 10]")] = None,
+    test: Annotated[int | None, Option(help="Samples of another town. [default: samples / 100]")] = None,
+    sequences: Annotated[int | None, Option(help="Pieces of 10 s at 10 Hz, 100 samples each. [default: 0]")] = None,
+    lidar: Annotated[str | None, Option(help="Lidar of all samples. [default: a mix, 85 % vlp-32c]")] = None,
     radar: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="A radar beside the lidar: ars408, ars548 (in front), corner (one at each), or with a place, such as "
             "ars408@rear; may be repeated. [default: none]"
         ),
     ] = None,
     truth: Annotated[
         TruthMode | None,
-        typer.Option(
+        Option(
             help="Observe the truth by rays aimed at every cell, or by the paper's lidar of 3000 layers. "
             "none makes scans alone, for maps, in a sixth of the time. [default: aimed]"
         ),
     ] = None,
-    bad_weather: Annotated[
-        float | None, typer.Option(help="Share of samples in rain, fog or on wet roads. [default: 0]")
-    ] = None,
-    in_motion: Annotated[
-        float | None, typer.Option(help="Share of samples that the ego motion distorts. [default: 0]")
-    ] = None,
-    towns: Annotated[
-        int | None, typer.Option(help="Towns for training and validation; the test's are others. [default: 1]")
-    ] = None,
-    test_towns: Annotated[int | None, typer.Option(help="Towns that the test drives through. [default: 1]")] = None,
-    drives: Annotated[
-        int | None,
-        typer.Option(help="Drives that the samples of a split are taken from, 10 each in turn. [default: 10]"),
-    ] = None,
-    spacing: Annotated[float | None, typer.Option(help="Time between the samples of a drive [s]. [default: 1]")] = None,
-    town_size: Annotated[float | None, typer.Option(help="Side of the towns [m]. [default: 480]")] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine. [default: what cores and memory allow]")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler to use instead, tcp://host:port.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a data set, or let it grow (--samples ...).")
-    ] = False,
+    bad_weather: Annotated[float | None, Option(help="Share in rain, fog or on wet roads. [default: 0]")] = None,
+    in_motion: Annotated[float | None, Option(help="Share that the ego motion distorts. [default: 0]")] = None,
+    towns: Annotated[int | None, Option(help="Towns for training and validation. [default: 1]")] = None,
+    test_towns: Annotated[int | None, Option(help="Towns that the test drives through. [default: 1]")] = None,
+    drives: Annotated[int | None, Option(help="Drives of a split, 10 samples each in turn. [default: 10]")] = None,
+    spacing: Annotated[float | None, Option(help="Time between the samples of a drive [s]. [default: 1]")] = None,
+    town_size: Annotated[float | None, Option(help="Side of the towns [m]. [default: 480]")] = None,
+    workers: Annotated[int | None, Option(help="Processes. [default: by cores and memory]")] = None,
+    scheduler: Annotated[str | None, Option(help="Dask scheduler to use instead, tcp://host:port.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Go on with a data set, or let it grow (--samples ...).")] = False,
     preview: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             help="Draw one sample to this .png (points, HD points, truth), and the town beside it; alone, "
             "no data set is made."
         ),
     ] = None,
-    export: Annotated[
-        Path | None, typer.Option(help="Write the data set to this folder too, in the paper's PCD + PNG.")
-    ] = None,
+    export: Annotated[Path | None, Option(help="Folder for a copy in the paper's PCD + PNG.")] = None,
 ) -> None:
     """Make a data set: lidar scans of simulated towns with evidential truth grids.
 
@@ -110,7 +80,7 @@ def simulate(
     before = None if path is None else _plan_of(path, resume)
     options = {
         **{"recipe": recipe, "seed": seed, "samples": samples, "validation": validation, "test": test},
-        **{"sequences": sequences, "truth": truth and truth.value, "bad_weather": bad_weather, "in_motion": in_motion},
+        **{"sequences": sequences, "truth": truth, "bad_weather": bad_weather, "in_motion": in_motion},
         **{"towns": towns, "test_towns": test_towns, "drives": drives, "spacing": spacing, "town_size": town_size},
         **{"mounts": lidar and only(lidar), "radars": radar and radars_at(radar)},
     }

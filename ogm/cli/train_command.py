@@ -5,11 +5,11 @@ import logging
 import os
 import warnings
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Argument, Option
 
 from ogm.cli.console import out, print_facts, report_errors, stderr
 from ogm.storage.remote import as_path
@@ -25,30 +25,15 @@ if TYPE_CHECKING:
 RESOLUTION = 0.16  # [m]
 
 
-class Preset(StrEnum):
-    """Networks and recipes by their names on the command line."""
-
-    lite = "lite"
-    paper = "paper"
-    published = "published"
-    radar = "radar"
-
-
-class LossName(StrEnum):
-    """Losses by their names on the command line."""
-
-    reverse_kl = "reverse-kl"
-    squares_printed = "squares-printed"
-    squares_released = "squares-released"
-    log = "log"
-    digamma = "digamma"
+Preset = Literal["lite", "paper", "published", "radar"]
+LossName = Literal["reverse-kl", "squares-printed", "squares-released", "log", "digamma"]  # see docs/deep.md
 
 
 @report_errors
 def train_command(
     data: Annotated[
         Any,
-        typer.Argument(
+        Argument(
             parser=as_path,
             help="Data set of `ogm simulate`, which may lie in an object store (s3://bucket/data), or a recording with "
             "truth.",
@@ -57,44 +42,39 @@ def train_command(
     ],
     model: Annotated[
         Preset,
-        typer.Option(
+        Option(
             help="lite: small, for CPUs; the masses of RayISM are inputs. paper: PointPillars, our recipe. published: "
             "the same by the paper's recipe (100 epochs, batch 5, squared error, occupied cells x 100, rotation only). "
             "radar: the network of radars, on the sweeps of DATA, made by `ogm simulate --radar`."
         ),
-    ] = Preset.lite,
+    ] = "lite",
     validation: Annotated[
         Any,
-        typer.Option(
+        Option(
             parser=as_path,
             metavar="DATA",
             help="Data set that the weights are chosen by. [default: the validation split of DATA]",
         ),
     ] = None,
-    out_folder: Annotated[Path | None, typer.Option("--out", help="The run's folder. [default: runs/MODEL]")] = None,
+    out_folder: Annotated[Path | None, Option("--out", help="The run's folder. [default: runs/MODEL]")] = None,
     initial: Annotated[
-        str | None,
-        typer.Option("--init", help="Begin with these weights: lite, radar, a run's folder, a .safetensors file."),
+        str | None, Option("--init", help="First weights: lite, radar, a run, a .safetensors file.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where the run in --out stopped.")] = False,
-    epochs: Annotated[int | None, typer.Option(help="Passes over all frames.")] = None,
-    batch: Annotated[int | None, typer.Option(help="Frames per step and device.")] = None,
-    learning_rate: Annotated[float | None, typer.Option(help="Largest step of AdamW.")] = None,
-    loss: Annotated[LossName | None, typer.Option(help="What is minimised; see docs/deep.md.")] = None,
-    samples: Annotated[int | None, typer.Option(help="Use so many training frames. [default: all]")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of weights, order and augmentation.", min=0)] = None,
-    length: Annotated[float | None, typer.Option(help="Extent along x [m]; not for radar. [default: 81.92]")] = None,
-    width: Annotated[float | None, typer.Option(help="Extent along y [m]; not for radar. [default: 56.32]")] = None,
-    resolution: Annotated[float, typer.Option(help="Side of a cell [m]; not for radar.")] = RESOLUTION,
-    accelerator: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
-    devices: Annotated[int, typer.Option(help="Accelerators, or processes, per machine.")] = 1,
-    nodes: Annotated[int, typer.Option(help="Machines: start the command on each, see docs/cluster.md.")] = 1,
-    precision: Annotated[
-        str | None, typer.Option(help="32-true or bf16-mixed. [default: bf16-mixed where there is hardware for it]")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes that prepare frames. [default: half the cores, 12 at most]")
-    ] = None,
+    resume: Annotated[bool, Option("--resume", help="Go on where the run in --out stopped.")] = False,
+    epochs: Annotated[int | None, Option(help="Passes over all frames.")] = None,
+    batch: Annotated[int | None, Option(help="Frames per step and device.")] = None,
+    learning_rate: Annotated[float | None, Option(help="Largest step of AdamW.")] = None,
+    loss: Annotated[LossName | None, Option(help="What is minimised; see docs/deep.md.")] = None,
+    samples: Annotated[int | None, Option(help="Use so many training frames. [default: all]")] = None,
+    seed: Annotated[int | None, Option(help="Of weights, order and augmentation.", min=0)] = None,
+    length: Annotated[float | None, Option(help="Extent along x [m]; not for radar. [default: 81.92]")] = None,
+    width: Annotated[float | None, Option(help="Extent along y [m]; not for radar. [default: 56.32]")] = None,
+    resolution: Annotated[float, Option(help="Side of a cell [m]; not for radar.")] = RESOLUTION,
+    accelerator: Annotated[str, Option(help="cpu, cuda or auto.")] = "auto",
+    devices: Annotated[int, Option(help="Accelerators, or processes, per machine.")] = 1,
+    nodes: Annotated[int, Option(help="Machines: start the command on each, see docs/cluster.md.")] = 1,
+    precision: Annotated[str | None, Option(help="32-true or bf16-mixed. [default: bf16-mixed if supported]")] = None,
+    workers: Annotated[int | None, Option(help="Processes that prepare frames. [default: cores / 2, to 12]")] = None,
 ) -> None:
     """Train a network on frames with truth.
 
@@ -107,18 +87,12 @@ def train_command(
     from ogm.deep.training import train
     from ogm.models.radar import radar_noise
 
-    radar = model is Preset.radar
+    radar = model == "radar"
     spec = _grid(radar, length, width, resolution)
-    given = {
-        "epochs": epochs,
-        "batch": batch,
-        "learning_rate": learning_rate,
-        "loss": loss and loss.value,
-        "seed": seed,
-    }
+    given = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "loss": loss, "seed": seed}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    recipe = replace(PRESETS[model.value], **changes)
-    folder = out_folder or Path("runs") / model.value
+    recipe = replace(PRESETS[model], **changes)
+    folder = out_folder or Path("runs") / model
     parts = {"training": _open(data, "training", radar)}
     if validation is None and "split" not in parts["training"].facts:
         raise ValueError(f"{data} has no validation split: give --validation, data to choose the weights by")
@@ -160,8 +134,8 @@ def train_command(
 
 @report_errors
 def export_command(
-    source: Annotated[str, typer.Argument(help="lite, radar, a run's folder, or a .safetensors file.")] = "lite",
-    out_path: Annotated[Path, typer.Option("--out", help="The file to write, .onnx.")] = Path("ogm.onnx"),
+    source: Annotated[str, Argument(help="lite, radar, a run's folder, or a .safetensors file.")] = "lite",
+    out_path: Annotated[Path, Option("--out", help="The file to write, .onnx.")] = Path("ogm.onnx"),
 ) -> None:
     """Write a network as ONNX, which `ogm map --ism FILE.onnx` (lidars), `DeepRadarISM` (radars) and others run.
 

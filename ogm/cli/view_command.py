@@ -22,9 +22,7 @@ Open = Annotated[bool, Option("--open", help="Show it in the browser.")]
 Title = Annotated[str | None, Option(help="Title of the page. [default: the name of the file]")]
 Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
 Width = Annotated[float | None, Option(help="The same along y [m]. The middle of the extent is the origin.")]
-Level = Annotated[
-    int | None, Option(help="Of a world map: cells of 2**LEVEL times the side. [default: the finest that fits]")
-]
+Level = Annotated[int | None, Option(help="Of a world map: cells of 2**LEVEL times the side.")]
 Resolution = Annotated[float, Option(help="Side of a cell of a .png or .npy [m].")]
 
 

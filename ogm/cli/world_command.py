@@ -25,14 +25,10 @@ world_app: typer.Typer = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
-Url = Annotated[
-    str, Argument(help="The map: a folder, a .zip archive (to read), or s3://bucket/prefix.", metavar="URL")
-]
+Url = Annotated[str, Argument(help="The map: a folder, a .zip (to read), or s3://bucket/prefix.", metavar="URL")]
 DataSets = Annotated[list[Path], Argument(help="Data sets, logs, or folders of scans.", metavar="DATASETS")]
 OutUrl = Annotated[str, Option("--out", help="The map: a new folder, s3://bucket/prefix, or a map to add drives to.")]
-PosesOf = Annotated[
-    list[Path] | None, Option(help="Poses of the sensor, of each data set in order: KITTI, TUM, .csv, .g2o.")
-]
+PosesOf = Annotated[list[Path] | None, Option(help="Poses of each data set, in order: KITTI, TUM, .csv, .g2o.")]
 Calib = Annotated[Path | None, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Ism = Annotated[str, Option(help="Sensor model, as of `ogm fuse`.")]
@@ -144,9 +140,7 @@ def info(url: Url) -> None:
 @report_errors
 def export(
     url: Url,
-    path: Annotated[
-        Path, Argument(help="File: .tif, .yaml, .npz, .nc, .zarr, .png, ...; .zip (all of the map), or a new folder.")
-    ],
+    path: Annotated[Path, Argument(help="File: .tif, .yaml, .npz, .nc, .zarr, .png; .zip (whole map); new folder.")],
     extent: Extent = None,
     level: Level = 0,
 ) -> None:

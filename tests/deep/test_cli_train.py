@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
 import torch
@@ -102,5 +103,5 @@ def test_the_command_offers_every_loss_and_preset() -> None:
     from ogm.cli.train_command import LossName, Preset
     from ogm.deep.recipe import LOSSES, PRESETS
 
-    assert [name.value for name in LossName] == list(LOSSES)
-    assert [name.value for name in Preset] == list(PRESETS)
+    assert get_args(LossName) == tuple(LOSSES)
+    assert get_args(Preset) == tuple(PRESETS)
