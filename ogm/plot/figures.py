@@ -69,7 +69,7 @@ def save_picture(path: str | os.PathLike[str], *items: Shown, titles: Sequence[s
         raise ValueError(f"a picture is saved as .png, got {path}")
     picture = show(*items, titles=titles)
     with atomic_write(path) as file:
-        picture.save(file, "PNG", optimize=True)
+        picture.save(file, "PNG")  # optimize=True takes 8 times as long for 1.6 % fewer bytes
 
 
 def _panels(items: Sequence[Shown], titles: Sequence[str]) -> list[Panel]:
