@@ -4,11 +4,12 @@ The names below, and the packages of `ogm`, are loaded when they are first used:
 nor torch nor open3d, and ``ogm.evidence.dempster`` works without a further import.
 """
 
-import importlib
 from typing import TYPE_CHECKING
 
+from ogm.extras import lazy_names
+
 if TYPE_CHECKING:
-    from ogm import (  # noqa: F401  # noqa: F401
+    from ogm import (  # noqa: F401
         calibration,
         datasets,
         deep,
@@ -45,30 +46,23 @@ __all__ = [
     "read_points", "read_scan",
 ]  # fmt: skip
 
-_MODULES = {
+_HOMES = {
     **dict.fromkeys(("EvidentialGrid", "GridSpec", "LayeredGrid"), "ogm.grid"),
     **dict.fromkeys(("Boxes", "Frame", "InverseSensorModel", "Mount", "Scan"), "ogm.scan"),
     **dict.fromkeys(("CellState", "Motion", "Truth"), "ogm.state"),
     **{"DynamicGrid": "ogm.dynamic_grid", "OgmError": "ogm.storage.files", "evaluate": "ogm.evaluation"},
     **{"fuse": "ogm.fusion", "map_scans": "ogm.fusion", "load_model": "ogm.models", "open_dataset": "ogm.datasets"},
     **{"read_points": "ogm.io", "read_scan": "ogm.io"},
+    **{
+        name: f"ogm.{name}"
+        for name in (
+            *("calibration", "datasets", "deep", "evaluation", "evidence", "fusion", "geometric", "io", "live"),
+            *("metrics", "models", "plot", "simulation", "storage", "truth", "workflows", "world"),
+        )
+    },
 }
-_PACKAGES = {
-    *("calibration", "datasets", "deep", "evaluation", "evidence", "fusion", "geometric", "io", "live", "metrics"),
-    *("models", "plot", "simulation", "storage", "truth", "workflows", "world"),
-}
-
-
-def __getattr__(name: str) -> object:
-    """Load a name from its module, or a package, on first use."""
-    if name in _PACKAGES:
-        return importlib.import_module(f"ogm.{name}")
-    if name not in _MODULES:
-        raise AttributeError(f"module 'ogm' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_MODULES[name]), name)
-    globals()[name] = value
-    return value
+__getattr__ = lazy_names("ogm", _HOMES)
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__, *_PACKAGES])
+    return sorted({*globals(), *_HOMES})

@@ -1,9 +1,11 @@
-"""Packages that come with an extra: imported where they are needed."""
+"""Imports at first use: of packages that come with an extra, and of the names of a package."""
 
 import importlib
+import sys
+from collections.abc import Callable, Mapping
 from typing import Any
 
-__all__ = ["import_extra"]
+__all__ = ["import_extra", "lazy_names"]
 
 
 def import_extra(module: str, extra: str) -> Any:
@@ -26,3 +28,25 @@ def import_extra(module: str, extra: str) -> Any:
     except ImportError as error:
         package = module.split(".")[0].replace("_", "-")
         raise ImportError(f'{package} is not installed: pip install "ogm-toolkit[{extra}]"', name=error.name) from error
+
+
+def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:
+    """Return the ``__getattr__`` of a package whose names are imported when they are first used.
+
+    Parameters
+    ----------
+    package : str
+        Its dotted name.
+    homes : mapping of str to str
+        Module of each name; that of a module is the module itself.
+    """
+
+    def load(name: str) -> object:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module = importlib.import_module(homes[name])
+        value = module if homes[name] == f"{package}.{name}" else getattr(module, name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return load

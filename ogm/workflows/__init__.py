@@ -7,13 +7,26 @@
 >>> run.facts()["scans"]                                                                           # doctest: +SKIP
 """
 
-from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
-from ogm.workflows.fuse_options import FuseOptions, Outputs
-from ogm.workflows.fusion_run import FusionRun
-from ogm.workflows.one_drive import FuseInto, fuse_drive, posed
-from ogm.workflows.scan_maps import ScanMap, map_to_files
+from typing import TYPE_CHECKING
+
+from ogm.extras import lazy_names
+
+if TYPE_CHECKING:
+    from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
+    from ogm.workflows.fuse_options import FuseOptions, Outputs
+    from ogm.workflows.fusion_run import FusionRun
+    from ogm.workflows.one_drive import FuseInto, fuse_drive, posed
+    from ogm.workflows.scan_maps import ScanMap, map_to_files
 
 __all__ = [
     "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap",
     "drives_of", "fuse_drive", "fuse_drives", "map_to_files", "posed",
 ]  # fmt: skip
+
+__getattr__ = lazy_names(__name__, {
+    **dict.fromkeys(("FusedDrive", "drives_of", "fuse_drives"), "ogm.workflows.drives"),
+    **dict.fromkeys(("FuseOptions", "Outputs"), "ogm.workflows.fuse_options"),
+    **dict.fromkeys(("FuseInto", "fuse_drive", "posed"), "ogm.workflows.one_drive"),
+    **dict.fromkeys(("ScanMap", "map_to_files"), "ogm.workflows.scan_maps"),
+    "FusionRun": "ogm.workflows.fusion_run",
+})  # fmt: skip
