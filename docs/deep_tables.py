@@ -20,12 +20,9 @@ def headline() -> str:
     """Return the table of the README: three models on the simulated test drives."""
     means = record("deep_quality")["models"]
     titles = {
-        "brier": "Brier score ↓",
-        "iou_free": "IoU free ↑",
-        "iou_occupied": "IoU occupied ↑",
-        "false_free": "occupied cells predicted free ↓",
-        "auroc_unknown": "finding unknown cells (AUROC) ↑",
-    }
+        "brier": "Brier score ↓", "iou_free": "IoU free ↑", "iou_occupied": "IoU occupied ↑",
+        "false_free": "occupied cells predicted free ↓", "auroc_unknown": "finding unknown cells (AUROC) ↑",
+    }  # fmt: skip
     models = ("height-band", "ray", "lite")
     rows = [
         [title, *(f"{means[model]['macro'][metric]['value']:.3f}" for model in models)]
@@ -43,13 +40,9 @@ def combined() -> str:
     """Return what the combination of `ray` and `lite` reaches, beside its parts."""
     found = record("combined")
     titles = {
-        "nll": "log loss",
-        "false_free": "false free",
-        "brier": "Brier",
-        "iou_free": "IoU free",
-        "iou_occupied": "IoU occupied",
-        "ece": "ECE",
-    }
+        "nll": "log loss", "false_free": "false free", "brier": "Brier", "iou_free": "IoU free",
+        "iou_occupied": "IoU occupied", "ece": "ECE",
+    }  # fmt: skip
     simulated = {f"validation `{name}`": one for name, one in found["validation"].items()}
     rows = []
     for name, one in (simulated | found["real"]).items():
@@ -105,9 +98,8 @@ def deep_occupied() -> str:
     found = record("deep_quality")["occupied cells by what stands there, pooled"]
     kinds = {
         "participants": "traffic participants with 50 returns or more",
-        "thick": "all else, where 3 x 3 cells fit",
-        "thin": "all else, thinner (kerbs, fences, poles, edges)",
-    }
+        "thick": "all else, where 3 x 3 cells fit", "thin": "all else, thinner (kerbs, fences, poles, edges)",
+    }  # fmt: skip
     rows = []
     for kind, title in kinds.items():
         for state in ("free", "occupied"):
@@ -130,19 +122,14 @@ def losses_of_the_paper() -> str:
     """Return the losses of the paper, of its code, and our default."""
     scores = record("deep_losses")["scores"]
     names = {
-        "squares as printed": "as printed, α / S",
-        "squares as released": "as released, e / S",
+        "squares as printed": "as printed, α / S", "squares as released": "as released, e / S",
         "squares as released, occupied x 100": "as released, occupied x 100",
         "reverse KL": "reverse KL, our default",
-    }
+    }  # fmt: skip
     metrics = {
-        "brier": "Brier",
-        "iou_free": "IoU free",
-        "iou_occupied": "IoU occupied",
-        "auroc_unknown": "AUROC unknown",
-        "ece": "ECE",
-        "kl_e10": "KL, E = 10",
-    }
+        "brier": "Brier", "iou_free": "IoU free", "iou_occupied": "IoU occupied",
+        "auroc_unknown": "AUROC unknown", "ece": "ECE", "kl_e10": "KL, E = 10",
+    }  # fmt: skip
     rows = [[title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)] for name, title in names.items()]
     return table(["", *metrics.values()], rows)
 
@@ -151,11 +138,10 @@ def divergences() -> str:
     """Return the divergences of `lite` and of both baselines, with the frames that `lite` wins."""
     found = record("deep_quality")
     titles = {
-        "kl_e10": "KL[grid ‖ truth], E = 10",
-        "kl_e1": "KL[grid ‖ truth], E = 1, as the code's labels",
+        "kl_e10": "KL[grid ‖ truth], E = 10", "kl_e1": "KL[grid ‖ truth], E = 1, as the code's labels",
         "kl_e1_scaled": "the same, a tenth of every model's evidence",
         "legacy_kl": 'the released code\'s "KL", not averaged',
-    }
+    }  # fmt: skip
     rows = []
     for metric, title in titles.items():
         cells = [f"{found['models']['lite']['macro'][metric]['value']:.3f}"]
@@ -220,12 +206,11 @@ def deep_speed() -> str:
         return f"{times[name]['median']:.3g} ms"
 
     parts = {
-        "points to `EvidentialGrid`": ("lite, whole", "paper, whole"),
-        "pillars": ("pillars", "pillars"),
+        "points to `EvidentialGrid`": ("lite, whole", "paper, whole"), "pillars": ("pillars", "pillars"),
         "features and feature map": ("lite, pillars to feature map", "paper, pillars to feature map"),
         "feature map to evidence": ("lite, feature map to evidence", "paper, feature map to evidence"),
         "its convolutions alone": ("lite, convolutions", "paper, convolutions"),
-    }
+    }  # fmt: skip
     rows = [[title, *map(ms, names)] for title, names in parts.items()]
     networks = [summary[name] for name in ("lite", "paper")]
     rows += [
