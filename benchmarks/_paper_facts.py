@@ -128,7 +128,7 @@ def observed(curves: Curves) -> dict[str, float]:
 
 
 def order(curves: Curves, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """Ask whether the axis is time: correlation of each value with the next, and how unusual it is if shuffled.
+    """Return the correlation of each value with the next, and its p value among shuffled orders: is the axis time?
 
     p is the share of random orders of the frames with a correlation at least as far from 0.
     """
@@ -219,7 +219,7 @@ def scale_as_released(curves: Curves, rng: np.random.Generator) -> dict[str, Any
 
 
 def turned(spec: GridSpec, ahead: float, steps: int = 360) -> dict[str, float]:
-    """Return which share of a label's cells has no label any more when it is turned by a random angle.
+    """Return the share of a label's cells that lose their label when it is turned by a random angle.
 
     That is how the paper augments its training data: label and points are turned alike, and what a finite label
     does not hold is filled with zeros, which mean unknown. The cell so far `ahead` of the sensor [m] is reported alone.

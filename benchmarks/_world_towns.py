@@ -28,7 +28,7 @@ Tiles = dict[TileIndex, NDArray[Any]]
 
 
 class Scans(NamedTuple):
-    """How the scans of a drive are combined: a rule of `WORLD_RULES`, and Shafer's discount of each scan before."""
+    """Combination of the scans of a drive: a rule of `WORLD_RULES`, and Shafer's discount of each scan before."""
 
     rule: str
     reliability: float = 1.0

@@ -38,7 +38,7 @@ NOTE = (
 
 
 def drive() -> Callable[[], tuple[NDArray[np.float64], float]]:
-    """Return what gives the next pose and stamp: an endless bend."""
+    """Return a function that gives the next pose and stamp of an endless bend."""
     numbers = itertools.count()
 
     def next_pose() -> tuple[NDArray[np.float64], float]:

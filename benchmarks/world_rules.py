@@ -51,7 +51,7 @@ WIDE = 256  # [cells] of the picture
 
 
 class Rule(NamedTuple):
-    """How scans are combined to the map of a drive, and the maps of drives to that of the town.
+    """Combination of scans to the map of a drive, and of the maps of drives to the map of the town.
 
     Attributes
     ----------

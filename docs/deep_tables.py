@@ -32,12 +32,12 @@ def headline() -> str:
 
 
 def extent() -> str:
-    """Return how many frames, drives and towns `deep_quality` is of."""
+    """Return the numbers of frames, drives and towns of `deep_quality`."""
     return record("deep_quality").get("extent", OLD_EXTENT)
 
 
 def combined() -> str:
-    """Return what the combination of `ray` and `lite` reaches, beside its parts."""
+    """Return the scores of the combination of `ray` and `lite`, and of its parts."""
     found = record("combined")
     titles = {
         "nll": "log loss", "false_free": "false free", "brier": "Brier", "iou_free": "IoU free",
@@ -85,7 +85,7 @@ def deep_quality() -> str:
 
 
 def deep_targets() -> str:
-    """Return which targets `lite` reaches."""
+    """Return the targets of `lite`, reached or missed."""
     rows = [
         [row["what"], row["wanted"], f"{row['value']:.3f}", "reached" if row["met"] else "**missed**"]
         for row in sorted(record("deep_quality")["wanted"], key=lambda row: row["what"].startswith(("kl_", "legacy")))
@@ -94,7 +94,7 @@ def deep_targets() -> str:
 
 
 def deep_occupied() -> str:
-    """Return what models predict of occupied cells, by what stands in them."""
+    """Return the predictions of occupied cells, by the objects in them."""
     found = record("deep_quality")["occupied cells by what stands there, pooled"]
     kinds = {
         "participants": "traffic participants with 50 returns or more",
@@ -110,7 +110,7 @@ def deep_occupied() -> str:
 
 
 def deep_losses() -> str:
-    """Return what networks reach that were trained alike with other losses."""
+    """Return the scores of networks that were trained alike with other losses."""
     scores = record("deep_losses")["scores"]
     metrics = [metric for metric in LOSSES if metric in scores["reverse KL"]]
     titles = [record("deep_quality")["metrics"][metric]["title"] for metric in metrics]
@@ -155,7 +155,7 @@ def divergences() -> str:
 
 
 def objects() -> str:
-    """Return what share of annotated real objects the models predict occupied, and free."""
+    """Return the shares of annotated real objects that the models predict occupied, and free."""
     found = record("objects")
     models = ("height-band", "ray", "first lite", "lite", "combined")
     sets = found["sets"] | {name if name == "all" else f"all, {name}": one for name, one in found["all"].items()}
@@ -168,7 +168,7 @@ def objects() -> str:
 
 
 def deep_heads() -> str:
-    """Return what other heads of the network change."""
+    """Return the changes by other heads of the network."""
     found = record("deep_heads")["sets"]["validation"]
     areas = {name: f"{value:.2f}" for name, value in found["wrong cells"]["auroc"].items()}
     telling = {
@@ -185,7 +185,7 @@ def deep_heads() -> str:
 
 
 def deep_training() -> str:
-    """Return how truth and inputs change a short training."""
+    """Return the changes of a short training by truth and inputs."""
     shown = ("nll", "false_free", "iou_free", "iou_occupied")
     titles = {"hd": "`hd`, minus `aimed`", "no rays": "`aimed` without rays, minus `aimed`"}
     rows = []
