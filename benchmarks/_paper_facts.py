@@ -128,7 +128,7 @@ def observed(curves: Curves) -> dict[str, float]:
 
 
 def order(curves: Curves, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """Return the correlation of each value with the next, and its p value among shuffled orders: is the axis time?
+    """Return the correlation of each value with the next, and its p value among shuffled orders of the frames.
 
     p is the share of random orders of the frames with a correlation at least as far from 0.
     """
