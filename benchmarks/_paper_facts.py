@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from ogm import GridSpec
 from ogm.evaluation import compare_paired, ratio_interval
@@ -171,8 +170,11 @@ def scale_as_named(curves: Curves) -> dict[str, float]:
     def predicted(E: float) -> NDArray[np.float64]:
         return missing * (E + 2) / E * (E - math.log1p(E))
 
-    E = brentq(lambda E: predicted(E).mean() - curves.kl_geo.mean(), 1e-3, 1e3)  # the prediction grows with E
-    return {"E": E, "R2": _r2(curves.kl_geo, predicted(E))}
+    low, high = 1e-3, 1e3  # the prediction grows with E
+    while high - low > 1e-9 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if predicted(middle).mean() > curves.kl_geo.mean() else (middle, high)
+    return {"E": low, "R2": _r2(curves.kl_geo, predicted(low))}
 
 
 def scale_as_released(curves: Curves, rng: np.random.Generator) -> dict[str, Any]:
