@@ -51,3 +51,13 @@ def draw_long_run(axes: Axes, run: Mapping[str, Any], title: str) -> None:
     memory.set_ylim(0, 1.1 * max(run["memory [MB]"]))
     memory.set_ylabel("memory of the process [MB]", color=PEER)
     memory.tick_params(axis="y", colors=PEER)
+
+
+def draw_speed(path: Path, record: Mapping[str, Any], colours: Mapping[str, str], title: str) -> None:
+    """Draw the times of a record, and its long drive with a title."""
+    figure = Figure(figsize=(12.5, 5.2), layout="constrained")
+    bars, line = figure.subplots(1, 2, width_ratios=(1.35, 1))
+    medians = {name: times.median for name, times in record["times [ms]"].items()}
+    draw_times(bars, medians, colours, "one scan, 512 x 352 cells")
+    draw_long_run(line, record["long drive"], title)
+    save_picture(figure, path, caption(record["environment"]))

@@ -35,7 +35,7 @@ DISTANCE = distances(PAPER)
 
 
 class Snapshot(NamedTuple):
-    """What a frame is compared with, on the cells of `PAPER`; the same for all maps.
+    """Truth and scan of a frame on the cells of `PAPER`; the same for all maps.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Snapshot(NamedTuple):
 
 
 class DriveSums(NamedTuple):
-    """Of one map over one drive; predictions by horizon, of the map's own and of one in which nothing moves on."""
+    """Sums of one map over one drive; predictions by horizon: the map's own, and without motion."""
 
     motion: MotionSums
     detections: list[Detection]
@@ -69,7 +69,7 @@ class DriveSums(NamedTuple):
 def snapshots(
     frames: Sequence[Frame], poses: NDArray[np.float64], grids: Sequence[EvidentialGrid], within: float = np.inf
 ) -> list[Snapshot]:
-    """Return what the frames of a drive are compared with; motion is evaluated up to a distance [m]."""
+    """Return truth and scans of the frames of a drive; motion is evaluated up to a distance [m]."""
     found = []
     for frame, pose, grid in zip(frames, poses, grids, strict=True):
         motion = frame.truth.crop(PAPER).motion

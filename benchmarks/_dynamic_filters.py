@@ -52,7 +52,7 @@ def _dynamic_grid(grid: EvidentialGrid, share: NDArray[np.float32], speed: float
 
 
 class Reading(NamedTuple):
-    """How a map is read: the grid that is compared, and the cells that it predicts moving."""
+    """Functions that return the compared grid of a map, and the cells that it predicts moving."""
 
     grid: Callable[[DynamicGrid], DynamicGrid] = lambda grid: grid
     predicted: Callable[[DynamicGrid], NDArray[np.bool_]] = predicted_moving

@@ -62,7 +62,7 @@ def pair(comparison: Comparison) -> dict[str, Any]:
 
 
 def record_of(result: Evaluation) -> dict[str, Any]:
-    """Return what is kept."""
+    """Return the part of a quality record for an evaluation."""
     states = ("unknown", "free", "occupied", "ignored")
     models = {}
     for name, sums in zip(result.methods, result.pooled, strict=True):
@@ -98,7 +98,7 @@ def brief(part: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def published(result: Evaluation, deep: str, geometric: str) -> dict[str, Any]:
-    """Return what the released code would report of two methods on these frames."""
+    """Return the figures that the released code would report of two methods on these frames."""
     ours, theirs = result.of(deep, "legacy_kl"), result.of(geometric, "legacy_kl")
     report = evilog_published(ours, theirs)
     return {
@@ -114,7 +114,7 @@ def published(result: Evaluation, deep: str, geometric: str) -> dict[str, Any]:
 
 
 def beliefs(sums: ConfusionSums) -> dict[str, dict[str, list[float]]]:
-    """Return how often known cells are free, and occupied, in 15 bins of their belief in it."""
+    """Return the shares of known cells that are free, and occupied, in 15 bins of their belief in it."""
     hist, levels = sums.bel_free_hist, np.linspace(0, 1, sums.bel_free_hist.shape[1])
     place = np.minimum((levels * BINS).astype(int), BINS - 1)
     free = [np.bincount(place, weights) for weights in (hist.sum(axis=0), hist.sum(axis=0) * levels, hist[0])]
@@ -127,7 +127,7 @@ def beliefs(sums: ConfusionSums) -> dict[str, dict[str, list[float]]]:
 
 
 def earlier(folder: Path, name: str) -> ConfusionSums:
-    """Return what `beliefs` needs of a method in an earlier run: the folder of one of its parts."""
+    """Return the sums of a method in an earlier run for `beliefs`, from the folder of one of its parts."""
     place = list(json.loads((folder / "report.json").read_text(encoding="utf-8"))["methods"]).index(name)
     total = ConfusionSums.zeros()
     for path in sorted((folder / "frames").glob("*.npz")):

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from ogm import GridSpec
 from ogm.evaluation import compare_paired, ratio_interval
@@ -128,7 +127,7 @@ def observed(curves: Curves) -> dict[str, float]:
 
 
 def order(curves: Curves, rng: np.random.Generator) -> dict[str, dict[str, float]]:
-    """Ask whether the axis is time: correlation of each value with the next, and how unusual it is if shuffled.
+    """Return the correlation of each value with the next, and its p value among shuffled orders of the frames.
 
     p is the share of random orders of the frames with a correlation at least as far from 0.
     """
@@ -171,8 +170,11 @@ def scale_as_named(curves: Curves) -> dict[str, float]:
     def predicted(E: float) -> NDArray[np.float64]:
         return missing * (E + 2) / E * (E - math.log1p(E))
 
-    E = brentq(lambda E: predicted(E).mean() - curves.kl_geo.mean(), 1e-3, 1e3)  # the prediction grows with E
-    return {"E": E, "R2": _r2(curves.kl_geo, predicted(E))}
+    low, high = 1e-3, 1e3  # the prediction grows with E
+    while high - low > 1e-9 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if predicted(middle).mean() > curves.kl_geo.mean() else (middle, high)
+    return {"E": low, "R2": _r2(curves.kl_geo, predicted(low))}
 
 
 def scale_as_released(curves: Curves, rng: np.random.Generator) -> dict[str, Any]:
@@ -219,7 +221,7 @@ def scale_as_released(curves: Curves, rng: np.random.Generator) -> dict[str, Any
 
 
 def turned(spec: GridSpec, ahead: float, steps: int = 360) -> dict[str, float]:
-    """Return which share of a label's cells has no label any more when it is turned by a random angle.
+    """Return the share of a label's cells that lose their label when it is turned by a random angle.
 
     That is how the paper augments its training data: label and points are turned alike, and what a finite label
     does not hold is filled with zeros, which mean unknown. The cell so far `ahead` of the sensor [m] is reported alone.

@@ -1,4 +1,4 @@
-"""What `soak.py` runs: models and maps over many scans, two streams in two threads, a scan of millions of points."""
+"""Parts of `soak.py`: models and maps over many scans, two streams in two threads, a scan of millions of points."""
 
 import live  # first: it sets the number of threads
 

@@ -45,7 +45,7 @@ class Sweep(NamedTuple):
 
 
 class View(NamedTuple):
-    """What several statistics need of a sweep."""
+    """Distances, heights and classes of the points of a sweep."""
 
     distance: NDArray[np.float32]  # (N,) from the sensor [m]
     height: NDArray[np.float32]  # (N,) above the estimated ground [m]
@@ -181,7 +181,7 @@ def _rings(sweep: Sweep, seen: View) -> dict[str, float]:
 
 
 def _surroundings(sweep: Sweep, seen: View) -> dict[str, float]:
-    """How far the free space reaches, how the ground undulates, how many cells are hit."""
+    """Return the reach of the free space, the roughness of the ground, the shares of hit cells."""
     x, y, z = sweep.points[:, :3].T.astype(np.float64)
     distance = np.hypot(x, y)
     wall = (seen.height > BESIDE) & (seen.height < OVERHEAD)

@@ -27,8 +27,8 @@ PARKED = 1000  # tracks of parked vehicles begin here
 Tiles = dict[TileIndex, NDArray[Any]]
 
 
-class Scans(NamedTuple):
-    """How the scans of a drive are combined: a rule of `WORLD_RULES`, and Shafer's discount of each scan before."""
+class ScanRule(NamedTuple):
+    """Combination of the scans of a drive: a rule of `WORLD_RULES`, and Shafer's discount of each scan before."""
 
     rule: str
     reliability: float = 1.0
@@ -89,7 +89,7 @@ def parked_cells(part: Dataset, spec: GridSpec) -> NDArray[np.bool_]:
     return covered
 
 
-def map_drives(drives: dict[str, Dataset], folder: Path, kinds: Iterable[Scans]) -> dict[Scans, dict[str, Tiles]]:
+def map_drives(drives: dict[str, Dataset], folder: Path, kinds: Iterable[ScanRule]) -> dict[ScanRule, dict[str, Tiles]]:
     """Return the map of each drive alone in tiles, for each way to combine its scans."""
     model, found = load_model("ray+radar", SPEC), {kind: dict[str, Tiles]() for kind in kinds}
     for name, part in drives.items():

@@ -176,7 +176,7 @@ def requests(path: Any, shards: list[int], begun: int, seconds: float) -> dict[s
 
 
 def training_step() -> Callable[[Batch], None]:
-    """Return what a training of `lite` on one core does with a batch."""
+    """Return a training step of `lite` on one core."""
     network = LITE_RECIPE.network.build(SPEC)
     optimizer = torch.optim.AdamW(network.parameters())
 

@@ -53,7 +53,7 @@ LEVELS = 4096  # of histograms, from which areas under curves are counted
 
 
 class HeadInput(NamedTuple):
-    """What the layers before the head make of a frame, in half precision; zeros of the feature map are left out."""
+    """Output of the layers before the head for a frame, in half precision, without the zeros of the feature map."""
 
     where: torch.Tensor
     values: torch.Tensor

@@ -69,7 +69,7 @@ def scan() -> np.ndarray:
 
 
 def convolutions(network: PillarNetwork, feature_map: torch.Tensor) -> tuple[Callable[[], Any], float]:
-    """Return what runs the network's convolutions alone, and their multiplications and additions [1e9]."""
+    """Return a function that runs the network's convolutions alone, and their multiplications and additions [1e9]."""
     calls: list[tuple[Callable[..., Any], Any]] = []
     operations = 0.0
 
@@ -127,7 +127,7 @@ def engines() -> dict[str, DeepISM]:
 
 
 def differences(points: np.ndarray) -> dict[str, dict[str, float]]:
-    """Return how far each engine's masses lie from torch's in float32."""
+    """Return the distance of each engine's masses from torch's in float32."""
     masses = {name: ism(points).mass for name, ism in engines().items()}
     errors = {name: np.abs(mass - masses["lite by torch"]) for name, mass in masses.items()}
     return {name: {"largest": float(e.max()), "mean": float(e.mean())} for name, e in errors.items()}

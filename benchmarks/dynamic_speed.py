@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _charts import FLOOR, TWIN, caption, draw_long_run, draw_times, save_picture
+from _charts import FLOOR, TWIN, draw_speed
 from _timing import Contender, Times, long_run, measure
-from matplotlib.figure import Figure
 
 from ogm import EvidentialGrid, GridSpec
 from ogm.datasets import open_dataset
@@ -179,16 +178,6 @@ def verdicts(
     return run.verdicts(rows)
 
 
-def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -> None:
-    figure = Figure(figsize=(12.5, 4.6), layout="constrained")
-    bars, line = figure.subplots(1, 2, width_ratios=(1.35, 1))
-    medians = {name: one.median for name, one in times.items()}
-    draw_times(bars, medians, {"copy": FLOOR, "numpy": TWIN}, "one scan, 512 x 352 cells")
-    drive = record["long drive"]
-    draw_long_run(line, drive, f"{drive['scans']} scans, 200k particles, matching")
-    save_picture(figure, path, caption(record["environment"]))
-
-
 def main() -> None:
     parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--rounds", type=int, default=20)
@@ -209,7 +198,8 @@ def main() -> None:
         "verdicts": verdicts(times, threads, far),
     }
     run.write_record(given.out, record)
-    picture(record, times, given.picture)
+    colours = {"copy": FLOOR, "numpy": TWIN}
+    draw_speed(given.picture, record, colours, f"{count} scans, 200k particles, matching")
 
 
 if __name__ == "__main__":

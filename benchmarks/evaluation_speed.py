@@ -60,7 +60,7 @@ def few(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> None:
 
 
 def contenders(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> dict[str, Contender]:
-    """Return what is timed on one frame."""
+    """Return the contenders on one frame."""
     away = metrics.distances(SPEC)
     return {
         "copy": Contender(lambda _: (mass.copy(), state.copy(), away.copy())),

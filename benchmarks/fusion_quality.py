@@ -68,7 +68,7 @@ class ScanAlone:
 
 
 def evidential(*arguments: Any, **options: Any) -> Callable[[], EvidentialMapper]:
-    """Return what makes a map whose dynamic cells decay like all others, unless stated."""
+    """Return a builder of maps whose dynamic cells decay like all others, unless stated."""
     return lambda: EvidentialMapper(WINDOW, *arguments, **{"moving_half_life": INF, **options})
 
 

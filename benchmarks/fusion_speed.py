@@ -13,13 +13,11 @@ from _contenders import street
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _charts import FLOOR, PEER, TWIN, caption, draw_long_run, draw_times, save_picture
+from _charts import FLOOR, PEER, TWIN, draw_speed
 from _timing import Contender, Times, long_run, measure
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -40,7 +38,7 @@ NOTE = (
 
 
 def drive() -> Callable[[], tuple[NDArray[np.float64], float]]:
-    """Return what gives the next pose and stamp: an endless bend."""
+    """Return a function that gives the next pose and stamp of an endless bend."""
     numbers = itertools.count()
 
     def next_pose() -> tuple[NDArray[np.float64], float]:
@@ -140,18 +138,6 @@ def verdicts(times: Mapping[str, Times], drive: Mapping[str, Any]) -> list[dict[
     return run.verdicts(rows)
 
 
-def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -> None:
-    figure = Figure(figsize=(12.5, 5.4), layout="constrained")
-    bars, line = figure.subplots(1, 2, width_ratios=(1.35, 1))
-    colours = {"copy": FLOOR, "update, numpy reference": TWIN, "scipy": PEER, "update, BinaryBayesMapper": PEER}
-    medians = {name: one.median for name, one in times.items()}
-    draw_times(bars, medians, colours, "one scan, 512 x 352 cells; dotted: 2 ms")
-    bars.axvline(2.0, color="0.4", lw=0.8, ls=":")
-    drive = record["long drive"]
-    draw_long_run(line, drive, f"a drive of {drive['scans']} scans, {drive['km']:.0f} km")
-    save_picture(figure, path, caption(record["environment"]))
-
-
 def main() -> None:
     parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--rounds", type=int, default=30)
@@ -175,7 +161,8 @@ def main() -> None:
         "verdicts": verdicts(times, far),
     }
     run.write_record(given.out, record)
-    picture(record, times, given.picture)
+    colours = {"copy": FLOOR, "update, numpy reference": TWIN, "scipy": PEER, "update, BinaryBayesMapper": PEER}
+    draw_speed(given.picture, record, colours, f"a drive of {scans} scans, {far['km']:.0f} km")
 
 
 if __name__ == "__main__":

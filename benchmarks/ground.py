@@ -51,7 +51,7 @@ def heights(estimate: Callable[..., NDArray[np.float32]], scan: LabelledScan) ->
 
 
 def patchwork_obstacles(scan: LabelledScan) -> NDArray[np.bool_]:
-    """Return what Patchwork++ does not take for ground. Each scan is its first: none depends on another."""
+    """Return the points that Patchwork++ does not take for ground. Each scan is its first: none depends on another."""
     estimator = patchwork_estimator(scan.sensor_height)
     estimator.estimateGround(scan.points)
     obstacle = np.ones(len(scan.points), bool)

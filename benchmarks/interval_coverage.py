@@ -38,7 +38,7 @@ PAIRED = 0.8  # correlation of the normal numbers of two methods
 
 
 class Case(NamedTuple):
-    """What is simulated: drives of some frames, a shape, how alike frames are."""
+    """Simulated drives: their number and frames, the shape of the values, the likeness of frames."""
 
     drives: int
     frames: tuple[int, int]
@@ -67,7 +67,7 @@ def simulate(case: Case, rng: Generator) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def coverage(case: Case, repeats: int, rng: Generator) -> dict[str, float]:
-    """Return how often intervals hold the truth, over repeated simulations of a case."""
+    """Return the shares of repeated simulations of a case whose intervals hold the truth."""
     truth, found = SHAPES[case.shape].mean(), []
     for _ in range(repeats):
         (a, b), drives = simulate(case, rng)

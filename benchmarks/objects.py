@@ -45,7 +45,7 @@ GROUPS = {
 
 
 def inside(boxes: Boxes) -> NDArray[np.bool_]:
-    """Return which boxes lie in the grid with all four corners."""
+    """Return a mask of the boxes that lie in the grid with all four corners."""
     half, c, s = boxes.size[:, :2] / 2, np.cos(boxes.yaw), np.sin(boxes.yaw)
     result = np.ones(len(boxes), bool)
     for u, v in ((1, 1), (1, -1), (-1, 1), (-1, -1)):

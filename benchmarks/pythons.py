@@ -23,7 +23,7 @@ def uv(*words: str, text: str = "") -> subprocess.CompletedProcess[str]:
 
 
 def without_wheel(requirements: list[str], python: str, platform: str) -> list[str]:
-    """Return what cannot be installed: all is well where they resolve together, else each is tried alone."""
+    """Return the requirements without a wheel; each is tried alone if they do not resolve together."""
     words = ("pip", "compile", "--quiet", "--only-binary", ":all:", "--python-version", python)
     words += ("--python-platform", platform, "-")
     if uv(*words, text="\n".join(requirements)).returncode == 0:

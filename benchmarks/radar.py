@@ -238,7 +238,7 @@ def recorded() -> Scan | None:
 
 
 def histograms(scans: Sequence[Scan]) -> dict[str, list[float]]:
-    """Return how many detections a scan has by range and by azimuth."""
+    """Return the number of detections of a scan by range and by azimuth."""
     points = np.concatenate([one.points for one in scans])
     distance, azimuth = np.hypot(*points[:, :2].T), np.degrees(np.arctan2(points[:, 1], points[:, 0]))
     by_range = np.histogram(distance, [0, 20, 40, 60, 100, 150, 300])[0] / len(scans)

@@ -168,7 +168,7 @@ def over_drive(sequence: int, scans: int, skies: dict[str, Sky]) -> dict[str, An
 
 
 def differences(drives: Sequence[dict[str, Any]], skies: dict[str, Sky]) -> dict[str, Any]:
-    """Return what radar changes, mean over drives with its interval, by weather and band."""
+    """Return the change by radar, mean over drives with its interval, by weather and band."""
     numbers, found = [str(k) for k in range(len(drives))], {}
     for sky in skies:
         for band in BANDS:

@@ -104,7 +104,7 @@ def read(path: Path) -> Iterator[Frame]:
 
 
 def provenance(plan: DatasetPlan, frames: Sequence[Frame]) -> dict[str, Any]:
-    """Return what the description of the weights states about data."""
+    """Return the facts about data for the description of the weights."""
     facts = {name: getattr(plan, name) for name in ("seed", "towns", "town_size", "drives", "spacing")}
     return {
         "simulated by": "ogm.simulation.radar",

@@ -116,7 +116,7 @@ def pandar40() -> Iterator[Sweep]:
 
 
 class Place(NamedTuple):
-    """Where and when a simulated scan is taken."""
+    """Place and time of a simulated scan."""
 
     seed: int
     clockwise: bool
@@ -229,7 +229,7 @@ def spread(values: list[float]) -> dict[str, float]:
 
 
 def compare(real: Mapping[str, list[dict[str, float]]], fake: list[dict[str, float]]) -> dict[str, Any]:
-    """Hold the statistics of simulated scans beside the medians of real sets.
+    """Compare the statistics of simulated scans with the medians of real sets.
 
     A statistic is "low" or "high" where the simulated median lies below or above all of this sensor's real
     sets by more than a quarter.

@@ -124,7 +124,7 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
 
 
 def first_calls() -> dict[str, dict[str, float]]:
-    """Return how long import and first calls take [s] in a new process, with nothing compiled and cached."""
+    """Return the times of import and first calls [s] in a new process, with an empty and a filled cache of kernels."""
     result = {}
     with tempfile.TemporaryDirectory() as cache:
         for state in ("cold (compiles)", "from the cache"):

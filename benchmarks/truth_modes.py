@@ -75,7 +75,7 @@ def place_traffic(world: World, traffic: Traffic, time: float) -> Moment:
 
 
 def observed(mode: str, moment: Moment) -> Truth:
-    """Return what the rays of a mode find."""
+    """Return the truth that the rays of a mode find."""
     if mode == "hd":
         return hd_truth(*moment.seen_from, hd_directions(SENSOR))
     return aimed_truth(*moment.seen_from, VIEW)
@@ -87,7 +87,7 @@ def whole(mode: str, moment: Moment) -> Truth:
 
 
 def reference(moment: Moment, first: float, layers: int) -> tuple[Truth, NDArray[np.bool_]]:
-    """Return what a far denser lidar sees in one sector, and which cells lie wholly in it."""
+    """Return the truth of a far denser lidar in one sector, and a mask of the cells that lie wholly in it."""
     up = np.linspace(*VIEW, layers)[:, None]
     around = np.deg2rad(np.arange(first, first + SECTOR, STEP))
     parts = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0 * around

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from _world_towns import TILE, Scans, Tiles, Town, around, cut_all, map_drives, parked_cells, towns_of, truth_of
+from _world_towns import TILE, ScanRule, Tiles, Town, around, cut_all, map_drives, parked_cells, towns_of, truth_of
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset
@@ -51,11 +51,11 @@ WIDE = 256  # [cells] of the picture
 
 
 class Rule(NamedTuple):
-    """How scans are combined to the map of a drive, and the maps of drives to that of the town.
+    """Combination of scans to the map of a drive, and of the maps of drives to the map of the town.
 
     Attributes
     ----------
-    scans : Scans
+    scans : ScanRule
     drives : str
         In `WORLD_RULES`.
     reliability : float
@@ -66,7 +66,7 @@ class Rule(NamedTuple):
         Share of the masses of earlier drives that stays where a later one has a belief.
     """
 
-    scans: Scans
+    scans: ScanRule
     drives: str
     reliability: float = 1.0
     bound: float = 0.02
@@ -74,19 +74,19 @@ class Rule(NamedTuple):
 
 
 BEFORE, CHOSEN = "cautious", "cautious, drives x 0.8"
-_CAUTIOUS, _DEMPSTER, _CUMULATIVE = map(Scans, ("cautious", "dempster", "cumulative"))
+_CAUTIOUS, _DEMPSTER, _CUMULATIVE = map(ScanRule, ("cautious", "dempster", "cumulative"))
 RULES = {
     BEFORE: Rule(_CAUTIOUS, "cautious"),
     "cautious, drives x 0.9": Rule(_CAUTIOUS, "cautious", reliability=0.9),
     CHOSEN: Rule(_CAUTIOUS, "cautious", reliability=0.8),
     "cautious, drives x 0.7": Rule(_CAUTIOUS, "cautious", reliability=0.7),
-    "cautious, scans x 0.9": Rule(Scans("cautious", 0.9), "cautious"),
+    "cautious, scans x 0.9": Rule(ScanRule("cautious", 0.9), "cautious"),
     "Dempster": Rule(_DEMPSTER, "dempster"),
     "Dempster, drives x 0.8": Rule(_DEMPSTER, "dempster", reliability=0.8),
-    "Dempster, scans x 0.1": Rule(Scans("dempster", 0.1), "dempster"),
+    "Dempster, scans x 0.1": Rule(ScanRule("dempster", 0.1), "dempster"),
     "cumulative": Rule(_CUMULATIVE, "cumulative"),
     "cumulative, unknown at least 0.2": Rule(_CUMULATIVE, "cumulative", bound=0.2),
-    "cumulative, scans x 0.3": Rule(Scans("cumulative", 0.3), "cumulative"),
+    "cumulative, scans x 0.3": Rule(ScanRule("cumulative", 0.3), "cumulative"),
     "scans cautious, drives Dempster": Rule(_CAUTIOUS, "dempster"),
     "scans cautious, drives cumulative": Rule(_CAUTIOUS, "cumulative"),
     "cautious, earlier drives x 0.5": Rule(_CAUTIOUS, "cautious", keep=0.5),
@@ -111,7 +111,7 @@ def main() -> None:
 
 def prepare(
     name: str, drives: dict[str, Dataset], plan: DatasetPlan, split: str, folder: Path
-) -> tuple[Town, dict[Scans, dict[str, Tiles]]]:
+) -> tuple[Town, dict[ScanRule, dict[str, Tiles]]]:
     """Return a town with its truth, and the maps of its drives."""
     maps = map_drives(drives, folder / name, {rule.scans: None for rule in RULES.values()})
     tiles = sorted({index for one in next(iter(maps.values())).values() for index in one})
@@ -121,7 +121,7 @@ def prepare(
     return Town(name, drives, cut_all(truth, tiles, spec), parked), maps
 
 
-def summary(found: list[tuple[Town, dict[Scans, dict[str, Tiles]]]]) -> dict[str, Any]:
+def summary(found: list[tuple[Town, dict[ScanRule, dict[str, Tiles]]]]) -> dict[str, Any]:
     """Return the figures of every rule, and its differences to `BEFORE` in pairs of tiles, with intervals."""
     sums = {name: [] for name in RULES}
     for town, maps in found:
@@ -255,7 +255,7 @@ def final(drives: dict[str, Tiles], index: TileIndex, rule: Rule) -> NDArray[Any
 
 def picture(
     town: Town,
-    maps: dict[Scans, dict[str, Tiles]],
+    maps: dict[ScanRule, dict[str, Tiles]],
     record: dict[str, Any],
     path: Path,
     chosen: tuple[str, ...] = (BEFORE, CHOSEN),

@@ -44,7 +44,7 @@ def section(title: str, name: str, *parts: str) -> str:
 
 
 def truth_modes() -> str:
-    """Return what both truth modes of the simulator find."""
+    """Return the shares of cells that both truth modes of the simulator find."""
     modes = record("truth_modes")["against the reference"]
     rows = [[what.replace("called", "as"), *(f"{100 * modes[mode][what]:.1f} %" for mode in ("hd", "aimed"))]
             for what in modes["hd"] if not what.startswith("cells")]  # fmt: skip
@@ -72,7 +72,7 @@ def simulation() -> str:
 
 
 def metrics() -> str:
-    """Return what each metric is."""
+    """Return the table of the metrics."""
     from ogm.metrics import METRICS
 
     def cell(text: str) -> str:
@@ -95,7 +95,7 @@ def metrics() -> str:
 
 
 def pythons() -> str:
-    """Return which extras have wheels on which Python."""
+    """Return the table of extras with wheels by version of Python."""
     found = record("pythons")
     names = list(found["without a wheel"])
     versions = list(found["without a wheel"][names[0]])
@@ -113,7 +113,7 @@ def pythons() -> str:
 
 
 def coverage() -> str:
-    """Return how often intervals hold the truth, least and most over how alike frames are."""
+    """Return the shares of intervals that hold the truth, least and most over the likeness of frames."""
     cases = record("interval_coverage")["cases"]
     columns = dict.fromkeys((case["drives"], case["frames"][1]) for case in cases)
     heads = [f"{drives} drives" if drives > 1 else f"one drive, {frames} frames" for drives, frames in columns]

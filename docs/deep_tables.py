@@ -20,12 +20,9 @@ def headline() -> str:
     """Return the table of the README: three models on the simulated test drives."""
     means = record("deep_quality")["models"]
     titles = {
-        "brier": "Brier score ↓",
-        "iou_free": "IoU free ↑",
-        "iou_occupied": "IoU occupied ↑",
-        "false_free": "occupied cells predicted free ↓",
-        "auroc_unknown": "finding unknown cells (AUROC) ↑",
-    }
+        "brier": "Brier score ↓", "iou_free": "IoU free ↑", "iou_occupied": "IoU occupied ↑",
+        "false_free": "occupied cells predicted free ↓", "auroc_unknown": "finding unknown cells (AUROC) ↑",
+    }  # fmt: skip
     models = ("height-band", "ray", "lite")
     rows = [
         [title, *(f"{means[model]['macro'][metric]['value']:.3f}" for model in models)]
@@ -35,21 +32,17 @@ def headline() -> str:
 
 
 def extent() -> str:
-    """Return how many frames, drives and towns `deep_quality` is of."""
+    """Return the numbers of frames, drives and towns of `deep_quality`."""
     return record("deep_quality").get("extent", OLD_EXTENT)
 
 
 def combined() -> str:
-    """Return what the combination of `ray` and `lite` reaches, beside its parts."""
+    """Return the scores of the combination of `ray` and `lite`, and of its parts."""
     found = record("combined")
     titles = {
-        "nll": "log loss",
-        "false_free": "false free",
-        "brier": "Brier",
-        "iou_free": "IoU free",
-        "iou_occupied": "IoU occupied",
-        "ece": "ECE",
-    }
+        "nll": "log loss", "false_free": "false free", "brier": "Brier", "iou_free": "IoU free",
+        "iou_occupied": "IoU occupied", "ece": "ECE",
+    }  # fmt: skip
     simulated = {f"validation `{name}`": one for name, one in found["validation"].items()}
     rows = []
     for name, one in (simulated | found["real"]).items():
@@ -92,7 +85,7 @@ def deep_quality() -> str:
 
 
 def deep_targets() -> str:
-    """Return which targets `lite` reaches."""
+    """Return the targets of `lite`, reached or missed."""
     rows = [
         [row["what"], row["wanted"], f"{row['value']:.3f}", "reached" if row["met"] else "**missed**"]
         for row in sorted(record("deep_quality")["wanted"], key=lambda row: row["what"].startswith(("kl_", "legacy")))
@@ -101,13 +94,12 @@ def deep_targets() -> str:
 
 
 def deep_occupied() -> str:
-    """Return what models predict of occupied cells, by what stands in them."""
+    """Return the predictions of occupied cells, by the objects in them."""
     found = record("deep_quality")["occupied cells by what stands there, pooled"]
     kinds = {
         "participants": "traffic participants with 50 returns or more",
-        "thick": "all else, where 3 x 3 cells fit",
-        "thin": "all else, thinner (kerbs, fences, poles, edges)",
-    }
+        "thick": "all else, where 3 x 3 cells fit", "thin": "all else, thinner (kerbs, fences, poles, edges)",
+    }  # fmt: skip
     rows = []
     for kind, title in kinds.items():
         for state in ("free", "occupied"):
@@ -118,7 +110,7 @@ def deep_occupied() -> str:
 
 
 def deep_losses() -> str:
-    """Return what networks reach that were trained alike with other losses."""
+    """Return the scores of networks that were trained alike with other losses."""
     scores = record("deep_losses")["scores"]
     metrics = [metric for metric in LOSSES if metric in scores["reverse KL"]]
     titles = [record("deep_quality")["metrics"][metric]["title"] for metric in metrics]
@@ -130,19 +122,14 @@ def losses_of_the_paper() -> str:
     """Return the losses of the paper, of its code, and our default."""
     scores = record("deep_losses")["scores"]
     names = {
-        "squares as printed": "as printed, α / S",
-        "squares as released": "as released, e / S",
+        "squares as printed": "as printed, α / S", "squares as released": "as released, e / S",
         "squares as released, occupied x 100": "as released, occupied x 100",
         "reverse KL": "reverse KL, our default",
-    }
+    }  # fmt: skip
     metrics = {
-        "brier": "Brier",
-        "iou_free": "IoU free",
-        "iou_occupied": "IoU occupied",
-        "auroc_unknown": "AUROC unknown",
-        "ece": "ECE",
-        "kl_e10": "KL, E = 10",
-    }
+        "brier": "Brier", "iou_free": "IoU free", "iou_occupied": "IoU occupied",
+        "auroc_unknown": "AUROC unknown", "ece": "ECE", "kl_e10": "KL, E = 10",
+    }  # fmt: skip
     rows = [[title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)] for name, title in names.items()]
     return table(["", *metrics.values()], rows)
 
@@ -151,11 +138,10 @@ def divergences() -> str:
     """Return the divergences of `lite` and of both baselines, with the frames that `lite` wins."""
     found = record("deep_quality")
     titles = {
-        "kl_e10": "KL[grid ‖ truth], E = 10",
-        "kl_e1": "KL[grid ‖ truth], E = 1, as the code's labels",
+        "kl_e10": "KL[grid ‖ truth], E = 10", "kl_e1": "KL[grid ‖ truth], E = 1, as the code's labels",
         "kl_e1_scaled": "the same, a tenth of every model's evidence",
         "legacy_kl": 'the released code\'s "KL", not averaged',
-    }
+    }  # fmt: skip
     rows = []
     for metric, title in titles.items():
         cells = [f"{found['models']['lite']['macro'][metric]['value']:.3f}"]
@@ -169,7 +155,7 @@ def divergences() -> str:
 
 
 def objects() -> str:
-    """Return what share of annotated real objects the models predict occupied, and free."""
+    """Return the shares of annotated real objects that the models predict occupied, and free."""
     found = record("objects")
     models = ("height-band", "ray", "first lite", "lite", "combined")
     sets = found["sets"] | {name if name == "all" else f"all, {name}": one for name, one in found["all"].items()}
@@ -182,7 +168,7 @@ def objects() -> str:
 
 
 def deep_heads() -> str:
-    """Return what other heads of the network change."""
+    """Return the changes by other heads of the network."""
     found = record("deep_heads")["sets"]["validation"]
     areas = {name: f"{value:.2f}" for name, value in found["wrong cells"]["auroc"].items()}
     telling = {
@@ -199,7 +185,7 @@ def deep_heads() -> str:
 
 
 def deep_training() -> str:
-    """Return how truth and inputs change a short training."""
+    """Return the changes of a short training by truth and inputs."""
     shown = ("nll", "false_free", "iou_free", "iou_occupied")
     titles = {"hd": "`hd`, minus `aimed`", "no rays": "`aimed` without rays, minus `aimed`"}
     rows = []
@@ -220,12 +206,11 @@ def deep_speed() -> str:
         return f"{times[name]['median']:.3g} ms"
 
     parts = {
-        "points to `EvidentialGrid`": ("lite, whole", "paper, whole"),
-        "pillars": ("pillars", "pillars"),
+        "points to `EvidentialGrid`": ("lite, whole", "paper, whole"), "pillars": ("pillars", "pillars"),
         "features and feature map": ("lite, pillars to feature map", "paper, pillars to feature map"),
         "feature map to evidence": ("lite, feature map to evidence", "paper, feature map to evidence"),
         "its convolutions alone": ("lite, convolutions", "paper, convolutions"),
-    }
+    }  # fmt: skip
     rows = [[title, *map(ms, names)] for title, names in parts.items()]
     networks = [summary[name] for name in ("lite", "paper")]
     rows += [

@@ -38,7 +38,7 @@ def speed_steps() -> str:
 
 
 def steps() -> str:
-    """Return what is predicted where a step's face returns beams, by its height and place."""
+    """Return the predictions of cells with returns from a step's face, by its height and place."""
     found, places = record("scenes")["scenes"], ("at 8 m", "at 12 m", "at 15 m", "along")
     rows = []
     for height in sorted({name.split()[1] for name in found if name.startswith("step ")}):
@@ -48,7 +48,7 @@ def steps() -> str:
 
 
 def silence() -> str:
-    """Return what maps of a lidar clear in fog: before silence was weighed, with it, and without silent beams."""
+    """Return the scores of a lidar's maps in fog: before silence was weighed, with it, and without silent beams."""
     found = record("silence")
     ways = (found["before"], "with silence"), (found["means over drives"], "with silence")
     ways = (*ways, (found["means over drives"], "echoes alone"))

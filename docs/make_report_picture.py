@@ -26,7 +26,7 @@ WIDTH, HEIGHT = 1300, 1180
 
 
 def shot(browser: str, page: str, shown: tuple[str, ...], theme: str, folder: Path) -> Image.Image:
-    """Return what a browser shows of some sections."""
+    """Return a picture of some sections in a browser."""
     hidden = ", ".join(f"section#{name}" for name in SECTIONS if name not in shown)
     first = "" if "summary" in shown else ", h1, main > p"
     style = f"<style>{hidden}{first} {{ display: none !important }} :root {{ color-scheme: {theme} }}</style>"

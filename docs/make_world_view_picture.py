@@ -22,7 +22,7 @@ SIZE = (1120, 640)
 
 
 def shot(page: Page) -> np.ndarray:
-    """Return what a page shows when its tiles are there."""
+    """Return a picture of a page when its tiles are there."""
     page.wait("document.body?.dataset.state !== undefined")
     page.run("new Promise(done => setTimeout(done, 500))")
     page.wait("document.body.dataset.state === 'ready'")

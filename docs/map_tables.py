@@ -43,7 +43,7 @@ MAP_COLUMNS = {
 
 
 def fusion(part: str, names: Sequence[str] = tuple(MAPS), columns: Sequence[str] = tuple(MAP_COLUMNS)) -> str:
-    """Return what maps reach on simulated test drives, behind a sensor model."""
+    """Return the scores of maps on simulated test drives, behind a sensor model."""
     maps = record("fusion_quality")[part]
     rows = []
     for name in names:
@@ -59,7 +59,7 @@ def fusion(part: str, names: Sequence[str] = tuple(MAPS), columns: Sequence[str]
 
 
 def fusion_real(without: Sequence[str] = ()) -> str:
-    """Return what maps reach on a real drive, but for some rules and columns."""
+    """Return the scores of maps on a real drive, without some rules and columns."""
     drive = record("fusion_real")["recordings"]["KITTI drive 0005"]
     moving, trails = drive["maps"]["moving boxes"]["models"], drive["trails"]["models"]
     columns = {"complete": "known", "iou_occupied": "IoU occupied", "false_free": "false free", "brier": "Brier"}
@@ -93,7 +93,7 @@ def fusion_speed() -> str:
 
 
 def logs() -> str:
-    """Return what it costs to open, read and map a log, per scan."""
+    """Return the times per scan to open, read and map a log."""
     found = record("logs")
     formats = ("MCAP", "MCAP, zstd", "db3", "bag")
     ways = {

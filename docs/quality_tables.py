@@ -52,7 +52,7 @@ def quality_tables(record: Record) -> dict[str, str]:
 
 
 def _extent(part: Record) -> str:
-    """Return what the means of a part are over."""
+    """Return the extent of the means of a part."""
     return f"Means over {part['extent']}. Intervals: {part['intervals']}."
 
 

@@ -94,7 +94,7 @@ def far_tables(record: Mapping[str, Any]) -> list[str]:
 
 
 def _times(seconds: Sequence[float | None]) -> list[str]:
-    """Return how many objects there are, how many were detected, and the median time; None for never."""
+    """Return the numbers of objects and of detected ones, and the median time; None for never."""
     each = sorted(float("inf") if value is None else value for value in seconds)
     if not each:
         return ["0", "0", "–"]

@@ -33,7 +33,7 @@ def reliability_tables() -> dict[str, str]:
 
 
 def failed() -> list[str]:
-    """Return what must be 0 and is not, or was not met."""
+    """Return the counts that must be 0 and are not, and the missed limits."""
     wrong: list[str] = []
     if fuzz := find_record("fuzz"):
         wrong += [f"{name}: {fuzz[name]}" for name in FAILURES if fuzz[name]]

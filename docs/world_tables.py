@@ -78,7 +78,7 @@ def rule_tables(record: Mapping[str, Any]) -> list[str]:
 
 
 def build_tables(record: Mapping[str, Any]) -> list[str]:
-    """Return what was measured of builds by several workers, and of the large map."""
+    """Return the figures of builds by several workers, and of the large map."""
     result = []
     if "town" in record:
         town = record["town"]
@@ -107,7 +107,7 @@ def build_tables(record: Mapping[str, Any]) -> list[str]:
 
 
 def cost_tables(world: Mapping[str, Any], build: Mapping[str, Any]) -> list[str]:
-    """Return what 1e12 cells would take, by what was measured."""
+    """Return the extrapolated cost of 1e12 cells."""
     sizes, one = world["disk"]["bytes_per_seen_cell"], build["workers"]
     seen_per_tile = world["disk"]["seen_cells"] / world["disk"]["tiles"]
     area = 0.16**2

@@ -44,7 +44,7 @@ COINED = {
 # Legitimate uses: pattern of the line -> reason
 ALLOWED = {
     r"(is|are|be|not|when) called|called (with|when|once|at|by|for|first|in)": "functions are called",
-    r"^docs/(build|reproduction_sentences)\.py:.*[\"'][^\"']*called": "keys of the records, written before",
+    r"^docs/(build|deep_tables|reproduction_sentences)\.py:.*[\"'][^\"']*called": "keys of the records, written before",
     r"\bbearings\b": "a key of the shipped weights",
     r"^ogm/simulation/town/.*([Hh]ouse|[Dd]oor)": "buildings of the simulator's towns",
 }

@@ -1,8 +1,8 @@
 """Slow reference of the filter of `ogm.fusion.DynamicMapper`, in plain numpy.
 
-It follows the formulas of the documentation with the sums of numpy and sorts particles by argsort. Its random numbers
-are those of the kernels (`hashed_noise`), so that both filters hold the same particles up to rounding. Tests compare
-the two, and `benchmarks/dynamic_speed.py` times one against the other.
+It follows the formulas of the documentation with the sums of numpy and sorts particles by argsort. It draws the same
+random numbers as the kernels (`hashed_noise`), so that both filters hold the same particles up to rounding. Tests
+compare the two, and `benchmarks/dynamic_speed.py` times one against the other.
 """
 
 import math
@@ -114,7 +114,7 @@ class NumpyFilter:
         return sorted_cells
 
     def _update_cells(self, z: Array, seconds: float, cell: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Combine prediction and scan; return the masses of dynamic that survive and that appear."""
+        """Combine prediction and scan; return the surviving and the new masses of dynamic."""
         s, known = self.settings, 1 - self.settings.min_unknown
         count = np.bincount(cell, minlength=self.shape[0] * self.shape[1]).reshape(self.shape)
         static = 0.5 ** (seconds / s.static_half_life) * self.static
@@ -164,7 +164,7 @@ class NumpyFilter:
     def _draw(
         self, surviving: Array, born: Array, cell: NDArray[np.int64], key: np.uint64, groups: MeasuredGroups | None
     ) -> None:
-        """Draw each cell's particles anew: survivors systematically from its own, births by random numbers."""
+        """Draw each cell's new particles: survivors systematically from its own, births by random numbers."""
         cells = len(surviving)
         self.mass = float((surviving + born).sum()) / self.particles
         scale = 2.0**32 / self.mass if self.mass > 0 else 0.0
@@ -213,7 +213,7 @@ class NumpyFilter:
         self.mean, self.covariance = mean.T.reshape(*self.shape, 2), np.stack(parts, -1).reshape(*self.shape, 3)
 
     def _mix_births(self, surviving: Array, born: Array, row: NDArray[np.int64], groups: MeasuredGroups | None) -> None:
-        """Make the moments those of the mixture of what survives and what is born."""
+        """Take the moments of the mixture of survivors and births."""
         mean, covariance = self._birth_normals(groups)
         parts = np.stack([surviving, born]) / np.maximum(surviving + born, 1e-300)
         own = self.covariance.reshape(-1, 3)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
@@ -225,7 +225,7 @@ class NumpyFilter:
         self.mean, self.covariance = mixed.reshape(*self.shape, 2), whole.reshape(*self.shape, 3)
 
     def _birth_normals(self, groups: MeasuredGroups | None) -> tuple[Array, Array]:
-        """Return mean and covariance of the velocity of births without a group, and of those of each group."""
+        """Return mean and covariance of the velocity of births, without a group and in each group."""
         wide = np.eye(2) * self.settings.birth_speed**2
         if groups is None:
             return np.zeros((1, 2)), wide[np.newaxis]
