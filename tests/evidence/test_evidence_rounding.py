@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from cases import each
 from cells import combine_cells
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -32,8 +33,8 @@ def tolerated(draw: Any, dtype: Any, states: int) -> np.ndarray:
     return mass
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("name", RULES)
+@each("dtype", DTYPES)
+@each("name", RULES)
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())
 def test_every_rule_maps_tolerated_masses_to_tolerated_masses(name: str, dtype: Any, data: Any) -> None:
@@ -47,8 +48,8 @@ def test_every_rule_maps_tolerated_masses_to_tolerated_masses(name: str, dtype: 
         evidence.check_mass(result)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("name", ["conjunctive", "disjunctive", "cautious"])
+@each("dtype", DTYPES)
+@each("name", ["conjunctive", "disjunctive", "cautious"])
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_open_world_rules_map_tolerated_triples_to_tolerated_triples(name: str, dtype: Any, data: Any) -> None:
@@ -57,7 +58,7 @@ def test_open_world_rules_map_tolerated_triples_to_tolerated_triples(name: str, 
     evidence.check_mass(evidence.close_world(a))
 
 
-@pytest.mark.parametrize(
+@each(
     ("combine", "a", "b", "expected"),
     [
         (evidence.dempster, (1.0000001, -1e-7), (2e-7, 1), (1, 0)),
@@ -75,7 +76,7 @@ def test_a_negative_belief_is_read_as_none(combine: Any, a: Any, b: Any, expecte
     assert all(torch.isfinite(mass.grad).all() for mass in tensors)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_parts_of_a_tolerated_mass_lie_in_the_simplex(dtype: Any) -> None:
     t = 0.9 * tolerance_of(np.zeros(2, dtype))
     pairs = np.array([[1 + t, -t / 2], [0.5 + t / 2, 0.5 + t / 2], [-t, 0.3], [0, 1]], dtype)
@@ -99,8 +100,8 @@ def test_the_librarys_own_results_are_not_negative() -> None:
     assert evidence.probability_to_mass(probability, unknown).min() >= 0
 
 
-@pytest.mark.parametrize("name", ["dempster", "yager", "cumulative"])
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("name", ["dempster", "yager", "cumulative"])
+@each("dtype", DTYPES)
 def test_kernels_read_negative_numbers_as_none(name: str, dtype: Any) -> None:
     t = 0.9 * tolerance_of(np.zeros(2, dtype))
     # unknown below zero, beliefs below zero
@@ -146,8 +147,8 @@ def test_measures_stay_in_range_on_a_saturated_map() -> None:
     assert torch.isfinite(tensor.grad).all()  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("units", [0, 1, 3, 4, 5, 6, 8, 20])
+@each("dtype", DTYPES)
+@each("units", [0, 1, 3, 4, 5, 6, 8, 20])
 def test_the_same_masses_are_dogmatic_in_pairs_stacks_and_kernels(dtype: Any, units: int) -> None:
     """An unknown of up to 4 units of rounding counts as none, in each mass by itself."""
     eps = np.finfo(dtype).eps
@@ -170,7 +171,7 @@ def test_rounding_is_four_units() -> None:
     assert rounding(np.zeros(2)) == pytest.approx(8.9e-16, rel=0.01)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_unfusing_and_evidence_know_rounding(dtype: Any) -> None:
     eps = np.finfo(dtype).eps
     for units, vacuous in [(4, True), (8, False)]:
@@ -181,15 +182,15 @@ def test_unfusing_and_evidence_know_rounding(dtype: Any) -> None:
         assert evidence.mass_to_evidence(mass)[0] == 0
 
 
-@pytest.mark.parametrize("fuse", EVIDENCE_RULES)
+@each("fuse", EVIDENCE_RULES)
 def test_a_chain_of_dogmatic_masses_is_not_the_stack(fuse: Any) -> None:
     free, occupied = np.array([1.0, 0]), np.array([0, 1.0])
     np.testing.assert_allclose(fuse(np.stack([free, free, occupied]), axis=0), (2 / 3, 1 / 3))
     np.testing.assert_allclose(fuse(fuse(free, free), occupied), (1 / 2, 1 / 2))
 
 
-@pytest.mark.parametrize("fuse", EVIDENCE_RULES)
-@pytest.mark.parametrize("weights", [[0.1, 0.2], [0.1, 0.7]])
+@each("fuse", EVIDENCE_RULES)
+@each("weights", [[0.1, 0.2], [0.1, 0.7]])
 def test_dogmatic_weights_keep_double_precision_in_torch(fuse: Any, weights: list) -> None:
     a, b = np.array([1.0, 0]), np.array([0.3, 0.7])
     result = fuse(torch.tensor(a), torch.tensor(b), dogmatic_weights=weights)
@@ -205,7 +206,7 @@ def test_total_conflict_in_general_frames_warns_of_nothing() -> None:
         assert np.isnan(powerset.plausibility_transform(nothing)).all()
 
 
-@pytest.mark.parametrize("base_rate", [0.0, 0.2, 0.9, 1.0])
+@each("base_rate", [0.0, 0.2, 0.9, 1.0])
 def test_maximal_uncertainty_by_its_definition(base_rate: float) -> None:
     masses = np.random.default_rng(0).dirichlet([1, 1, 1], 200)[:, :2]
     p = evidence.mass_to_probability(masses, base_rate)
@@ -233,7 +234,7 @@ def test_degree_of_conflict_depends_on_the_base_rate() -> None:
         assert evidence.degree_of_conflict(a, b, base_rate=rate) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("rate", [evidence.cumulative_base_rate, evidence.confidence_base_rate])
+@each("rate", [evidence.cumulative_base_rate, evidence.confidence_base_rate])
 def test_base_rates_without_weight_are_averaged_up_to_rounding(rate: Any) -> None:
     eps = np.finfo(float).eps
     tiny = np.array([0, eps])
