@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cases import each
-from masses import CLOSED, DTYPES, RULES, rule
+from masses import DTYPES, RULES, rule
 
 from ogm import evidence
 from ogm.evidence import powerset
@@ -94,11 +94,6 @@ def test_a_mass_is_dogmatic_up_to_rounding(fuse: Any, dtype: Any) -> None:
     )
 
 
-@each("name", CLOSED)
-def test_vacuous_with_vacuous_is_vacuous(name: str) -> None:
-    np.testing.assert_array_equal(rule(name)(VACUOUS, VACUOUS), VACUOUS)
-
-
 def test_base_rates_of_vacuous_and_dogmatic_masses_are_averaged() -> None:
     for fuse in (evidence.cumulative_base_rate, evidence.confidence_base_rate):
         assert fuse(VACUOUS, VACUOUS, 0.2, 0.6) == pytest.approx(0.4)
@@ -180,36 +175,23 @@ def test_float32_carries_an_evidence_of_1e5_to_one_percent(dtype: Any) -> None:
 
 @each("dtype", DTYPES)
 @each("name", ["dempster", "yager", "cumulative", "averaging", "weighted"])
-def test_rounding_does_not_leave_the_simplex_in_a_thousand_steps(name: str, dtype: Any) -> None:
+def test_rounding_does_not_leave_the_simplex_in_hundreds_of_steps(name: str, dtype: Any) -> None:
     rng = np.random.default_rng(3)
-    state = np.zeros((50, 2), dtype)
-    for _ in range(1000):
-        scan = rng.dirichlet([0.3, 0.3, 0.3], 50).astype(dtype)[:, :2]
-        scan[rng.random(50) < 0.1] = (1, 0)
+    state = np.zeros((20, 2), dtype)
+    for _ in range(300):
+        scan = rng.dirichlet([0.3, 0.3, 0.3], 20).astype(dtype)[:, :2]
+        scan[rng.random(20) < 0.1] = (1, 0)
         state = rule(name)(state, scan)
     evidence.check_mass(state)
 
 
 @each("name", RULES)
-def test_rules_broadcast_one_mass_over_a_grid(name: str) -> None:
-    grid = np.random.default_rng(0).dirichlet([1, 1, 1, 1], (3, 4))[..., : 3 if name == "bold" else 2]
-    one = grid[0, 0]
-    np.testing.assert_allclose(rule(name)(grid, one), rule(name)(grid, np.broadcast_to(one, grid.shape)), atol=1e-15)
-
-
-@each("name", CLOSED)
-def test_arguments_are_not_changed(name: str) -> None:
-    a, b = np.random.default_rng(0).dirichlet([1, 1, 1], (2, 7))[..., :2]
-    before = a.copy(), b.copy()
-    rule(name)(a, b)
+def test_rules_take_views_and_single_masses_and_change_no_argument(name: str) -> None:
+    combine, open_world = rule(name), RULES[name].open_world
+    a, b = np.random.default_rng(0).dirichlet([1, 1, 1, 1], (2, 4, 5))[..., : 3 if name == "bold" else 2]
+    before, expected = (a.copy(), b.copy()), combine(a, b)
+    np.testing.assert_allclose(combine(a[::-1], b[::-1])[::-1], expected, atol=1e-15)
+    np.testing.assert_allclose(combine(np.asfortranarray(a), np.asfortranarray(b)), expected, atol=1e-15)
+    np.testing.assert_allclose(combine(a, b[0, 0]), combine(a, np.broadcast_to(b[0, 0], a.shape)), atol=1e-15)
     np.testing.assert_array_equal((a, b), before)
-
-
-@each("name", CLOSED)
-def test_views_of_any_memory_order_are_taken(name: str) -> None:
-    a, b = np.random.default_rng(0).dirichlet([1, 1, 1], (2, 4, 5))[..., :2]
-    expected = rule(name)(a, b)
-    flipped = rule(name)(a[::-1, :, :], b[::-1, :, :])[::-1]
-    fortran = rule(name)(np.asfortranarray(a), np.asfortranarray(b))
-    np.testing.assert_allclose(flipped, expected, atol=1e-15)
-    np.testing.assert_allclose(fortran, expected, atol=1e-15)
+    assert open_world or not combine(VACUOUS, VACUOUS).any()

@@ -34,28 +34,19 @@ def tolerated(draw: Any, dtype: Any, states: int) -> np.ndarray:
 
 
 @each("dtype", DTYPES)
-@each("name", RULES)
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())
-def test_every_rule_maps_tolerated_masses_to_tolerated_masses(name: str, dtype: Any, data: Any) -> None:
-    states = 3 if name == "bold" else 2
-    a, b = data.draw(tolerated(dtype, states)), data.draw(tolerated(dtype, states))
-    if name == "bold":
-        a[2], b[2] = max(a[2], dtype(1e-3)), max(b[2], dtype(1e-3))
-        a, b = evidence.renormalize(a), evidence.renormalize(b)
-    for result in (rule(name)(a, b), rule(name)(np.stack([a, b]), axis=0)):
-        assert np.isfinite(result).all()
-        evidence.check_mass(result)
-
-
-@each("dtype", DTYPES)
-@each("name", ["conjunctive", "disjunctive", "cautious"])
-@settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_open_world_rules_map_tolerated_triples_to_tolerated_triples(name: str, dtype: Any, data: Any) -> None:
-    a, b = data.draw(tolerated(dtype, 3)), data.draw(tolerated(dtype, 3))
-    evidence.check_mass(rule(name)(a, b))
-    evidence.check_mass(evidence.close_world(a))
+def test_every_rule_maps_tolerated_masses_to_tolerated_masses(dtype: Any, data: Any) -> None:
+    pairs, triples = ([data.draw(tolerated(dtype, states)) for _ in range(2)] for states in (2, 3))
+    with_conflict = [evidence.renormalize(np.maximum(mass, np.array([-1, -1, 1e-3], dtype))) for mass in triples]
+    for name in RULES:
+        a, b = with_conflict if name == "bold" else pairs
+        for result in (rule(name)(a, b), rule(name)(np.stack([a, b]), axis=0)):
+            assert np.isfinite(result).all(), name
+            evidence.check_mass(result)
+    for name in ("conjunctive", "disjunctive", "cautious"):
+        evidence.check_mass(rule(name)(*triples))
+    evidence.check_mass(evidence.close_world(triples[0]))
 
 
 @each(
@@ -101,9 +92,8 @@ def test_the_librarys_own_results_are_not_negative() -> None:
 
 
 @each("name", ["dempster", "yager", "cumulative"])
-@each("dtype", DTYPES)
-def test_kernels_read_negative_numbers_as_none(name: str, dtype: Any) -> None:
-    t = 0.9 * tolerance_of(np.zeros(2, dtype))
+def test_kernels_read_negative_numbers_as_none(name: str) -> None:
+    dtype, t = np.float32, 0.9 * tolerance_of(np.zeros(2, np.float32))
     # unknown below zero, beliefs below zero
     a = np.array([[1 + t, -t], [0.5 + t / 2, 0.5 + t / 2], [-t, 0.3], [1, 0]], dtype)
     b = np.array([[2 * t, 1 - 2 * t], [0, 1 + t], [0.4, -t], [-t, 0.5]], dtype)
@@ -244,6 +234,6 @@ def test_base_rates_without_weight_are_averaged_up_to_rounding(rate: Any) -> Non
 
 def test_divergence_of_random_near_densities_is_never_negative() -> None:
     rng = np.random.default_rng(0)
-    alpha = 10 ** rng.uniform(-3, 7, (400_000, 2))
-    other = alpha * (1 + 10 ** rng.uniform(-16, -2, (400_000, 1)) * rng.normal(size=(400_000, 2)))
+    alpha = 10 ** rng.uniform(-3, 7, (100_000, 2))
+    other = alpha * (1 + 10 ** rng.uniform(-16, -2, (100_000, 1)) * rng.normal(size=(100_000, 2)))
     assert evidence.dirichlet_kl(alpha, other).min() >= 0

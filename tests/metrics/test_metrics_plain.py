@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid, plain_scores
@@ -28,13 +29,13 @@ def test_scores_are_their_definitions(seed: int, coarse: int) -> None:
     check(*lattice_grid(seed, coarse=coarse))
 
 
-@pytest.mark.parametrize("states", [(UNKNOWN,), (FREE,), (OCCUPIED,), (UNKNOWN, OCCUPIED), (FREE, OCCUPIED), (IGNORE,)])
+@each("states", [(UNKNOWN,), (FREE,), (OCCUPIED,), (UNKNOWN, OCCUPIED), (FREE, OCCUPIED), (IGNORE,)])
 def test_scores_are_their_definitions_where_states_are_missing(states: tuple[int, ...]) -> None:
     mass, _ = lattice_grid(1, coarse=64)
     check(mass, np.resize(np.array(states, np.uint8), (7, 7)))
 
 
-@pytest.mark.parametrize(("free", "occupied"), [(0, 0), (1, 0), (0, 1), (0.5, 0.5), (0.25, 0.25)])
+@each(("free", "occupied"), [(0, 0), (1, 0), (0, 1), (0.5, 0.5), (0.25, 0.25)])
 def test_scores_are_their_definitions_where_all_cells_are_alike(free: float, occupied: float) -> None:
     _, state = lattice_grid(2)
     check(np.full((7, 7, 2), [free, occupied], np.float32), state)
