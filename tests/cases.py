@@ -35,7 +35,7 @@ def each(names: str | tuple[str, ...], cases: Iterable[Any]) -> Callable[[Callab
 
 
 def refused(
-    match: str, call: Callable[..., object], *arguments: Any, error: type[Exception] = ValueError, **options: Any
+    match: str, call: Callable[..., object], /, *arguments: Any, error: type[Exception] = ValueError, **options: Any
 ) -> str:
     """Call a function that must raise an error whose text matches a pattern; return the text."""
     words = [*map(reprlib.repr, arguments), *(f"{name}={reprlib.repr(value)}" for name, value in options.items())]

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import logsumexp
@@ -327,7 +328,7 @@ def test_a_detection_measures_what_the_map_holds_as_dynamic_where_the_scan_marks
     assert velocities[1] == pytest.approx(5, abs=0.4)
 
 
-@pytest.mark.parametrize("make", [EvidentialMapper, BinaryBayesMapper])
+@each("make", [EvidentialMapper, BinaryBayesMapper])
 def test_other_maps_ignore_radial_velocities(make):
     a, b = make(SPEC, half_life=2.0), make(SPEC, half_life=2.0)
     for k in range(3):
@@ -337,7 +338,7 @@ def test_other_maps_ignore_radial_velocities(make):
     assert a.grid == b.grid
 
 
-@pytest.mark.parametrize("make", [EvidentialMapper, lambda spec: DynamicMapper(spec, 100)])
+@each("make", [EvidentialMapper, lambda spec: DynamicMapper(spec, 100)])
 def test_what_is_no_radial_velocities_is_refused_and_the_map_stays(make):
     mapper = make(SPEC)
     mapper.update(block(0), np.eye(4), stamp=0.0)
