@@ -221,3 +221,19 @@ def test_there_is_no_jump_where_conflict_grows():
     steps = np.diff(fused)
     assert (steps > 0).all()
     assert steps.max() < 0.04
+
+
+@each("name", MAPPERS)
+def test_a_trusted_grid_that_is_none_changes_no_map(name):
+    mapper, shape = MAPPERS[name](SPEC), (*SPEC.shape, 2)
+    for mass, message in (
+        (np.zeros(shape[1::-1] + (2,), np.float32), "wanted float32"),
+        (np.zeros(shape), "wanted float32"),
+        *((np.full(shape, value, np.float32), "in .0, 1.") for value in (np.nan, -0.5, 1.5)),
+    ):
+        refused(message, mapper.update, EvidentialGrid.trusted(SPEC, mass), np.eye(4), stamp=0.0)
+    assert mapper.scans == 0
+    rounded = np.zeros(shape, np.float32)
+    rounded[3, 3] = -0.0, -1e-9
+    mapper.update(EvidentialGrid.trusted(SPEC, rounded), np.eye(4), stamp=0.0)
+    assert np.isfinite(mapper.grid.mass).all()

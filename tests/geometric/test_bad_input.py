@@ -149,11 +149,6 @@ def test_returns_from_the_ego_vehicle_are_counted_in_the_log(caplog: pytest.LogC
     assert "dropped 2 of 3 points as returns from the ego vehicle" in caplog.text
 
 
-def test_no_returns_must_be_directions() -> None:
-    for shape in ((3,), (5, 4), (3, 5, 3)):
-        refused(r"no_returns must be directions of shape \(M, 3\), got", Scan, NO_POINTS, no_returns=np.zeros(shape))
-
-
 def test_directions_that_are_none_clear_nothing() -> None:
     odd = np.array([[np.nan, 0, 0], [0, 0, 1], [np.inf, 1, 1], [0, 0, 0]], np.float32)
     assert (MODELS[1](Scan(NO_POINTS, no_returns=odd)).mass == 0).all()
