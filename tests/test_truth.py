@@ -446,33 +446,3 @@ def test_a_labelled_scan_makes_a_plausible_truth(real, name, ground, plants, oth
     assert (truth.state[only_ground] == FREE).all()
     nothing = ~hits.any(axis=2) & ~truth.ignored
     assert (truth.state[nothing] == UNKNOWN).all()
-
-
-def test_vehicles_of_argoverse_become_occupied(real) -> None:
-    feather = pytest.importorskip("pyarrow.feather")
-    from ogm import read_points
-    from ogm.geometric import ground_height, local_ground
-
-    path = real("argoverse2_adcf/sensors/lidar/*.feather")
-    points = read_points(path, "argoverse")
-    rows = feather.read_table(real("argoverse2_adcf/annotations.feather")).to_pylist()
-    rows = [row for row in rows if row["timestamp_ns"] == int(path.stem)]
-    center = np.array([[row[name] for name in ("tx_m", "ty_m", "tz_m")] for row in rows])
-    size = np.array([[row[name] for name in ("length_m", "width_m", "height_m")] for row in rows])
-    boxes = Boxes(center, size, np.array([2 * np.arctan2(row["qz"], row["qw"]) for row in rows]))
-    coarse = GridSpec(1.0, (100, 100), (-50.0, -50.0))
-    xyz = points[:, :3]
-    near = (np.abs(xyz[:, :2]) < 49).all(axis=1) & (np.abs(xyz[:, 1]) + np.abs(xyz[:, 0]) > 3.5)
-    xyz = xyz[near]
-    high = xyz[:, 2] - ground_height(local_ground(xyz, coarse, (0.0, 0.0, -0.33)), coarse, xyz)
-    kind = np.where(high < 0.15, Kind.GROUND, Kind.OBSTACLE)
-    returns = count_returns(xyz[kind == Kind.OBSTACLE], boxes)
-    ego = cells_in_footprint((-1.05, 3.85, -1.0, 1.0), PAPER)
-    seen = np.zeros(PAPER.shape, np.uint8)
-    observe_points(seen, *xyz[:, :2].T, kind, np.where(kind == Kind.GROUND, 0.0, high), PAPER)
-    truth = finalize_truth(seen, PAPER, boxes=boxes, returns=returns, unobserved=ego)
-    dense = boxes.select((returns >= 50) & PAPER.contains(*boxes.center[:, :2].T))
-    assert len(dense) >= 5
-    state = truth.state[cells_in_boxes(dense, PAPER)]
-    assert (state[state != IGNORE] == OCCUPIED).all()
-    assert 0.015 < truth.shares().free < 0.1  # one scan leaves gaps between its layers

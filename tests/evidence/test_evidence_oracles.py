@@ -63,20 +63,6 @@ def test_py_dempster_shafer_agrees() -> None:
     np.testing.assert_allclose(evidence.nonspecificity(a), hartley, atol=1e-14)
 
 
-def test_py_dempster_shafer_agrees_on_three_states() -> None:
-    sets = [frozenset(s for i, s in enumerate("abc") if place >> i & 1) for place in range(8)]
-    a, b = random_general()
-    a[:, 0] = b[:, 0] = 0
-    a, b = a / a.sum(-1, keepdims=True), b / b.sum(-1, keepdims=True)
-    for x, y in zip(a[:30], b[:30], strict=True):
-        p = pyds.MassFunction(dict(zip(sets, x.tolist(), strict=True)))
-        q = pyds.MassFunction(dict(zip(sets, y.tolist(), strict=True)))
-        np.testing.assert_allclose(powerset.dempster(x, y), [(p & q)[s] for s in sets], atol=1e-13)
-        np.testing.assert_allclose(powerset.mass_to_commonality(x)[1:], [p.q(s) for s in sets[1:]], atol=1e-13)
-        np.testing.assert_allclose(powerset.mass_to_belief(x), [p.bel(s) for s in sets], atol=1e-13)
-        np.testing.assert_allclose(powerset.mass_to_plausibility(x), [p.pl(s) for s in sets], atol=1e-13)
-
-
 # --- pybelief ---
 
 
@@ -149,12 +135,3 @@ def test_evtools_agrees_on_three_states_in_the_open_world() -> None:
         for x, y in zip(a[:40], b[:40], strict=True):
             expected = combine(to_evtools(x, "abc"), to_evtools(y, "abc")).dense
             np.testing.assert_allclose(getattr(powerset, name)(x, y), expected, atol=1e-10, err_msg=name)
-
-
-def test_evtools_agrees_on_bold_combination_of_triples() -> None:
-    a, b = np.random.default_rng(9).dirichlet([2] * 4, (2, 50))[..., :3]
-    expected = [
-        combinations.bold(to_evtools(x), to_evtools(y)).dense
-        for x, y in zip(powerset.from_pair(a), powerset.from_pair(b), strict=True)
-    ]
-    np.testing.assert_allclose(evidence.bold(a, b), powerset.to_triple(np.array(expected)), atol=1e-12)

@@ -1,12 +1,8 @@
 """The rules of one cell in numba against the rules on arrays, compiled and not."""
 
-import os
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
-import pytest
 from cases import each
 from cells import combine_cells
 from hypothesis import given, settings
@@ -49,19 +45,3 @@ def test_nan_stays_in_its_cell(name: str) -> None:
     result = combine_cells(name, a, b)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(result).any(-1)), (7, 21, 33))
     assert np.isnan(result[[7, 21, 33]]).all()
-
-
-@pytest.mark.slow
-def test_cell_rules_do_the_same_without_a_compiler() -> None:
-    code = """
-import numpy as np
-from cells import combine_cells
-from ogm.evidence.kernels import RULES
-a, b = np.random.default_rng(0).dirichlet([1, 1, 1], (2, 9)).astype(np.float32)[..., :2].copy()
-a[0], b[0], b[1] = (1, 0), (0, 1), (0, 0)
-for name, rule in RULES.items():
-    np.testing.assert_allclose(combine_cells(name, a, b), rule.arrays(a, b), atol=1e-6)
-"""
-    paths = os.pathsep.join([os.path.dirname(__file__), *sys.path])
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": paths}
-    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, env=environment)

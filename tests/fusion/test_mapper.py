@@ -162,29 +162,6 @@ def test_the_ring_buffer_equals_a_map_of_the_whole_world(steps):
     np.testing.assert_allclose(rolling.grid.mass[mask], cut(fixed.grid, rolling.spec)[mask], atol=1e-6)
 
 
-def test_moving_the_vehicle_and_not_the_world_moves_nothing_in_the_map():
-    """A wall and a yard, seen from hundreds of poses with yaw and sub-cell shifts, stay where they are to a cell."""
-    x, y = SPEC.cell_centers
-
-    def seen_from(T: np.ndarray) -> EvidentialGrid:
-        world_x = T[0, 0] * x + T[0, 1] * y + T[0, 3]
-        world_y = T[1, 0] * x + T[1, 1] * y + T[1, 3]
-        wall = (np.abs(world_x - 2.0) < 0.5) & (world_y < 1.0)
-        mass = np.where(wall[..., None], (0.0, 0.6), (0.4, 0.0)).astype(np.float32)
-        return EvidentialGrid(SPEC, mass)
-
-    mapper = EvidentialMapper(SPEC, dempster)
-    for k in range(400):
-        T = pose(0.7 * math.sin(0.011 * k), 0.5 * math.cos(0.017 * k), yaw=0.013 * k)
-        mapper.update(seen_from(T), T, stamp=0.1 * k)
-    wx, wy = mapper.spec.cell_centers
-    depth = np.minimum(0.5 - np.abs(wx - 2.0), 1.0 - wy)  # [m] into the wall, below 0 outside it
-    near = np.hypot(wx, wy) < 3.5  # never out of view
-    grid = mapper.grid
-    assert (grid.occupied[near & (depth > 0.2)] > 0.9).all()
-    assert (grid.free[near & (depth < -0.2)] > 0.9).all()
-
-
 @each("rate", [5, 20])
 @each("discounting", [discount, discount_evidence])
 def test_forgetting_does_not_depend_on_the_rate(rate, discounting):

@@ -5,7 +5,6 @@ import pytest
 from cases import each, refused
 
 from ogm.fusion import deskew, extrapolate
-from ogm.fusion.ego import deskewing
 from ogm.pose import Trajectory, inverse, pose, transform_points
 
 STAMP = 735.25
@@ -48,14 +47,6 @@ def test_a_clock_that_counts_from_1970_costs_no_more_than_its_rounding() -> None
     moved = deskew(points, time, late, STAMP + year)
     # float64 knows such stamps to 0.24 us, in which these points move by 0.05 mm
     np.testing.assert_allclose(moved, deskew(points, time, trajectory, STAMP), atol=1e-4)
-
-
-@pytest.mark.slow
-def test_the_kernel_is_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    points, time = cloud(100)
-    fast = deskew(points, time, drive(), STAMP)
-    monkeypatch.setattr(deskewing, "_deskew", deskewing._deskew.py_func)
-    np.testing.assert_allclose(deskew(points, time, drive(), STAMP), fast, atol=1e-5)
 
 
 def test_a_wall_seen_in_a_turn_is_straight_again() -> None:

@@ -1,11 +1,7 @@
 """Every kernel against its slow reference."""
 
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -333,36 +329,3 @@ def test_azimuth_polynomial(x: float, y: float) -> None:
         return
     got = float(polar.azimuth(np.float32(x), np.float32(y)))
     assert abs((got - math.atan2(y, x) + math.pi) % (2 * math.pi) - math.pi) < 2e-6
-
-
-@pytest.mark.slow
-def test_without_the_jit_the_kernels_give_the_same(tmp_path: Path) -> None:
-    """The same scan through the kernels as plain Python, in another process."""
-    script = """
-import sys, numpy as np
-from ogm import GridSpec, Mount, Scan
-from ogm.geometric import HeightBandISM, RayISM
-from tests.geometric.test_reference import cloud
-spec, points = GridSpec.centered(10.0, 8.0, 0.5), cloud(3, 150)
-up = np.array([[0.6, 0.0, 0.8], [0.99, 0.1, -0.1]], np.float32)
-mount, scan = Mount(1.7), Scan(points, no_returns=up)
-np.savez(sys.argv[1], a=HeightBandISM(spec, mount)(scan).mass, b=RayISM(spec, mount)(scan).mass,
-         c=HeightBandISM.as_released(spec)(points).mass)
-"""
-    root = Path(__file__).parents[2]
-    results = []
-    for switch in ("0", "1"):
-        path = tmp_path / f"{switch}.npz"
-        run = subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", script, path],
-            env={**os.environ, "NUMBA_DISABLE_JIT": switch},
-            cwd=root,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert run.returncode == 0, run.stderr
-        results.append(dict(np.load(path)))
-    for name in "abc":
-        assert results[0][name].any()
-        np.testing.assert_allclose(results[0][name], results[1][name], atol=2e-3)
