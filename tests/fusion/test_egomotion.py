@@ -234,28 +234,6 @@ def test_the_order_of_simultaneous_measurements_does_not_matter() -> None:
     np.testing.assert_allclose(back.covariance, there.covariance, atol=1e-6)
 
 
-def test_the_map_may_be_turned_and_shifted() -> None:
-    drive = simulated(4, seconds=5.0)
-    plain, turned = begin(drive), begin(drive)
-    T = pose(100, -50, yaw=2.0)
-    turned = EgoMotion(
-        0.0,
-        T @ plain.filtered().trajectory().poses[0],
-        speed=plain.state[3],
-        yaw_rate=plain.state[4],
-        deviation=np.sqrt(np.diag(plain.covariance)),
-        acceleration=1.0,
-        yaw_acceleration=0.2,
-    )
-    run(plain, drive.measured)
-    moved = [
-        (t, kind, T[:2, :2] @ value + T[:2, 3] if kind == "position" else value, d)
-        for t, kind, value, d in drive.measured
-    ]
-    run(turned, moved)
-    np.testing.assert_allclose(turned.filtered().trajectory().poses, T @ plain.filtered().trajectory().poses, atol=1e-4)
-
-
 def test_a_stamp_that_repeats_counts_twice_and_adds_no_pose() -> None:
     ego = EgoMotion(0.0)
     for _ in range(10):

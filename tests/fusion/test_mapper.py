@@ -1,18 +1,18 @@
 """Laws of the maps: the effect of driving, waiting and measuring."""
 
-import contextlib
-import io
 import math
 import os
 import subprocess
 import sys
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
 from cases import each
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from random_grids import layers, noise, uniform
 
 from ogm.evidence import (
     averaging,
@@ -36,24 +36,6 @@ from ogm.pose import pose
 SPEC = GridSpec.centered(length=12.8, width=9.6, resolution=0.2)  # 64 x 48
 FOREVER = math.inf
 COMPILED = {"dempster": dempster, "yager": yager, "cumulative": cumulative, "cautious": normalized_cautious}
-
-
-def noise(spec: GridSpec, seed: int = 0) -> EvidentialGrid:
-    """Return a grid of arbitrary masses, a third of its cells vacuous."""
-    rng = np.random.default_rng(seed)
-    mass = rng.dirichlet([0.7, 0.7, 0.7], size=spec.shape)[..., :2]
-    mass[rng.random(spec.shape) < 1 / 3] = 0
-    return EvidentialGrid(spec, mass.astype(np.float32))
-
-
-def uniform(spec: GridSpec, free: float, occupied: float) -> EvidentialGrid:
-    return EvidentialGrid(spec, np.full((*spec.shape, 2), (free, occupied), np.float32))
-
-
-def layers(mapper: EvidentialMapper) -> np.ndarray:
-    """Return the conflict layers free -> occupied and occupied -> free, (nx, ny, 2)."""
-    conflict = mapper.conflict
-    return np.stack([conflict["free_to_occupied"], conflict["occupied_to_free"]], axis=-1)
 
 
 def cut(grid: EvidentialGrid, spec: GridSpec) -> np.ndarray:
@@ -474,38 +456,8 @@ def test_a_tilted_vehicle_shortens_the_road_as_the_road_is_shortened():
 
 @pytest.mark.slow
 def test_the_kernels_do_the_same_without_the_compiler():
-    """So that tools that read Python can follow them: one small map, all rules, compiled or not."""
-    code = """
-import numpy as np
-from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, yager
-from ogm.fusion import BinaryBayesMapper, EvidentialMapper, warp
-from ogm.grid import EvidentialGrid, GridSpec
-from ogm.pose import pose
-spec = GridSpec.centered(length=2.4, width=1.6, resolution=0.2)
-rng = np.random.default_rng(0)
-grids = [EvidentialGrid(spec, rng.dirichlet([1, 1, 1], size=spec.shape)[..., :2].astype("f4")) for _ in range(3)]
-maps = [EvidentialMapper(spec, rule) for rule in (normalized_cautious, dempster, yager, cumulative)]
-maps += [EvidentialMapper(spec, forget="observed"), EvidentialMapper(spec, discounting=discount_evidence)]
-for mapper in (*maps, BinaryBayesMapper(spec, 2.0)):
-    for k, grid in enumerate(grids):
-        mapper.update(grid, pose(0.33 * k, -0.21 * k, yaw=0.2 * k), stamp=0.1 * k)
-    print(" ".join(f"{value:.5f}" for value in mapper.grid.mass[2:9:3, 1:7:2].ravel()))
-print(" ".join(f"{value:.5f}" for value in warp(grids[0], spec, pose(0.07, yaw=0.4)).mass[3:9:4, 2:6].ravel()))
-"""
-    compiled_out = io.StringIO()
-    with contextlib.redirect_stdout(compiled_out):
-        exec(code, {})
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-    )
-    results = [
-        [[float(number) for number in line.split()] for line in printed.splitlines()]
-        for printed in (compiled_out.getvalue(), done.stdout)
-    ]
-    assert len(results[0]) == 8
-    for compiled, plain in zip(*results, strict=True):
-        np.testing.assert_allclose(plain, compiled, atol=2e-5)
+    """So that tools that read Python can follow them."""
+    tests = [f"{__file__}::test_the_compiled_pass_equals_its_slow_reference"]
+    tests += [f"{Path(__file__).parent / 'test_bayes_mapper.py'}::test_kernel_equals_its_slow_reference"]
+    words = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
+    subprocess.run(words, check=True, env=os.environ | {"NUMBA_DISABLE_JIT": "1"})

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from cases import each, refused
+from random_grids import layers, uniform
 
 from ogm.evidence import conjunctive, dempster, probability_to_mass
 from ogm.fusion import BinaryBayesMapper, DynamicMapper, DynamicSettings, EvidentialMapper, PoseJump
@@ -14,14 +15,6 @@ from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=6.4, width=4.8, resolution=0.2)
 NAN_POSE = np.full((4, 4), np.nan)
-
-
-def uniform(free: float = 0.4, occupied: float = 0.1) -> EvidentialGrid:
-    return EvidentialGrid(SPEC, np.full((*SPEC.shape, 2), (free, occupied), np.float32))
-
-
-def layers(mapper: EvidentialMapper) -> np.ndarray:
-    return np.stack(list(mapper.conflict.layers.values()), axis=-1)
 
 
 MAPPERS = {
@@ -33,7 +26,7 @@ MAPPERS = {
 
 def begun(name: str):
     mapper = MAPPERS[name](SPEC)
-    mapper.update(uniform(), pose(1.0, 2.0), stamp=10.0)
+    mapper.update(uniform(SPEC), pose(1.0, 2.0), stamp=10.0)
     return mapper
 
 
@@ -62,27 +55,29 @@ def test_a_refused_scan_changes_nothing(mapper):
         ("grid", np.zeros((32, 24, 2)), TypeError, "updated with an EvidentialGrid, got ndarray"),
         ("grid", far, ValueError, "has no cell in the map's window; is T_map_sensor the pose of the grid's own frame"),
     ):
-        given = {"grid": uniform(), "T_map_sensor": pose(1.05, 2.0), "stamp": 10.1} | {name: value}
+        given = {"grid": uniform(SPEC), "T_map_sensor": pose(1.05, 2.0), "stamp": 10.1} | {name: value}
         refused(words, mapper.update, error=error, **given)
         np.testing.assert_array_equal(mapper.grid.mass, before[0])
         assert (mapper.spec, mapper.stamp, mapper.scans) == before[1:], (name, value)
-    mapper.update(uniform(), pose(1.05, 2.0), stamp=10.1)  # the next scan is fused
+    mapper.update(uniform(SPEC), pose(1.05, 2.0), stamp=10.1)  # the next scan is fused
 
 
 def test_a_pose_in_camera_axes_is_refused():
     message = "a pose leans by 90 degrees.*poses of a camera"
-    refused(message, EvidentialMapper(SPEC).update, uniform(), pose(roll=math.pi / 2), stamp=0)
+    refused(message, EvidentialMapper(SPEC).update, uniform(SPEC), pose(roll=math.pi / 2), stamp=0)
 
 
 @each("name", MAPPERS)
 def test_a_closed_loop_is_refused_until_reset_which_begins_a_new_map(name):
     mapper, fresh = begun(name), MAPPERS[name](SPEC)
-    refused(r"call reset\(\) after a closed loop", mapper.update, uniform(), pose(200.0), stamp=10.1, error=PoseJump)
+    refused(
+        r"call reset\(\) after a closed loop", mapper.update, uniform(SPEC), pose(200.0), stamp=10.1, error=PoseJump
+    )
     mapper.reset()
     assert (mapper.stamp, mapper.T_map_vehicle, mapper.scans) == (None, None, 0)
     assert mapper.grid.unknown.min() == 1
     for one in (mapper, fresh):
-        one.update(uniform(), pose(200.0), stamp=1.2)
+        one.update(uniform(SPEC), pose(200.0), stamp=1.2)
     assert mapper.spec.contains(200.0, 0.0)
     assert mapper.grid == fresh.grid
 
@@ -91,8 +86,8 @@ def test_a_jump_stays_a_jump_however_often_it_is_offered(mapper):
     """20 m within a tenth of a second: not 70 m/s because two scans were refused in between."""
     message = "jumps by 20 m and 0 degrees since the last scan"
     for k in range(1, 8):
-        refused(message, mapper.update, uniform(), pose(21.0, 2.0), stamp=10.0 + 0.1 * k, error=PoseJump)
-    mapper.update(uniform(), pose(1.5, 2.0), stamp=10.8)  # the glitch is over
+        refused(message, mapper.update, uniform(SPEC), pose(21.0, 2.0), stamp=10.0 + 0.1 * k, error=PoseJump)
+    mapper.update(uniform(SPEC), pose(1.5, 2.0), stamp=10.8)  # the glitch is over
     assert mapper.scans == 2
 
 
@@ -104,7 +99,7 @@ def test_a_glitch_is_left_out_and_the_drive_goes_on(name, off, scans):
     for k in range(1, 60):
         wrong = 20 <= k < 20 + scans
         try:
-            mapper.update(uniform(), pose(1.0 + 2.0 * k, 2.0 + off * wrong), stamp=10.0 + 0.1 * k)
+            mapper.update(uniform(SPEC), pose(1.0 + 2.0 * k, 2.0 + off * wrong), stamp=10.0 + 0.1 * k)
         except PoseJump:
             left_out.append(k)
     assert left_out == list(range(20, 20 + scans))
@@ -125,10 +120,10 @@ def test_a_long_gap_ages_the_map_and_is_logged(mapper, caplog):
 
 def test_without_forgetting_no_stamps_are_needed_but_not_half_of_them():
     mapper = EvidentialMapper(SPEC, half_life=math.inf)
-    mapper.update(uniform(), pose())
-    mapper.update(uniform(), pose(500.0))  # without time there is no speed
-    mapper.update(uniform(), pose(500.0), stamp=3.0)
-    refused("stamp is missing", mapper.update, uniform(), pose(500.0))
+    mapper.update(uniform(SPEC), pose())
+    mapper.update(uniform(SPEC), pose(500.0))  # without time there is no speed
+    mapper.update(uniform(SPEC), pose(500.0), stamp=3.0)
+    refused("stamp is missing", mapper.update, uniform(SPEC), pose(500.0))
 
 
 def test_a_rule_that_fails_leaves_the_map_as_it_was():
@@ -138,10 +133,10 @@ def test_a_rule_that_fails_leaves_the_map_as_it_was():
         return dempster(a, b)
 
     mapper = EvidentialMapper(SPEC, failing)
-    mapper.update(uniform(), pose(), stamp=0)
+    mapper.update(uniform(SPEC), pose(), stamp=0)
     before = mapper.grid.mass, layers(mapper)
     with pytest.raises(RuntimeError):
-        mapper.update(uniform(), pose(1.0), stamp=0.1)
+        mapper.update(uniform(SPEC), pose(1.0), stamp=0.1)
     np.testing.assert_array_equal(mapper.grid.mass, before[0])
     np.testing.assert_array_equal(layers(mapper), before[1])
     assert mapper.spec == SPEC
@@ -152,7 +147,7 @@ def test_a_rule_that_returns_no_masses_is_named():
         (conjunctive, r"rule conjunctive must return masses.*close_world"),
         (lambda a, b: a + b + 0.7, "mass"),
     ):
-        refused(message, EvidentialMapper(SPEC, rule).update, uniform(), pose(), stamp=0)
+        refused(message, EvidentialMapper(SPEC, rule).update, uniform(SPEC), pose(), stamp=0)
 
 
 def test_bad_options_are_named():

@@ -145,18 +145,6 @@ def test_a_slow_object_has_the_box_of_least_area() -> None:
     np.testing.assert_allclose(found.boxes.size[0, :2], [6.0, 1.0], atol=0.4)
 
 
-def test_a_map_that_is_moved_moves_the_objects() -> None:
-    grid = random_grid(3)
-    moved = replace(grid, spec=replace(grid.spec, origin=(grid.spec.origin[0] + 4e5, grid.spec.origin[1] - 100)))
-    chosen = ObjectSettings(max_deviation=100.0)
-    one, other = find_objects(grid, chosen), find_objects(moved, chosen)
-    assert len(one) > 0
-    np.testing.assert_array_equal(one.label, other.label)
-    np.testing.assert_allclose(other.boxes.center - one.boxes.center, [[4e5, -100, 0]] * len(one), atol=1e-6)
-    np.testing.assert_array_equal(one.velocity, other.velocity)
-    np.testing.assert_allclose(one.boxes.size, other.boxes.size, atol=1e-6)
-
-
 def test_a_map_that_is_turned_turns_the_objects() -> None:
     grid = random_grid(4)
     back = np.array([[0, 1], [-1, 0]])  # a quarter clockwise: what lay along x lies along -y

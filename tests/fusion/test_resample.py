@@ -126,20 +126,6 @@ def test_cautious_turns_mixed_beliefs_into_unknown_and_nothing_else():
     np.testing.assert_allclose(warp(torn, SPEC, half, "cautious").mass[1:], 0.4, atol=1e-5)
 
 
-def test_warping_again_and_again_blurs_by_the_law_of_random_steps():
-    """Shifts by half a cell, n times: a standard deviation of sqrt(n / 4) cells. This is why maps scroll instead."""
-    line = GridSpec(1.0, (61, 1), (-30.5, -0.5))
-    mass = np.zeros((61, 1, 2), np.float32)
-    mass[30, 0, 1] = 1
-    grid = EvidentialGrid(line, mass)
-    for k in range(10):
-        grid = warp(grid, line, pose(0.5 if k % 2 else -0.5), "area")
-    x = np.arange(-30, 31)
-    spread = float(np.sqrt((grid.occupied[:, 0] * x**2).sum()))
-    assert spread == pytest.approx(math.sqrt(10 / 4), abs=1e-3)
-    assert grid.occupied.max() == pytest.approx(0.246, abs=1e-3)
-
-
 def test_coarsening_keeps_means_or_the_worst_case():
     mass = np.zeros((4, 4, 2), np.float32)
     mass[..., 0] = 0.8

@@ -113,24 +113,6 @@ def test_a_ray_clears_less_the_higher_it_passes() -> None:
     np.testing.assert_allclose(free, 1 - 1.8 * (1 - np.arange(6.25, 17, 0.5) / 18) / 2, atol=0.1)
 
 
-def test_many_rays_over_a_roof_do_not_clear_what_is_below() -> None:
-    """However many rays pass at 1.6 m, an obstacle lower than that would go unnoticed."""
-    spec = GridSpec.centered(40.0, 8.0, 0.5)
-    ism = RayISM(spec, Mount(1.8), ground=flat_ground)
-    over = np.array([(19.0, y, -0.2, 0) for y in np.linspace(-0.4, 0.4, 5000)], np.float32)
-    assert ism(over).at(9.0, 0.1).free < 0.25
-
-
-def test_shadows_stay_unknown() -> None:
-    spec = GridSpec.centered(30.0, 30.0, 0.25)
-    scene = [(5.0, y, z) for y in np.arange(-1, 1, 0.02) for z in np.arange(0.2, 1.9, 0.05)]
-    scene += [(r * math.cos(a), r * math.sin(a), 0.0) for r in range(3, 15) for a in np.arange(0.25, 6.03, 0.01)]
-    grid = RayISM(spec, MOUNT)(at(*scene))
-    shadow = grid.mass[spec.index(6.0, 0)[0] : spec.index(14.0, 0)[0], spec.index(0, 0.0)[1]]
-    assert (shadow == 0).all()
-    assert grid.at(-10.0, 1.0).free > 0.3
-
-
 def test_returns_from_the_ego_vehicle_are_dropped_and_its_cells_stay_unknown() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.25)
     ego = at((1.0, 0.5, 1.4), (-1.2, -0.9, 1.0))
