@@ -36,21 +36,12 @@ def luminance(colour: tuple[int, int, int]) -> float:
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
-@each(
-    ("truth", "mass", "name"),
-    [
-        (UNKNOWN, NOTHING, "right unknown"),
-        (UNKNOWN, FREELY, "false known"),
-        (UNKNOWN, OCCUPIEDLY, "false known"),
-        (FREE, NOTHING, "missed free"),
-        (FREE, FREELY, "right free"),
-        (FREE, OCCUPIEDLY, "false occupied"),
-        (OCCUPIED, NOTHING, "missed occupied"),
-        (OCCUPIED, FREELY, "false free"),
-        (OCCUPIED, OCCUPIEDLY, "right occupied"),
-        (IGNORE, FREELY, "ignored"),
-    ],
-)
+@each(("truth", "mass", "name"), [
+    (UNKNOWN, NOTHING, "right unknown"), (UNKNOWN, FREELY, "false known"), (UNKNOWN, OCCUPIEDLY, "false known"),
+    (FREE, NOTHING, "missed free"), (FREE, FREELY, "right free"), (FREE, OCCUPIEDLY, "false occupied"),
+    (OCCUPIED, NOTHING, "missed occupied"), (OCCUPIED, FREELY, "false free"),
+    (OCCUPIED, OCCUPIEDLY, "right occupied"), (IGNORE, FREELY, "ignored"),
+])  # fmt: skip
 def test_every_pair_of_true_and_predicted_state_has_its_class_and_colour(
     truth: int, mass: tuple[float, float], name: str
 ) -> None:

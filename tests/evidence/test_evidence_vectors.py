@@ -51,15 +51,10 @@ def test_fusion_2018(rule: str, all_three: tuple, first_two: tuple, last_two: tu
 
 # Recomputed from the definitions (Smarandache and Dezert 2006; Dezert et al. 2021; Murphy 2000) for the same
 # sources.
-@each(
-    ("rule", "expected"),
-    [
-        ("pcr6_plus", (0.727914, 0.224086, 0.048)),
-        ("pcr6", (0.669594, 0.202115, 0.128291)),
-        ("pcr5", (0.654898, 0.216811, 0.128291)),
-        ("murphy", (0.674699, 0.228916, 0.096386)),
-    ],
-)
+@each(("rule", "expected"), [
+    ("pcr6_plus", (0.727914, 0.224086, 0.048)), ("pcr6", (0.669594, 0.202115, 0.128291)),
+    ("pcr5", (0.654898, 0.216811, 0.128291)), ("murphy", (0.674699, 0.228916, 0.096386)),
+])  # fmt: skip
 def test_redistribution_of_three_sources(rule: str, expected: tuple) -> None:
     stack = np.stack([pair(C1), pair(C2), pair(C3)])
     near(getattr(evidence, rule)(stack, axis=0), opinion(*expected))
@@ -87,21 +82,12 @@ def test_a_chain_of_pairs_is_not_the_rule_for_three() -> None:
 
 # Two conflicting sources, conflict 0.32. Conjunctive, Dempster, disjunctive, cautious and the fusion
 # operators agree with independent libraries (see test_evidence_oracles.py), PCR5 and Murphy are recomputed.
-@each(
-    ("rule", "expected"),
-    [
-        ("dempster", (0.338235, 0.529412, 0.132353)),
-        ("yager", (0.23, 0.36, 0.41)),
-        ("dubois_prade", (0.23, 0.36, 0.41)),
-        ("disjunctive", (0.05, 0.12, 0.83)),
-        ("pcr5", (0.37303, 0.53697, 0.09)),
-        ("cumulative", (0.352941, 0.470588, 0.176471)),
-        ("averaging", (0.3, 0.4, 0.3)),
-        ("weighted", (0.3, 0.4, 0.3)),
-        ("consensus_compromise", (0.283, 0.383, 0.334)),
-        ("murphy", (0.355263, 0.526316, 0.118421)),
-    ],
-)
+@each(("rule", "expected"), [
+    ("dempster", (0.338235, 0.529412, 0.132353)), ("yager", (0.23, 0.36, 0.41)),
+    ("dubois_prade", (0.23, 0.36, 0.41)), ("disjunctive", (0.05, 0.12, 0.83)), ("pcr5", (0.37303, 0.53697, 0.09)),
+    ("cumulative", (0.352941, 0.470588, 0.176471)), ("averaging", (0.3, 0.4, 0.3)), ("weighted", (0.3, 0.4, 0.3)),
+    ("consensus_compromise", (0.283, 0.383, 0.334)), ("murphy", (0.355263, 0.526316, 0.118421)),
+])  # fmt: skip
 def test_two_conflicting_sources(rule: str, expected: tuple) -> None:
     near(getattr(evidence, rule)(pair(A), pair(B)), expected)
 
@@ -200,16 +186,11 @@ def test_zadeh(sure: float, conflict: float, pcr5: tuple, murphy: tuple) -> None
     np.testing.assert_allclose(powerset.murphy(first, second)[singles], murphy, atol=6e-7)
 
 
-@each(
-    ("rule", "expected"),
-    [
-        ("dempster", (0.497487, 0.497487, 0.005025)),
-        ("cumulative", (0.497487, 0.497487, 0.005025)),
-        ("yager", (0.0099, 0.0099, 0.9802)),
-        ("consensus_compromise", (0.0099, 0.0099, 0.9802)),
-        ("pcr5", (0.49995, 0.49995, 0.0001)),
-    ],
-)
+@each(("rule", "expected"), [
+    ("dempster", (0.497487, 0.497487, 0.005025)), ("cumulative", (0.497487, 0.497487, 0.005025)),
+    ("yager", (0.0099, 0.0099, 0.9802)), ("consensus_compromise", (0.0099, 0.0099, 0.9802)),
+    ("pcr5", (0.49995, 0.49995, 0.0001)),
+])  # fmt: skip
 def test_zadeh_with_two_states(rule: str, expected: tuple) -> None:
     """Recomputed. For two opposite simple masses Dempster's rule and cumulative fusion coincide."""
     combined = getattr(evidence, rule)(pair((0.99, 0, 0.01)), pair((0, 0.99, 0.01)))
@@ -302,16 +283,10 @@ def test_tbmlib() -> None:
     np.testing.assert_allclose(powerset.pignistic(m), (0.335165, 0.664835), atol=6e-7)
 
 
-@each(
-    ("hits", "passes", "expected"),
-    [
-        (1, 0, (0, 0.95, 0.05)),
-        (0, 1, (0.2, 0, 0.8)),
-        (1, 3, (0.0244, 0.4864, 0.4892)),
-        (2, 5, (0.001681, 0.326861, 0.671458)),
-        (0, 10, (0.892626, 0, 0.107374)),
-    ],
-)
+@each(("hits", "passes", "expected"), [
+    (1, 0, (0, 0.95, 0.05)), (0, 1, (0.2, 0, 0.8)), (1, 3, (0.0244, 0.4864, 0.4892)),
+    (2, 5, (0.001681, 0.326861, 0.671458)), (0, 10, (0.892626, 0, 0.107374)),
+])  # fmt: skip
 def test_count_masses(hits: int, passes: int, expected: tuple) -> None:
     """Counting lidar model of a public evidential occupancy code (2024), recomputed."""
     mass = evidence.counts_to_mass(np.array(float(hits)), np.array(float(passes)))

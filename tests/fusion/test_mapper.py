@@ -51,15 +51,10 @@ def cut(grid: EvidentialGrid, spec: GridSpec) -> np.ndarray:
 
 
 @each("name", COMPILED)
-@each(
-    ("forget", "discounting", "yaw"),
-    [
-        ("everywhere", discount, 0.4),
-        ("observed", discount_evidence, 2.0),
-        ("everywhere", discount_evidence, math.pi / 2),
-        ("observed", discount, 0.0),
-    ],
-)
+@each(("forget", "discounting", "yaw"), [
+    ("everywhere", discount, 0.4), ("observed", discount_evidence, 2.0),
+    ("everywhere", discount_evidence, math.pi / 2), ("observed", discount, 0.0),
+])  # fmt: skip
 def test_the_compiled_pass_equals_its_slow_reference(name, forget, discounting, yaw):
     rule = COMPILED[name]
     options = {"half_life": (0.7, 1.5), "moving_half_life": 0.3, "forget": forget, "discounting": discounting}
@@ -341,9 +336,9 @@ def test_memory_is_that_of_one_window_however_far_one_drives():
     mapper.update(grids[0], pose(), stamp=0.0)
     tracemalloc.start()
     try:
-        for k in range(1, 1300):
+        for k in range(1, 2300):
             mapper.update(grids[k % 3], pose(10.0 * k), stamp=1.0 * k)
-            if k == 1000:  # numba's table of argument types is full by then, at 50 kB
+            if k == 2000:  # numba's table of argument types is full by then, at 50 kB
                 before = tracemalloc.get_traced_memory()[0]
         grown = tracemalloc.get_traced_memory()[0] - before
     finally:

@@ -129,17 +129,10 @@ def test_ray_model_equals_the_loop_where_so_many_rays_pass_that_some_are_not_cou
 
 
 @each("p_miss", [0.8, 0.3])
-@pytest.mark.parametrize(
-    "heights",
-    [
-        [0.0, *[1.0] * 20],
-        [0.3],
-        [1.0] * 5,
-        [0.0, 0.1, 0.25, 0.25, 0.6, 0.9, 1.4],
-        [1.5, 0.05, 1.5, 0.8],
-        list(np.linspace(0, 1.6, 30)),
-    ],
-)
+@pytest.mark.parametrize("heights", [
+    [0.0, *[1.0] * 20], [0.3], [1.0] * 5, [0.0, 0.1, 0.25, 0.25, 0.6, 0.9, 1.4], [1.5, 0.05, 1.5, 0.8],
+    list(np.linspace(0, 1.6, 30)),
+])  # fmt: skip
 def test_belief_in_free_is_the_chance_that_an_obstacle_would_have_been_noticed(
     heights: list[float], p_miss: float
 ) -> None:

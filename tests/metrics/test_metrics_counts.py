@@ -38,22 +38,14 @@ def dogmatic(state: NDArray[np.uint8]) -> NDArray[np.float32]:
 # Divergences
 
 
-@each(
-    ("evidence", "state", "metric", "value"),
-    [
-        ((0, 0), FREE, "kl_e1", 0.30685281944),
-        ((1, 0), UNKNOWN, "kl_e1", 0.19314718056),
-        ((1, 0), OCCUPIED, "kl_e1", 1.0),
-        ((0, 0), OCCUPIED, "kl_e10", 7.6021047272),
-        ((10, 0), FREE, "kl_e1", 0.886566274057),
-        ((0.5, 0.5), UNKNOWN, "kl_e1", 0.0484172947105),
-        ((0, 0), UNKNOWN, "kl_e10", 0.0),
-        ((0, 0), FREE, "kl_e1_reverse", 0.19314718056),
-        ((0, 1), FREE, "kl_e1_reverse", 1.0),
-        ((1, 0), UNKNOWN, "kl_e1_reverse", 0.30685281944),
-        ((0, 10), UNKNOWN, "kl_e10_reverse", 7.6021047272),
-    ],
-)
+@each(("evidence", "state", "metric", "value"), [
+    ((0, 0), FREE, "kl_e1", 0.30685281944), ((1, 0), UNKNOWN, "kl_e1", 0.19314718056),
+    ((1, 0), OCCUPIED, "kl_e1", 1.0), ((0, 0), OCCUPIED, "kl_e10", 7.6021047272),
+    ((10, 0), FREE, "kl_e1", 0.886566274057), ((0.5, 0.5), UNKNOWN, "kl_e1", 0.0484172947105),
+    ((0, 0), UNKNOWN, "kl_e10", 0.0), ((0, 0), FREE, "kl_e1_reverse", 0.19314718056),
+    ((0, 1), FREE, "kl_e1_reverse", 1.0), ((1, 0), UNKNOWN, "kl_e1_reverse", 0.30685281944),
+    ((0, 10), UNKNOWN, "kl_e10_reverse", 7.6021047272),
+])  # fmt: skip
 def test_divergence_has_the_value_of_sixty_digits(
     evidence: tuple[float, float], state: int, metric: str, value: float
 ) -> None:
