@@ -1,18 +1,24 @@
 """Grids in ``.npz`` files: lossless, whole or as they were, and harmless whatever they hold."""
 
 import contextlib
+import hashlib
 import io
 import resource
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each, refused
+from damage import check_flips
 from moving import street
 
 from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, OgmError
-from ogm.io.grids import read_grid
+from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
+from ogm.pose import pose
 from ogm.storage.archive import stated_format
 
 SPEC = GridSpec(0.0625, (31, 17), (-1.03125, 2.2))
@@ -31,7 +37,7 @@ def layered() -> LayeredGrid:
     return LayeredGrid(SPEC, layers)
 
 
-EVERY = pytest.mark.parametrize("make", [evidential, street, layered])
+EVERY = each("make", [evidential, street, layered])
 Make = Callable[[], Grid]
 
 
@@ -67,7 +73,7 @@ def header_of(shape: object, kind: str = "<f4") -> bytes:
     return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
 
 
-@EVERY
+@each("make", [evidential, street, layered, lambda: LayeredGrid(SPEC, {})])
 def test_save_and_load_lose_nothing(tmp_path: Path, make: Make) -> None:
     grid = make()
     grid.save(tmp_path / "a.npz")
@@ -80,20 +86,21 @@ def test_save_and_load_lose_nothing(tmp_path: Path, make: Make) -> None:
         assert tuple(data["origin"]) == grid.spec.origin
 
 
-def test_a_grid_without_layers_comes_back(tmp_path: Path) -> None:
-    LayeredGrid(SPEC, {}).save(tmp_path / "a.npz")
-    assert LayeredGrid.load(tmp_path / "a.npz") == LayeredGrid(SPEC, {})
-
-
-def test_a_grid_is_not_taken_for_one_of_another_kind(tmp_path: Path) -> None:
-    kinds = (evidential(), street(), layered())
+def test_a_grid_is_not_taken_for_one_of_another_kind_or_version(tmp_path: Path) -> None:
+    path, kinds = tmp_path / "a.npz", (evidential(), street(), layered())
     for grid in kinds:
-        grid.save(tmp_path / "a.npz")
+        grid.save(path)
         for other in kinds:
             if other is not grid:
                 message = f"not an ogm.{type(other).__name__}/1 file: found ogm.{type(grid).__name__}/1"
-                with pytest.raises(OgmError, match=message):
-                    type(other).load(tmp_path / "a.npz")
+                refused(message, type(other).load, path, error=OgmError)
+    for arrays, message in (
+        ({"other": np.zeros(3)}, "found arrays"),
+        ({"format": np.array("ogm.EvidentialGrid/9")}, r"EvidentialGrid/9"),
+        ({"format": np.array([{}], dtype=object)}, "pickle"),
+    ):
+        np.savez(path, **arrays)
+        refused(message, EvidentialGrid.load, path, error=OgmError)
 
 
 @EVERY
@@ -105,13 +112,14 @@ def test_a_failed_save_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: py
         file.write(b"half")  # type: ignore[attr-defined]
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(np.lib.format, "write_array", breaks)
-    with pytest.raises(KeyboardInterrupt):
-        make().save(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(np.lib.format, "write_array", breaks)
+        with pytest.raises(KeyboardInterrupt):
+            make().save(path)
     assert path.read_bytes() == b"old"
     assert [one.name for one in tmp_path.iterdir()] == ["a.npz"]
-    with pytest.raises(ValueError, match=r"saved as \.npz, got .*a\.zip"):
-        make().save(tmp_path / "a.zip")
+    refused(r"saved as \.npz, got .*a\.zip", make().save, tmp_path / "a.zip")
+    refused("no folder", make().save, tmp_path / "none" / "a.npz", error=FileNotFoundError)
 
 
 @EVERY
@@ -121,29 +129,12 @@ def test_cut_files_are_refused_by_their_name(tmp_path: Path, make: Make) -> None
     whole = path.read_bytes()
     for size in (0, 1, 20, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:size])
-        with pytest.raises(OgmError) as caught:
-            type(make()).load(path)
-        assert str(caught.value).count("a.npz") == 1
+        assert refused("", type(make()).load, path, error=OgmError).count("a.npz") == 1
     path.unlink()
-    with pytest.raises(FileNotFoundError):
-        type(make()).load(path)
-
-
-@EVERY
-def test_changed_bytes_are_an_error_of_ours_or_a_grid(tmp_path: Path, make: Make) -> None:
-    path, rng = tmp_path / "a.npz", np.random.default_rng(0)
-    grid = make()
-    grid.save(path)
-    whole, refused = path.read_bytes(), 0
-    for _ in range(200):
-        damaged = bytearray(whole)
-        damaged[rng.integers(len(whole))] ^= int(rng.integers(1, 256))
-        path.write_bytes(bytes(damaged))
-        try:
-            type(grid).load(path)
-        except OgmError:
-            refused += 1
-    assert refused > 100
+    refused("", type(make()).load, path, error=FileNotFoundError)
+    path.mkdir()
+    refused("", make().save, path, error=IsADirectoryError)
+    path.rmdir()
 
 
 LIES = {
@@ -162,69 +153,136 @@ LIES = {
 
 
 @EVERY
-@pytest.mark.parametrize("lie", LIES)
+@each("lie", LIES)
 def test_headers_that_lie_take_no_memory(tmp_path: Path, make: Make, lie: str) -> None:
     path, grid = tmp_path / "a.npz", make()
     grid.save(path)
     repacked(path, **{"layers" if isinstance(grid, LayeredGrid) else "mass": LIES[lie]})
-    with little_memory(), pytest.raises(OgmError, match=r"a\.npz: "):
-        type(grid).load(path)
+    with little_memory():
+        refused(r"a\.npz: ", type(grid).load, path, error=OgmError)
 
 
 @EVERY
-@pytest.mark.parametrize("name", ["format", "resolution", "origin"])
+@each("name", ["format", "resolution", "origin"])
 def test_every_array_is_needed_and_checked(tmp_path: Path, make: Make, name: str) -> None:
     path, grid = tmp_path / "a.npz", make()
     for wrong in (None, np.array([{}], object), np.full(3, np.nan), np.array("text"), np.array([[np.inf, -1.0]])):
         grid.save(path)
         repacked(path, **{name: wrong})
-        with pytest.raises(OgmError, match=r"a\.npz: "):
-            type(grid).load(path)
+        refused(r"a\.npz: ", type(grid).load, path, error=OgmError)
 
 
 def test_numbers_that_are_no_grid_are_refused(tmp_path: Path) -> None:
-    path, grid = tmp_path / "a.npz", street()
-    for arrays in (
-        {"mass": grid.mass * 2},
-        {"mass": grid.mass[..., :2].copy()},
-        {"velocity": grid.mass},
-        {"covariance": None},
-        {"covariance": grid.velocity},
+    path, grid, layers = tmp_path / "a.npz", street(), layered()
+    for whole, name, wrong in (
+        (grid, "mass", grid.mass * 2),
+        (grid, "mass", grid.mass[..., :2].copy()),
+        (grid, "velocity", grid.mass),
+        (grid, "covariance", None),
+        (grid, "covariance", grid.velocity),
+        (layers, "names", np.array(["one"])),
+        (layers, "layers", layers["file"]),
+        (layers, "names", None),
     ):
-        grid.save(path)
-        repacked(path, **arrays)
-        with pytest.raises(OgmError, match=r"a\.npz: "):
-            DynamicGrid.load(path)
-    layers = layered()
-    for arrays in ({"names": np.array(["one"])}, {"layers": layers["file"]}, {"names": None}):
-        layers.save(path)
-        repacked(path, **arrays)
-        with pytest.raises(OgmError, match=r"a\.npz: "):
-            LayeredGrid.load(path)
+        whole.save(path)
+        repacked(path, **{name: wrong})
+        refused(r"a\.npz: ", type(whole).load, path, error=OgmError)
 
 
-@pytest.mark.parametrize("kind", [EvidentialGrid, DynamicGrid, LayeredGrid])
-def test_a_bomb_is_not_unpacked(tmp_path: Path, kind: type[Grid]) -> None:
-    """20 GB of zeros, announced as they are."""
-    path = tmp_path / "bomb.npz"
+def announced(path: Path, size: int) -> bytearray:
+    """Write an archive whose one array is said to have a size [bytes]; return what stands in it."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("mass.npy", b"x")
     data = bytearray(path.read_bytes())
     at = data.rfind(b"PK\x01\x02") + 24  # the uncompressed size in the archive's directory
-    data[at : at + 4] = (2**32 - 2).to_bytes(4, "little")
+    data[at : at + 4] = size.to_bytes(4, "little")
     path.write_bytes(bytes(data))
+    return data
+
+
+def test_a_bomb_is_not_unpacked(tmp_path: Path) -> None:
+    """The largest grid has 2**28 cells of 8 bytes; 1 MiB is left for the rest. 20 GB of zeros may be announced, too."""
+    path = tmp_path / "bomb.npz"
+    for size, message in (
+        (2**32 - 2, "holds 42949"),
+        (2**31 + 2**20 + 1, "holds 2148532225 bytes"),
+        (2**31 + 2**20, "found arrays"),
+    ):
+        announced(path, size)
+        refused(message, EvidentialGrid.load, path, error=OgmError)
+    data = announced(path, 2**32 - 2)
     repeated = data[: data.rfind(b"PK\x01\x02")]
     entry = data[data.rfind(b"PK\x01\x02") : data.rfind(b"PK\x05\x06")]
     end = bytearray(data[data.rfind(b"PK\x05\x06") :])
     end[8:10] = end[10:12] = (5).to_bytes(2, "little")
     end[12:16] = (5 * len(entry)).to_bytes(4, "little")
     path.write_bytes(bytes(repeated + 5 * entry + end))
-    with little_memory(), pytest.raises(OgmError, match="holds 21474836470 bytes when decoded"):
-        kind.load(path)
+    with little_memory():
+        for kind in (EvidentialGrid, DynamicGrid, LayeredGrid):
+            refused("holds 21474836470 bytes when decoded", kind.load, path, error=OgmError)
 
 
 def test_read_grid_names_the_file_once(tmp_path: Path) -> None:
     (tmp_path / "a.npz").write_bytes(b"PK\x03\x04")
-    with pytest.raises(OgmError) as caught:
-        read_grid(tmp_path / "a.npz")
-    assert str(caught.value).count("a.npz") == 1
+    assert refused("", read_grid, tmp_path / "a.npz", error=OgmError).count("a.npz") == 1
+
+
+# ---- checksums
+
+
+def test_flipped_bits_of_a_grid_are_found(tmp_path: Path) -> None:
+    spec = GridSpec(0.5, (6, 5), (-1.5, 2.0))
+    mass = evidential().mass[:6, :5]
+    layers = LayeredGrid(spec, {"height": mass[..., 0], "": mass[..., 1]})
+    for number, (grid, most) in enumerate(((EvidentialGrid(spec, mass), 600), (layers, 150), (street(), 150))):
+        path = tmp_path / f"{number}.npz"
+        grid.save(path)
+        found = check_flips(path, partial(type(grid).load, path), most)
+        assert found["refused"] > found["harmless"], grid
+
+
+def test_removed_and_exchanged_arrays_of_a_grid_are_named(tmp_path: Path) -> None:
+    """Each array has the CRC-32 that it should."""
+    path, grid = tmp_path / "grid.npz", evidential()
+    EvidentialGrid(SPEC, grid.mass[::-1]).save(path)
+    with zipfile.ZipFile(path) as archive:
+        other = {name: archive.read(f"{name}.npy") for name in ("mass", "checksums")}
+    for name in ("states", "axes", "resolution", "origin", "mass"):
+        grid.save(path)
+        repacked(path, **{name: None})
+        refused(rf"grid\.npz: its array {name} is missing", EvidentialGrid.load, path, error=OgmError)
+    grid.save(path)
+    repacked(path, mass=other["mass"])
+    refused(r"grid\.npz: its array mass is damaged", EvidentialGrid.load, path, error=OgmError)
+    repacked(path, **other)
+    assert EvidentialGrid.load(path) == EvidentialGrid(SPEC, grid.mass[::-1])
+    repacked(path, checksums=None)  # of an earlier version
+    assert EvidentialGrid.load(path) == EvidentialGrid(SPEC, grid.mass[::-1])
+
+
+def test_the_checksum_of_an_array_is_that_of_its_file(tmp_path: Path) -> None:
+    """What ``unzip -p grid.npz mass.npy | sha256sum`` prints."""
+    street().save(tmp_path / "grid.npz")
+    with np.load(tmp_path / "grid.npz", allow_pickle=False) as data, zipfile.ZipFile(tmp_path / "grid.npz") as archive:
+        sums = dict(data["checksums"].tolist())
+        assert sums.keys() == {*data.files} - {"checksums"}
+        assert all(hashlib.sha256(archive.read(f"{name}.npy")).hexdigest() == one for name, one in sums.items())
+
+
+@pytest.mark.parametrize("name", ["map.nc", "map.zarr", "map.mcap"])
+def test_flipped_bits_of_other_maps_are_found(tmp_path: Path, name: str) -> None:
+    """Attributes, such as the stamp, have no checksum in NetCDF and Zarr; masses and coordinates do."""
+    packages = {".nc": ("xarray", "netCDF4"), ".zarr": ("xarray", "zarr"), ".mcap": ("rosbags", "mcap")}
+    spec, path = GridSpec(0.5, (6, 5), (-1.5, 2.0)), tmp_path / name
+    grid = EvidentialGrid(spec, evidential().mass[:6, :5])
+    for package in packages[path.suffix]:
+        pytest.importorskip(package)
+    if name == "map.mcap":
+        with GridLog(path, "grid-map") as log:
+            log.write(PlacedGrid(grid, pose(1.0, 2.0), stamp=1.0))
+    else:
+        write_grid(path, PlacedGrid(grid, pose(1.0, 2.0)))
+    found = Counter[str]()
+    for file in sorted(one for one in (path, *path.rglob("*")) if one.is_file()):
+        found += check_flips(file, lambda: read_placed_grid(path).upright, 150 if path.is_file() else 15, name)
+    assert found["refused"] > 5

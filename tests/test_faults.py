@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each, refused
 
 from ogm.datasets import open_dataset
 from ogm.grid import EvidentialGrid, GridSpec
@@ -89,24 +90,24 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("room", [0, 100, 3000])
-@pytest.mark.parametrize("ending", [".npz", ".yaml", ".tif", ".nc", ".zarr", ".png", ".mcap", ".db3", ".bag"])
-def test_a_full_disk_is_an_error_that_names_the_file_and_leaves_the_earlier_one(
-    tmp_path: Path, ending: str, room: int
-) -> None:
-    path = tmp_path / f"map{ending}"
+@each("ending", [".npz", ".yaml", ".tif", ".nc", ".zarr", ".png", ".mcap", ".db3", ".bag"])
+def test_a_full_disk_is_an_error_that_names_the_file_and_leaves_the_earlier_one(tmp_path: Path, ending: str) -> None:
+    folder = tmp_path / ending
+    folder.mkdir()
+    path = folder / f"map{ending}"
     write_grid(path, PlacedGrid(grid(0)))
-    if max(len(data) for data in contents(tmp_path).values()) <= room:
-        pytest.skip("it is smaller than that")
-    before = contents(tmp_path)
-    with file_size_limit(room), pytest.raises(OSError, match=f"map{ending}|map.pgm") as caught:
-        write_grid(path, PlacedGrid(grid(1)))
-    assert caught.value.errno in (errno.EFBIG, errno.EIO, errno.ENOSPC)
-    assert caught.value.filename in (str(path), str(path.with_suffix(".pgm")))
-    assert contents(tmp_path) == before
+    before = contents(folder)
+    for room in (0, 100, 3000):
+        if max(len(data) for data in before.values()) <= room:
+            continue
+        with file_size_limit(room), pytest.raises(OSError, match=f"map{ending}|map.pgm") as caught:
+            write_grid(path, PlacedGrid(grid(1)))
+        assert caught.value.errno in (errno.EFBIG, errno.EIO, errno.ENOSPC)
+        assert caught.value.filename in (str(path), str(path.with_suffix(".pgm")))
+        assert contents(folder) == before, room
 
 
-@pytest.mark.parametrize("ending", [".mcap", ".db3", ".bag"])
+@each("ending", [".mcap", ".db3", ".bag"])
 def test_a_disk_that_fills_while_a_log_is_written(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"maps{ending}"
 
@@ -123,14 +124,14 @@ def test_a_disk_that_fills_while_a_log_is_written(tmp_path: Path, ending: str) -
 # ---- files that change while they are read
 
 
-@pytest.mark.parametrize("ending", [".mcap", ".db3", ".bag"])
-@pytest.mark.parametrize("change", ["cut", "gone"])
+@each("ending", [".mcap", ".db3", ".bag"])
+@each("change", ["cut", "gone"])
 def test_of_a_log_that_is_cut_or_gone_while_it_is_read_no_message_is_lost_in_silence(
     tmp_path: Path, ending: str, change: str
 ) -> None:
-    path = tmp_path / f"log{ending}"
+    path = tmp_path / f"{change}{ending}"
     with LogWriter(path) as log:
-        for k in range(3000):
+        for k in range(1500):
             T = np.eye(4)
             T[0, 3] = k
             log.write("/tf", "tf2_msgs/msg/TFMessage", tf_message([StampedTransform("map", "car", k, T)]), k)
@@ -142,10 +143,10 @@ def test_of_a_log_that_is_cut_or_gone_while_it_is_read_no_message_is_lost_in_sil
         else:
             path.unlink()
         count = 1 + sum(1 for _ in messages)
-    if count != 3000:  # an open file stays readable
+    if count != 1500:  # an open file stays readable
         assert change == "cut"
         lost = [int(line.split()[0]) for line in reader.warnings if str(path) in line]
-        assert count + sum(lost) == 3000
+        assert count + sum(lost) == 1500
 
 
 def test_scans_that_are_cut_or_gone_after_a_folder_was_opened_are_errors(tmp_path: Path) -> None:
@@ -155,10 +156,8 @@ def test_scans_that_are_cut_or_gone_after_a_folder_was_opened_are_errors(tmp_pat
     (tmp_path / "000001.bin").unlink()
     os.truncate(tmp_path / "000002.bin", 77)
     assert len(dataset[0].scan) == 50
-    with pytest.raises(FileNotFoundError, match="000001.bin"):
-        _ = dataset[1].scan
-    with pytest.raises(OgmError, match="000002.bin"):
-        _ = dataset[2].scan
+    refused("000001.bin", lambda: dataset[1].scan, error=FileNotFoundError)
+    refused("000002.bin", lambda: dataset[2].scan, error=OgmError)
 
 
 LOST = """

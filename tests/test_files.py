@@ -4,7 +4,6 @@ import asyncio
 import errno
 import logging
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -12,6 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from cases import each
+from test_faults import file_size_limit
 from typer.testing import CliRunner
 
 import ogm.storage.files
@@ -49,7 +50,7 @@ def test_a_file_appears_whole_or_not_at_all(named, mode, tmp_path, monkeypatch):
     assert path.stat().st_mode & 0o777 == 0o666 & ~umask
 
 
-@pytest.mark.parametrize("length", [241, 242, 250, 255])
+@each("length", [241, 242, 250, 255])
 def test_names_may_be_as_long_as_the_system_lets_them(length, tmp_path):
     path = tmp_path / ("n" * (length - 4) + ".tif")
     with atomic_write(path) as file:
@@ -58,6 +59,7 @@ def test_names_may_be_as_long_as_the_system_lets_them(length, tmp_path):
         temporary.write_bytes(b"y")
     assert path.read_bytes() == b"y"
     assert len(os.listdir(tmp_path)) == 1
+    path.unlink()
 
 
 @pytest.mark.skipif(not hasattr(os, "O_TMPFILE"), reason="this system has no files without a name")
@@ -74,22 +76,15 @@ def test_a_killed_process_leaves_nothing(tmp_path):
         pytest.skip("the file system of the tests has no files without a name")
 
 
-def too_large_for_the_disk(path: Path) -> None:
-    with atomic_write(path) as file:
-        file.write(bytes(100_000))
-
-
-def test_the_error_of_a_full_disk_names_the_file(tmp_path, monkeypatch):
+def test_the_error_of_a_full_disk_names_the_file(tmp_path):
     path = tmp_path / "a.bin"
-    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, before[1]))
-    try:
-        with pytest.raises(OSError, match="a.bin") as caught:
-            too_large_for_the_disk(path)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, ignored)
+
+    def write() -> None:
+        with atomic_write(path) as file:
+            file.write(bytes(100_000))
+
+    with file_size_limit(10_000), pytest.raises(OSError, match="a.bin") as caught:
+        write()
     assert (caught.value.errno, caught.value.filename) == (errno.EFBIG, str(path))
     assert not os.listdir(tmp_path)
     for number in (errno.ENOSPC, errno.EDQUOT):
@@ -133,7 +128,7 @@ def test_tables_and_the_log_write_control_characters_out(capsys):
 # ---- interrupts
 
 
-@pytest.mark.parametrize("chained", [False, True])
+@each("chained", [False, True])
 def test_an_import_that_was_interrupted_is_no_missing_package(chained, capsys):
     def command() -> None:
         if not chained:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +19,7 @@ def random_truth(seed: int = 0, spec: GridSpec = SPEC) -> Truth:
     return Truth(spec, np.random.default_rng(seed).integers(0, 4, spec.shape).astype(np.uint8))
 
 
-@pytest.mark.parametrize(
+@each(
     ("free", "occupied", "state"),
     [
         (0.0, 0.0, UNKNOWN),
@@ -79,7 +80,9 @@ def test_a_crop_equals_the_loop_over_cells(seed: int, yaw: float, dx: float, dy:
 
 
 def test_a_crop_without_motion_is_a_slice_and_beyond_the_edge_ignored() -> None:
-    truth = random_truth(3)
+    truth, square = random_truth(3), GridSpec.centered(10.0, 10.0, 0.5)
+    turned = random_truth(4, square).crop(square, math.pi / 2)
+    np.testing.assert_array_equal(turned.state, np.rot90(random_truth(4, square).state))
     inner = truth.crop(GridSpec(0.5, (10, 6), (-2.0, -1.0)))
     np.testing.assert_array_equal(inner.state, truth.state[20:30, 12:18])
     outer = truth.crop(GridSpec(0.5, (42, 32), (-12.5, -7.5)))
@@ -87,18 +90,6 @@ def test_a_crop_without_motion_is_a_slice_and_beyond_the_edge_ignored() -> None:
     frame = np.ones((42, 32), bool)
     frame[1:-1, 1:-1] = False
     assert (outer.state[frame] == IGNORE).all()
-
-
-def test_a_quarter_turn_turns_the_cells() -> None:
-    spec = GridSpec.centered(10.0, 10.0, 0.5)
-    truth = random_truth(4, spec)
-    np.testing.assert_array_equal(truth.crop(spec, math.pi / 2).state, np.rot90(truth.state))
-
-
-@pytest.mark.parametrize("name", ["yaw", "dx", "dy"])
-def test_a_crop_by_what_is_not_finite_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match="must be finite"):
-        random_truth().crop(SPEC, **{name: math.nan})
 
 
 def test_mirroring_twice_changes_nothing_and_once_exchanges_left_and_right() -> None:
@@ -121,15 +112,10 @@ def test_shares_sum_to_one_and_the_grid_holds_what_is_known() -> None:
     np.testing.assert_array_equal(predict_state(truth.grid.mass)[truth.known], truth.state[truth.known])
 
 
-@pytest.mark.parametrize(
-    ("state", "error", "message"),
-    [
-        (np.zeros((40, 30), np.int64), TypeError, "uint8 array, got int64; convert"),
-        ([[0]], TypeError, "uint8 array, got list"),
-        (np.zeros((30, 40), np.uint8), ValueError, r"shape \(30, 40\), but the spec has \(40, 30\)"),
-        (np.full((40, 30), 4, np.uint8), ValueError, "3 ignore, got 4"),
-    ],
-)
-def test_what_is_no_truth_is_refused(state: object, error: type, message: str) -> None:
-    with pytest.raises(error, match=message):
-        Truth(SPEC, state)
+def test_what_is_no_truth_is_refused() -> None:
+    refused("uint8 array, got int64; convert", Truth, SPEC, np.zeros((40, 30), np.int64), error=TypeError)
+    refused("uint8 array, got list", Truth, SPEC, [[0]], error=TypeError)
+    refused(r"shape \(30, 40\), but the spec has \(40, 30\)", Truth, SPEC, np.zeros((30, 40), np.uint8))
+    refused("3 ignore, got 4", Truth, SPEC, np.full((40, 30), 4, np.uint8))
+    for name in ("yaw", "dx", "dy"):
+        refused("must be finite", random_truth().crop, SPEC, **{name: math.nan})

@@ -5,10 +5,11 @@ import lzma
 
 import numpy as np
 import pytest
+from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ogm import EvidentialGrid, GridSpec
+from ogm import GridSpec
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
 from ogm.state import PARTICIPANT, CellState, Truth
@@ -53,10 +54,6 @@ def truth_of(hits: list[tuple], **known) -> Truth:
     return finalize_truth(seen, SMALL, **known)
 
 
-def random_truth(seed: int = 0, spec: GridSpec = SMALL) -> Truth:
-    return Truth(spec, np.random.default_rng(seed).integers(0, 4, spec.shape).astype(np.uint8))
-
-
 # --- Rules ------------------------------------------------------------------------------------------
 
 
@@ -70,25 +67,13 @@ def test_nothing_is_known_without_hits() -> None:
     assert (truth_of([]).state == UNKNOWN).all()
 
 
-@pytest.mark.parametrize(
-    ("kind", "height", "state"),
-    [
-        (Kind.GROUND, 0.0, FREE),
-        (Kind.GROUND, -0.3, FREE),
-        (Kind.GROUND, 1.9, FREE),
-        (Kind.GROUND, 2.5, UNKNOWN),  # the deck of a bridge is no evidence of the road below
-        (Kind.OBSTACLE, 0.02, UNKNOWN),
-        (Kind.OBSTACLE, 0.05, OCCUPIED),
-        (Kind.OBSTACLE, 1.99, OCCUPIED),
-        (Kind.OBSTACLE, 2.0, UNKNOWN),
-        (Kind.PLANT, 0.1, FREE),
-        (Kind.PLANT, 0.3, OCCUPIED),
-        (Kind.PLANT, 3.0, UNKNOWN),
-        (Kind.STEP, 0.02, UNKNOWN),
-        (Kind.STEP, 0.12, OCCUPIED),
-        (Kind.OTHER, 1.0, UNKNOWN),
-    ],
-)
+@each(("kind", "height", "state"), [
+    *((Kind.GROUND, 0.0, FREE), (Kind.GROUND, -0.3, FREE), (Kind.GROUND, 1.9, FREE)),
+    (Kind.GROUND, 2.5, UNKNOWN),  # the deck of a bridge is no evidence of the road below
+    *((Kind.OBSTACLE, 0.02, UNKNOWN), (Kind.OBSTACLE, 0.05, OCCUPIED), (Kind.OBSTACLE, 1.99, OCCUPIED)),
+    *((Kind.OBSTACLE, 2.0, UNKNOWN), (Kind.PLANT, 0.1, FREE), (Kind.PLANT, 0.3, OCCUPIED), (Kind.PLANT, 3.0, UNKNOWN)),
+    *((Kind.STEP, 0.02, UNKNOWN), (Kind.STEP, 0.12, OCCUPIED), (Kind.OTHER, 1.0, UNKNOWN)),
+])  # fmt: skip
 def test_kind_and_height_decide(kind: Kind, height: float, state: int) -> None:
     truth = truth_of([(1, 2, kind, height)])
     assert truth.state[SMALL.index(1, 2)] == state
@@ -154,20 +139,6 @@ def test_turning_hits_and_boxes_by_a_quarter_turns_the_truth() -> None:
     footprint = cells_in_footprint((-1, 1, 0, 1), SMALL)
     other = truth_of(turned, boxes=there.moved(quarter), returns=[60], unobserved=footprint)
     np.testing.assert_array_equal(np.rot90(truth.state, 1), other.state)
-
-
-def test_shares_sum_to_one_and_count_cells() -> None:
-    truth = Truth(GridSpec(1.0, (2, 2), (0, 0)), np.array([[0, 1], [2, 3]], np.uint8))
-    assert truth.shares() == (0.25, 0.25, 0.25, 0.25)
-
-
-def test_the_grid_is_dogmatic_where_known_and_vacuous_elsewhere() -> None:
-    truth = random_truth()
-    grid = truth.grid
-    EvidentialGrid(grid.spec, grid.mass)  # checks
-    np.testing.assert_array_equal(grid.free, truth.state == FREE)
-    np.testing.assert_array_equal(grid.occupied, truth.state == OCCUPIED)
-    np.testing.assert_array_equal(grid.unknown == 0, truth.known)
 
 
 def test_cells_beyond_the_world_are_ignored_unless_hit() -> None:
@@ -237,7 +208,7 @@ def test_heights_are_kept_in_centimetres_and_participants_have_none_of_their_own
     assert mirrored.tolist() == [[0, 200, 5], [30, PARTICIPANT, 50]]
 
 
-@pytest.mark.parametrize(
+@each(
     ("x", "y", "z", "kind", "bits"),
     [
         (-3.5, 0.0, 0.0, Kind.GROUND, 1),  # the lower edges are inside
@@ -284,64 +255,11 @@ def test_an_observation_may_be_built_up_in_parts() -> None:
 # --- Crops ------------------------------------------------------------------------------------------
 
 
-def test_a_crop_without_a_turn_is_a_cut() -> None:
-    truth = random_truth(spec=TRUTH_SPEC)
-    cut = truth.crop(PAPER)
-    np.testing.assert_array_equal(cut.state, truth.state[56:-56, 136:-136])
-    np.testing.assert_array_equal(truth.crop(TRUTH_SPEC).state, truth.state)
-
-
-@pytest.mark.parametrize("quarters", [1, 2, 3, -1])
-def test_a_crop_turned_by_quarters_is_the_turned_array(quarters: int) -> None:
-    truth = random_truth(spec=TRUTH_SPEC)
-    turned = truth.crop(TRUTH_SPEC, yaw=quarters * np.pi / 2)
-    np.testing.assert_array_equal(turned.state, np.rot90(truth.state, quarters))
-
-
-def test_a_crop_moves_cells_along_with_points() -> None:
-    truth = Truth(SMALL, np.zeros(SMALL.shape, np.uint8))
-    truth.state[SMALL.index(2.0, 0.0)] = OCCUPIED
-    yaw, dx, dy = np.deg2rad(37.0), 0.3, -0.7
-    there = truth.crop(SMALL.refined(5), yaw, dx, dy)
-    ix, iy = np.nonzero(there.state == OCCUPIED)
-    x, y = there.spec.cell_centers
-    middle = pose(dx, dy, yaw=yaw)[:2] @ [2.0, 0.0, 0.0, 1.0]
-    np.testing.assert_allclose((x[ix, 0].mean(), y[0, iy].mean()), middle, atol=0.05)
-    assert abs(len(ix) - 25) <= 3
-
-
 @given(st.floats(-10, 10))
 @settings(max_examples=40, deadline=None)
 def test_the_truth_extent_covers_the_papers_grid_at_any_turn(yaw: float) -> None:
     truth = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, FREE, np.uint8))
     assert (truth.crop(PAPER, yaw).state == FREE).all()
-
-
-def test_what_a_crop_does_not_cover_is_ignored_never_unknown() -> None:
-    crop = Truth(PAPER, np.full(PAPER.shape, FREE, np.uint8)).crop(PAPER, yaw=np.pi / 4)
-    assert set(np.unique(crop.state)) == {FREE, IGNORE}
-    x, y = PAPER.cell_centers
-    c = np.sqrt(0.5)
-    inside = PAPER.contains(c * (x + y), c * (y - x))
-    np.testing.assert_array_equal(crop.state == FREE, inside)
-
-
-def test_turning_there_and_back_keeps_most_cells() -> None:
-    state = np.zeros(TRUTH_SPEC.shape, np.uint8)
-    state[200:300, 250:400] = FREE
-    state[220:240, 260:300] = OCCUPIED
-    truth = Truth(TRUTH_SPEC, state)
-    back = truth.crop(TRUTH_SPEC, 0.7).crop(PAPER, -0.7)
-    assert (back.state == truth.crop(PAPER).state).mean() > 0.995
-
-
-def test_a_mirror_exchanges_left_and_right() -> None:
-    truth = truth_of([(2, 3, Kind.OBSTACLE, 1.0), (0, -2, Kind.GROUND, 0.0)])
-    mirrored = truth_of([(2, -3, Kind.OBSTACLE, 1.0), (0, 2, Kind.GROUND, 0.0)])
-    np.testing.assert_array_equal(truth.mirrored().state, mirrored.state)
-    lopsided = random_truth(spec=GridSpec(1.0, (3, 4), (0.0, 1.0)))
-    assert lopsided.mirrored().spec.extent == (0, 3, -5, -1)
-    np.testing.assert_array_equal(lopsided.mirrored().mirrored().state, lopsided.state)
 
 
 # --- Boxes ------------------------------------------------------------------------------------------
@@ -413,58 +331,28 @@ def test_a_box_seen_from_a_tilted_sensor_holds_all_its_corners_in_height() -> No
 # --- Bad input --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("returns", [None, [1, 2], 50])
-def test_boxes_need_their_returns(returns) -> None:
-    with pytest.raises(ValueError, match=r"returns must have shape \(1,\)"):
-        truth_of([], boxes=BOX, returns=returns)
-
-
 def test_no_boxes_are_boxes_too() -> None:
     truth = truth_of([(0, 0, Kind.GROUND, 0.0)], boxes=Boxes.empty(), returns=np.zeros(0, int))
     assert np.count_nonzero(truth.state) == 1
 
 
-@pytest.mark.parametrize(
-    ("state", "error", "message"),
-    [
-        (np.zeros((7, 7)), TypeError, "uint8.*float64"),
-        ([[0] * 7] * 7, TypeError, "list"),
-        (np.zeros((7, 6), np.uint8), ValueError, r"\(7, 6\)"),
-        (np.full((7, 7), 4, np.uint8), ValueError, "got 4"),
-    ],
-)
-def test_states_that_are_none_are_refused(state, error: type, message: str) -> None:
-    with pytest.raises(error, match=message):
-        Truth(SMALL, state)
-
-
-def test_a_crop_refuses_a_yaw_that_is_no_number() -> None:
-    with pytest.raises(ValueError, match="finite"):
-        random_truth().crop(SMALL, yaw=float("nan"))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: count_returns(np.zeros((3, 2)), BOX), r"points must have shape"),
-        (lambda: boxes_seen_from(np.eye(4), [np.eye(4)], np.ones((2, 3))), "1 poses and 2 sizes"),
-        (lambda: truth_from_points(np.zeros((3, 2)), np.zeros(3, int), SMALL), "points must have shape"),
-        (lambda: truth_from_points(np.zeros((3, 3)), np.zeros(2, int), SMALL), "one Kind per point"),
-        (lambda: truth_from_points(np.zeros((3, 3)), np.array([0, 5, 0]), SMALL), "one Kind per point"),
-        (lambda: truth_from_points(np.zeros((3, 3)), np.array([0, -1, 0]), SMALL), "one Kind per point"),
-        (lambda: height_above_ground(np.zeros(3), np.zeros(3, bool)), "xyz must have shape"),
-        (lambda: height_above_ground(np.zeros((3, 3)), np.zeros(3, int)), "is_ground must be 3 booleans"),
-        (lambda: height_above_ground(np.full((3, 3), np.nan), np.ones(3, bool)), "xyz holds NaN"),
-        (lambda: height_above_ground(np.diag([1e30, 1e30, 0]), np.ones(3, bool)), "one lies at .*: drop it"),
-        (
-            lambda: height_above_ground(np.array([[0, 0, 1e9], [2e4, 3e4, 0]]), np.ones(2, bool)),
-            r"one lies at \[20000.0, 30000.0\] m",
-        ),
-    ],
-)
-def test_wrong_points_are_refused(call, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        call()
+def test_wrong_points_are_refused() -> None:
+    three, nothing = np.zeros((3, 3)), np.zeros(3, int)
+    for returns in (None, [1, 2], 50):
+        refused(r"returns must have shape \(1,\)", truth_of, [], boxes=BOX, returns=returns)
+    refused("points must have shape", count_returns, np.zeros((3, 2)), BOX)
+    refused("1 poses and 2 sizes", boxes_seen_from, np.eye(4), [np.eye(4)], np.ones((2, 3)))
+    refused("points must have shape", truth_from_points, np.zeros((3, 2)), nothing, SMALL)
+    for kind in (np.zeros(2, int), np.array([0, 5, 0]), np.array([0, -1, 0])):
+        refused("one Kind per point", truth_from_points, three, kind, SMALL)
+    for xyz, is_ground, message in (
+        (np.zeros(3), np.zeros(3, bool), "xyz must have shape"),
+        (three, nothing, "is_ground must be 3 booleans"),
+        (three * np.nan, np.ones(3, bool), "xyz holds NaN"),
+        (np.diag([1e30, 1e30, 0]), np.ones(3, bool), "one lies at .*: drop it"),
+        (np.array([[0, 0, 1e9], [2e4, 3e4, 0]]), np.ones(2, bool), r"one lies at \[20000.0, 30000.0\] m"),
+    ):
+        refused(message, height_above_ground, xyz, is_ground)
 
 
 # --- Recordings -------------------------------------------------------------------------------------
@@ -558,33 +446,3 @@ def test_a_labelled_scan_makes_a_plausible_truth(real, name, ground, plants, oth
     assert (truth.state[only_ground] == FREE).all()
     nothing = ~hits.any(axis=2) & ~truth.ignored
     assert (truth.state[nothing] == UNKNOWN).all()
-
-
-def test_vehicles_of_argoverse_become_occupied(real) -> None:
-    feather = pytest.importorskip("pyarrow.feather")
-    from ogm import read_points
-    from ogm.geometric import ground_height, local_ground
-
-    path = real("argoverse2_adcf/sensors/lidar/*.feather")
-    points = read_points(path, "argoverse")
-    rows = feather.read_table(real("argoverse2_adcf/annotations.feather")).to_pylist()
-    rows = [row for row in rows if row["timestamp_ns"] == int(path.stem)]
-    center = np.array([[row[name] for name in ("tx_m", "ty_m", "tz_m")] for row in rows])
-    size = np.array([[row[name] for name in ("length_m", "width_m", "height_m")] for row in rows])
-    boxes = Boxes(center, size, np.array([2 * np.arctan2(row["qz"], row["qw"]) for row in rows]))
-    coarse = GridSpec(1.0, (100, 100), (-50.0, -50.0))
-    xyz = points[:, :3]
-    near = (np.abs(xyz[:, :2]) < 49).all(axis=1) & (np.abs(xyz[:, 1]) + np.abs(xyz[:, 0]) > 3.5)
-    xyz = xyz[near]
-    high = xyz[:, 2] - ground_height(local_ground(xyz, coarse, (0.0, 0.0, -0.33)), coarse, xyz)
-    kind = np.where(high < 0.15, Kind.GROUND, Kind.OBSTACLE)
-    returns = count_returns(xyz[kind == Kind.OBSTACLE], boxes)
-    ego = cells_in_footprint((-1.05, 3.85, -1.0, 1.0), PAPER)
-    seen = np.zeros(PAPER.shape, np.uint8)
-    observe_points(seen, *xyz[:, :2].T, kind, np.where(kind == Kind.GROUND, 0.0, high), PAPER)
-    truth = finalize_truth(seen, PAPER, boxes=boxes, returns=returns, unobserved=ego)
-    dense = boxes.select((returns >= 50) & PAPER.contains(*boxes.center[:, :2].T))
-    assert len(dense) >= 5
-    state = truth.state[cells_in_boxes(dense, PAPER)]
-    assert (state[state != IGNORE] == OCCUPIED).all()
-    assert 0.015 < truth.shares().free < 0.1  # one scan leaves gaps between its layers

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -42,7 +43,7 @@ def truth_of(motion: Motion | None) -> Truth:
     st.tuples(st.floats(-15, 15), st.floats(-15, 15)),
     st.floats(-1, 1),
 )
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_cells_move_as_points_of_a_rigid_body(place: tuple, velocity: tuple, turn: float) -> None:
     """Each cell, one by one: moved on with its box for 1 ms, its middle has covered the velocity's way."""
     motion, dt = motion_of_boxes(car(*place, velocity), [turn], SPEC, margin=0.15), 1e-3
@@ -79,7 +80,7 @@ def test_a_body_smaller_than_a_cell_has_the_cell_of_its_center() -> None:
     assert np.argwhere(motion_of_boxes(small, [0.0], SPEC, margin=0).box == 0).tolist() == [[30, 25]]
 
 
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+@each("order", [(0, 1), (1, 0)])
 def test_where_margins_overlap_a_cell_belongs_to_the_box_that_it_lies_in(order: tuple[int, int]) -> None:
     """A car drives past a parked one, 0.2 m beside it: no row of either's cells is the other's."""
     parts = [car(0, -1.1), car(0, 1.1, velocity=(5.0, 0.0))]
@@ -109,11 +110,6 @@ def test_nothing_is_known_of_unknown_cells_but_where_a_box_is() -> None:
 def test_boxes_outside_of_the_grid_have_no_cells() -> None:
     far = both(car(100.0, 0.0), car(-100.0, -100.0), car(7.0, 0.0, velocity=(1.0, 0.0)))
     assert set(np.unique(motion_of_boxes(far, np.zeros(3), SPEC).box)) == {-1, 2}
-
-
-def test_there_is_one_yaw_rate_per_box() -> None:
-    with pytest.raises(ValueError, match=r"yaw_rate must have shape \(1,\), one per box, got \(2,\)"):
-        motion_of_boxes(car(), [0.0, 0.0], SPEC)
 
 
 # --- Crops and mirrors --------------------------------------------------------------------------------
@@ -190,25 +186,18 @@ def test_a_truth_goes_to_another_process_with_its_motion() -> None:
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(truth)).motion.velocity, truth.motion.velocity)
 
 
-@pytest.mark.parametrize(
-    ("velocity", "box", "error", "message"),
-    [
-        (np.zeros((3, 2, 2)), np.zeros((3, 2), np.int16), TypeError, "velocity must be a float32 array, got float64"),
-        (np.zeros((3, 2, 2), np.float32), np.zeros((3, 2), int), TypeError, "box must be a int16 array, got int64"),
-        (np.zeros((3, 2, 2), np.float32), [[0]], TypeError, "box must be a int16 array, got list"),
-        (np.zeros((3, 2), np.float32), np.zeros((3, 2), np.int16), ValueError, r"got \(3, 2\) and \(3, 2\)"),
-        (np.zeros((2, 3, 2), np.float32), np.zeros((3, 2), np.int16), ValueError, r"got \(2, 3, 2\) and \(3, 2\)"),
-    ],
-)
-def test_what_is_no_motion_is_refused(velocity: object, box: object, error: type, message: str) -> None:
-    with pytest.raises(error, match=message):
-        Motion(velocity, box)
-
-
-def test_the_motion_of_another_grid_is_refused() -> None:
+def test_what_does_not_fit_is_refused() -> None:
+    velocity, box = np.zeros((3, 2, 2), np.float32), np.zeros((3, 2), np.int16)
+    refused("velocity must be a float32 array, got float64", Motion, velocity.astype(float), box, error=TypeError)
+    refused("box must be a int16 array, got int64", Motion, velocity, box.astype(int), error=TypeError)
+    refused("box must be a int16 array, got list", Motion, velocity, [[0]], error=TypeError)
+    refused(r"got \(3, 2\) and \(3, 2\)", Motion, velocity[..., 0], box)
+    refused(r"got \(2, 3, 2\) and \(3, 2\)", Motion, np.zeros((2, 3, 2), np.float32), box)
     motion = motion_of_boxes(Boxes.empty(), [], GridSpec.centered(2.0, 2.0, 0.2))
-    with pytest.raises(ValueError, match=r"motion has shape \(10, 10\), but the spec has \(60, 50\) cells"):
-        truth_of(motion)
+    refused(r"motion has shape \(10, 10\), but the spec has \(60, 50\) cells", truth_of, motion)
+    message = r"yaw_rate must have shape \(1,\), one per box, got \(2,\)"
+    refused(message, motion_of_boxes, car(), [0.0, 0.0], SPEC)
+    refused("one stamp per frame, got 10 stamps and 1 frames", track_motion, 0, STAMPS, [Boxes.empty()])
 
 
 # --- Tracks -------------------------------------------------------------------------------------------
@@ -268,8 +257,3 @@ def test_boxes_without_a_track_or_that_were_seen_once_have_no_motion() -> None:
     assert np.isfinite(found.velocity).all(axis=1).tolist() == [True, False, False]
     nothing = track_motion(0, [0.0], [Boxes.empty()])
     assert (nothing.velocity.shape, nothing.yaw_rate.shape) == ((0, 2), (0,))
-
-
-def test_there_is_one_stamp_per_frame() -> None:
-    with pytest.raises(ValueError, match="one stamp per frame, got 10 stamps and 1 frames"):
-        track_motion(0, STAMPS, [Boxes.empty()])

@@ -1,14 +1,18 @@
 """`evaluate` with own models and frames in Python."""
 
+import io
 import json
+import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each, refused
 
 from ogm.evaluation import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod, evaluate, write_report
+from ogm.evaluation.cache import ResultCache
 from ogm.fusion import EvidentialMapper, PoseJump
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import METRICS, accumulate, score
@@ -74,10 +78,8 @@ def test_methods_are_compared_frame_by_frame() -> None:
     assert (one.wins, one.ties, one.losses) == (0, 1, 2)
     assert result.interval("high", "kl_e10").value == result.macro("high")["kl_e10"]
     assert result.select(["high"]).macro("high") == pytest.approx(result.macro("high"), nan_ok=True)
-    with pytest.raises(KeyError, match="no method 'deep' here, only flat, high"):
-        result.of("deep", "ece")
-    with pytest.raises(KeyError, match="no metric 'iou'"):
-        result.of("flat", "iou")
+    refused("no method 'deep' here, only flat, high", result.of, "deep", "ece", error=KeyError)
+    refused("no metric 'iou'", result.of, "flat", "iou", error=KeyError)
 
 
 def test_beams_without_echo_reach_every_model() -> None:
@@ -127,12 +129,6 @@ def test_a_map_begins_again_with_a_sequence_and_after_a_jump(caplog: pytest.LogC
     assert "frame 2: the pose jumps; a new map begins" in caplog.text
 
 
-def test_frames_that_stand_alone_cannot_be_fused() -> None:
-    fused = FusedMethod(Flat(), lambda: EvidentialMapper(SPEC))
-    with pytest.raises(ValueError, match="map fuses frames that follow each other, .* but frame 0 stands alone"):
-        evaluate({"map": fused}, FRAMES, SPEC)
-
-
 def test_a_report_of_own_frames_and_an_own_model(tmp_path: Path) -> None:
     methods = {"mine": Flat(), "again": SingleScanMethod(Flat(height=2.0), "twice as high")}
     result = evaluate(methods, FRAMES, SPEC, out=tmp_path / "report")
@@ -173,27 +169,29 @@ def test_an_interrupted_run_counts_its_frames_and_resumes(tmp_path: Path) -> Non
         np.testing.assert_array_equal(result.values[metric], whole.values[metric])
 
 
-def test_what_cannot_be_evaluated_is_refused(tmp_path: Path) -> None:
-    for methods, error, text in (
-        ({}, ValueError, "no methods to evaluate"),
-        ({"mine": lambda scan: scan}, TypeError, "mine must be a callable with a .spec"),
-        ({"mine": "rays"}, ValueError, "there is no sensor model 'rays'"),
-        ({"mine": Flat(WIDE)}, ValueError, "the grid has 9 x 9 cells .*, but wanted are 7 x 7 cells"),
-        ({"grids": PrecomputedGrids({})}, ValueError, "there is no grid for frame 0 and 2 more of 3 frames"),
+def test_what_cannot_be_evaluated_is_refused() -> None:
+    for methods, text in (
+        ({}, "no methods to evaluate"),
+        ({"mine": "rays"}, "there is no sensor model 'rays'"),
+        ({"mine": Flat(WIDE)}, "the grid has 9 x 9 cells .*, but wanted are 7 x 7 cells"),
+        ({"grids": PrecomputedGrids({})}, "there is no grid for frame 0 and 2 more of 3 frames"),
     ):
-        with pytest.raises(error, match=text):
-            evaluate(methods, FRAMES, SPEC)
-    with pytest.raises(ValueError, match="there must be frames to evaluate"):
-        evaluate({"mine": Flat()}, [], SPEC)
+        refused(text, evaluate, methods, FRAMES, SPEC)
+    refused(
+        "mine must be a callable with a .spec", evaluate, {"mine": lambda scan: scan}, FRAMES, SPEC, error=TypeError
+    )
+    refused("there must be frames to evaluate", evaluate, {"mine": Flat()}, [], SPEC)
     unlabelled = Frame(FRAMES[0].scan, FRAMES[0].mount, None, None, name="dark")
-    with pytest.raises(ValueError, match="frame dark has no truth"):
-        evaluate({"mine": Flat()}, [unlabelled], SPEC)
+    refused("frame dark has no truth", evaluate, {"mine": Flat()}, [unlabelled], SPEC)
+    fused = FusedMethod(Flat(), lambda: EvidentialMapper(SPEC))
+    message = "map fuses frames that follow each other, .* but frame 0 stands alone"
+    refused(message, evaluate, {"map": fused}, FRAMES, SPEC)
 
 
 # --- Models by name ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", MODELS)
+@each("name", MODELS)
 def test_every_named_model_fills_the_area_of_the_grid(name: str) -> None:
     spec = GridSpec.centered(length=12.8, width=12.8, resolution=0.16)
     model = load_model(name, spec, Mount(1.7, pose(z=1.7)))
@@ -203,19 +201,41 @@ def test_every_named_model_fills_the_area_of_the_grid(name: str) -> None:
 
 
 def test_the_released_model_refuses_what_it_cannot_do() -> None:
-    with pytest.raises(ValueError, match="even number of cells along x and y, got 7 x 7"):
-        load_model("height-band-released", SPEC)
+    name = "height-band-released"
+    refused("even number of cells along x and y, got 7 x 7", load_model, name, SPEC)
     even = GridSpec.centered(length=8, width=8, resolution=1)
-    model, refused = load_model("height-band-released", even), "points in the sensor frame and a grid around the sensor"
+    model, message = load_model(name, even), "points in the sensor frame and a grid around the sensor"
     for mount in (Mount(1.7, pose(1.0, z=1.7)), Mount(1.7, pose(z=1.7), points_in="vehicle")):
-        with pytest.raises(ValueError, match=refused):
-            load_model("height-band-released", even, mount)
-        with pytest.raises(ValueError, match=refused):
-            model(Scan(np.zeros((1, 4), np.float32), mount=mount))
+        refused(message, load_model, name, even, mount)
+        refused(message, model, Scan(np.zeros((1, 4), np.float32), mount=mount))
 
 
 def test_weights_have_short_names_that_differ() -> None:
     names = ["ray", "runs/a/best.safetensors", "runs/b/best.safetensors", "c.safetensors", "d/c.safetensors"]
     assert list(short_names(names)) == ["ray", "a", "b", "c", "d/c.safetensors"]
-    with pytest.raises(ValueError, match="ray is given twice"):
-        short_names(["ray", "ray"])
+    refused("ray is given twice", short_names, ["ray", "ray"])
+
+
+# --- Kept frames ------------------------------------------------------------------------------------
+
+HEADERS = [
+    b"\x93NUMPY\x01\x00\x06\x00{'a':\n",  # its text ends too early
+    b"\x93NUMPY\x01\x00\x02\x00((",
+    b"\x93NUMPY\x01\x00\x04\x00None",
+    b"\x93NUMPY\x01\x00\x3a\x00" + b"{'descr': [1], 'fortran_order': False, 'shape': (1,)}     ",
+    b"\x93NUMPY\x01\x00\x50\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,)}".ljust(80),
+    b"",
+]
+
+
+@each("header", HEADERS)
+def test_a_damaged_frame_is_missing(header: bytes, tmp_path: Path) -> None:
+    cache = ResultCache(tmp_path, {"a": 1})
+    key = io.BytesIO()
+    np.save(key, np.array(cache.key))
+    with zipfile.ZipFile(tmp_path / "000000.npz", "w") as archive:
+        archive.writestr("key.npy", key.getvalue())
+        for name in ("truth", "sums counts", "sums log_loss"):
+            archive.writestr(f"{name}.npy", header)
+    (tmp_path / "000001.npz").write_bytes(b"PK")
+    assert cache.missing([0, 1, 2]) == [0, 1, 2]

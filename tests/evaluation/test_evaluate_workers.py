@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.evaluation import FusedMethod, SingleScanMethod, evaluate
 from ogm.fusion import EvidentialMapper
@@ -165,7 +166,7 @@ def test_what_cannot_go_to_other_processes_is_refused() -> None:
         evaluate({"mine": Unpicklable()}, Drives(), SPEC, workers=2)
 
 
-@pytest.mark.parametrize("name", ["ray", "height-band-released", "radar", "ray+radar", "combined+deep-radar"])
+@each("name", ["ray", "height-band-released", "radar", "ray+radar", "combined+deep-radar"])
 def test_models_by_name_go_to_other_processes(name: str) -> None:
     spec = GridSpec.centered(length=20.48, width=20.48, resolution=0.16)
     model = load_model(name, spec, drop_ego_returns=True)

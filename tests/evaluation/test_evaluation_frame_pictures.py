@@ -3,7 +3,7 @@
 from io import BytesIO
 
 import numpy as np
-import pytest
+from cases import each, refused
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -36,21 +36,12 @@ def luminance(colour: tuple[int, int, int]) -> float:
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
-@pytest.mark.parametrize(
-    ("truth", "mass", "name"),
-    [
-        (UNKNOWN, NOTHING, "right unknown"),
-        (UNKNOWN, FREELY, "false known"),
-        (UNKNOWN, OCCUPIEDLY, "false known"),
-        (FREE, NOTHING, "missed free"),
-        (FREE, FREELY, "right free"),
-        (FREE, OCCUPIEDLY, "false occupied"),
-        (OCCUPIED, NOTHING, "missed occupied"),
-        (OCCUPIED, FREELY, "false free"),
-        (OCCUPIED, OCCUPIEDLY, "right occupied"),
-        (IGNORE, FREELY, "ignored"),
-    ],
-)
+@each(("truth", "mass", "name"), [
+    (UNKNOWN, NOTHING, "right unknown"), (UNKNOWN, FREELY, "false known"), (UNKNOWN, OCCUPIEDLY, "false known"),
+    (FREE, NOTHING, "missed free"), (FREE, FREELY, "right free"), (FREE, OCCUPIEDLY, "false occupied"),
+    (OCCUPIED, NOTHING, "missed occupied"), (OCCUPIED, FREELY, "false free"),
+    (OCCUPIED, OCCUPIEDLY, "right occupied"), (IGNORE, FREELY, "ignored"),
+])  # fmt: skip
 def test_every_pair_of_true_and_predicted_state_has_its_class_and_colour(
     truth: int, mass: tuple[float, float], name: str
 ) -> None:
@@ -139,17 +130,13 @@ def test_blocks_of_long_grids_show_the_class_of_highest_priority() -> None:
     mass = np.full((*spec.shape, 2), FREELY, np.float32)
     state[801, 4] = OCCUPIED
     views = draw_frame(np.zeros((5, 3), np.float32), state, [mass], spec)
-    assert {name: seen(data).shape for name, data in views.items()} == {
-        "points": (534, 4, 3),
-        "truth": (534, 4, 3),
-        "mass 0": (534, 4, 3),
-        "error 0": (534, 4, 3),
-    }
+    names = ("points", "truth", "mass 0", "error 0")
+    assert {name: seen(data).shape for name, data in views.items()} == dict.fromkeys(names, (534, 4, 3))
     assert (seen(views["error 0"]) == ERRORS["false free"].colour).all(axis=2).sum() == 1
     assert (seen(views["truth"]) == true_states()["occupied"].colour).all(axis=2).sum() == 1
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (7, 5), (3, 40)])
+@each("shape", [(1, 1), (7, 5), (3, 40)])
 def test_any_shape_of_grid_can_be_drawn(shape: tuple[int, int]) -> None:
     spec = GridSpec(0.5, shape, (0.0, 0.0))
     views = draw_frame(
@@ -160,10 +147,8 @@ def test_any_shape_of_grid_can_be_drawn(shape: tuple[int, int]) -> None:
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     state, mass = blank()
-    with pytest.raises(ValueError, match="the truth has"):
-        draw_frame(None, state[1:], [mass], SPEC)
-    with pytest.raises(ValueError, match="on the cells of the truth"):
-        draw_frame(None, state, [mass[1:]], SPEC)
+    refused("the truth has", draw_frame, None, state[1:], [mass], SPEC)
+    refused("on the cells of the truth", draw_frame, None, state, [mass[1:]], SPEC)
 
 
 def test_errors_are_distinguishable_without_red_and_green() -> None:

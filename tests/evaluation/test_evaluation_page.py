@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
+from test_evaluation_frame_pictures import luminance
 
 from ogm.evaluation import Evaluation, FrameInfo, Interval, evaluation_record
 from ogm.evaluation.chart_data import HEADLINE, frame_keys, group_metrics
@@ -193,29 +195,21 @@ def test_the_summary_names_the_best_and_its_significance(made: Any, page: Callab
     assert "vague makes the fewest false free cells at the lowest IoU free" in words
 
 
-def test_a_difference_within_its_interval_is_not_significant(record: dict[str, Any], page: Callable[..., Page]) -> None:
-    for pair in record["paired"].values():
-        for one in pair.values():
-            one["difference"] = {"value": 0.0, "low": -1.0, "high": 1.0}
-    content = page(record).content
+def test_a_difference_within_its_interval_or_without_one_is_not_significant(
+    record: dict[str, Any], page: Callable[..., Page]
+) -> None:
+    def rows(value: float, low: float | None, high: float | None) -> tuple[str, list[str | None]]:
+        for pair in record["paired"].values():
+            for one in pair.values():
+                one["difference"] = {"value": value, "low": low, "high": high}
+        found = page(record)
+        return found.content, [a.get("class") for tag, a in found.elements if tag == "td"]
+
+    content, classes = rows(0.0, -1.0, 1.0)
     assert "though not significantly" in content
     assert "not significant" in content
-
-
-def test_a_difference_without_interval_is_not_significant(record: dict[str, Any], page: Callable[..., Page]) -> None:
-    for pair in record["paired"].values():
-        for one in pair.values():
-            one["difference"] = {"value": -2.0, "low": -3.0, "high": -1.0}
-    assert "sure" in rows_of_summary(page(record))
-    for pair in record["paired"].values():
-        for one in pair.values():
-            one["difference"] = {"value": -2.0, "low": None, "high": None}
-    assert "sure" not in rows_of_summary(page(record))
-
-
-def rows_of_summary(found: Page) -> list[str]:
-    """Return "sure" or "unsure" for every row of the summary's table."""
-    return [a["class"] or "" for tag, a in found.elements if tag == "td" and a.get("class") in ("sure", "unsure")]
+    assert "sure" in rows(-2.0, -3.0, -1.0)[1]
+    assert "sure" not in rows(-2.0, None, None)[1] + classes
 
 
 def test_a_cautious_method_is_named(record: dict[str, Any], page: Callable[..., Page]) -> None:
@@ -233,15 +227,12 @@ def test_the_head_of_the_page_states_drives_towns_and_intervals(made: Any, page:
     assert "Intervals: 95 %, Student's t over 5 drives." in head
 
 
-@pytest.mark.parametrize(
-    ("sequences", "extent", "intervals"),
-    [
+@each(("sequences", "extent", "intervals"), [
         (["a", "b", "b", "c", "d"], "5 frames of 4 drives", "95 %, Student's t over 4 drives"),
         ([""] * 5, "5 frames", "95 %, Student's t over 5 frames"),
         (["a"] * 99, "99 frames of 1 drive", "none: 1 drive cannot show how much drives differ"),
         ([""], "1 frame", "none: 1 frame cannot show how much frames differ"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_few_drives_are_stated(sequences: list[str], extent: str, intervals: str) -> None:
     result = Evaluation((), SPEC, {}, (), np.zeros((0, 4)), tuple(FrameInfo("", one) for one in sequences))
     assert (describe_extent(result), describe_intervals(result)) == (extent, intervals)
@@ -324,51 +315,37 @@ def test_numbers_are_short() -> None:
     }
 
 
-def test_a_hundred_frames_of_five_methods_weigh_little_beside_their_pictures(
-    record: dict[str, Any], page: Callable[..., Page]
+@each(("frames", "methods", "most"), [(102, 5, 800_000), (240, 40, 6_000_000)])
+def test_many_methods_on_many_frames_carry_the_headline_metrics_and_weigh_little(
+    record: dict[str, Any], page: Callable[..., Page], frames: int, methods: int, most: int
 ) -> None:
-    model = record["methods"]["sharp"]
-    model["per frame"] = {name: values * 17 for name, values in model["per frame"].items()}
-    record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(6 * 17)]
-    record["truth per frame"] = {name: values * 17 for name, values in record["truth per frame"].items()}
-    pair = next(iter(record["paired"].values()))
-    names = [f"method {k}" for k in range(5)]
+    record, times = deepcopy(record), frames // FRAMES
+    model, pair = record["methods"]["sharp"], next(iter(record["paired"].values()))
+    model["per frame"] = {name: values * times for name, values in model["per frame"].items()}
+    record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(frames)]
+    record["truth per frame"] = {name: values * times for name, values in record["truth per frame"].items()}
+    names = [f"method {k}" for k in range(methods)]
     record["methods"] = dict.fromkeys(names, model)
-    record["paired"] = {f"{b} against {a}": pair for k, a in enumerate(names) for b in names[k + 1 :]}
-    assert len(page(record).text) < 800_000
-
-
-def test_many_methods_on_many_frames_carry_the_headline_metrics(
-    record: dict[str, Any], page: Callable[..., Page]
-) -> None:
-    model = record["methods"]["sharp"]
-    model["per frame"] = {name: values * 40 for name, values in model["per frame"].items()}
-    record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(240)]
-    record["truth per frame"] = {name: values * 40 for name, values in record["truth per frame"].items()}
-    record["methods"] = {f"method {k}": model for k in range(40)}
-    record["paired"] = {}
+    some = names[:5]
+    record["paired"] = {f"{b} against {a}": pair for k, a in enumerate(some) for b in some[k + 1 :]}
     found = page(record)
-    assert {*HEADLINE, "kl_e1", "legacy_kl", "mean_free"} <= set(found.data["perFrame"]) < set(METRICS)
-    assert len(found.text) < 6_000_000
+    assert {*HEADLINE, "kl_e1", "legacy_kl", "mean_free"} <= set(found.data["perFrame"]) <= set(METRICS)
+    assert (len(found.data["perFrame"]) < len(METRICS)) == (methods == 40)
+    assert len(found.text) < most
 
 
-@pytest.mark.parametrize("theme", [0, 1])
+@each("theme", [0, 1])
 def test_colours_stand_out_from_the_page_in_light_and_in_dark(theme: int) -> None:
     style = (resources.files("ogm") / "data" / "report.css").read_text("utf-8")
     pairs = re.findall(r"--([a-z]+\d?): light-dark\((#[0-9a-f]{6}), (#[0-9a-f]{6})\)", style)
-    colours = {name: luminance(both[theme]) for name, *both in pairs}
+    parts = {name: tuple(bytes.fromhex(both[theme][1:])) for name, *both in pairs}
+    colours = {name: luminance(part) for name, part in parts.items()}
     for back in ("page", "panel", "best", "worse"):
         assert contrast(colours["ink"], colours[back]) > 7
         assert contrast(colours["soft"], colours[back]) > 4.5
     assert contrast(colours["link"], colours["page"]) > 4.5
     for line in ("focus", *(f"s{k}" for k in range(8))):
         assert contrast(colours[line], colours["page"]) > 3
-
-
-def luminance(colour: str) -> float:
-    """Return the relative luminance of a colour, as WCAG 2 defines it."""
-    part = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    return float(np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
 
 
 def contrast(one: float, other: float) -> float:
@@ -427,6 +404,7 @@ def browse(tmp_path: Path) -> Callable[..., dict[str, Any]]:
     return run
 
 
+@pytest.mark.slow
 def test_in_a_browser_frames_are_stepped_sorted_and_linked(made: Any, browse: Callable[..., dict[str, Any]]) -> None:
     record, views = made
     nll = record["methods"]["sharp"]["per frame"]["nll"]
@@ -466,6 +444,7 @@ def test_in_a_browser_frames_are_stepped_sorted_and_linked(made: Any, browse: Ca
     assert seen["loaded"] is True
 
 
+@pytest.mark.slow
 def test_in_a_browser_charts_tables_and_theme_answer(made: Any, browse: Callable[..., dict[str, Any]]) -> None:
     record, views = made
     seen = browse(
@@ -534,6 +513,7 @@ def test_in_a_browser_charts_tables_and_theme_answer(made: Any, browse: Callable
     assert seen["wide"] <= 0  # nothing sticks out sideways
 
 
+@pytest.mark.slow
 def test_in_a_browser_one_frame_without_points_or_unknown_is_shown(
     made: Any, record: dict[str, Any], browse: Callable[..., dict[str, Any]]
 ) -> None:

@@ -1,4 +1,4 @@
-"""Entropy and divergence of Dirichlet densities against 60 digits, quadrature, torch and published values."""
+"""Entropy and divergence of Dirichlet densities against 60 digits, closed forms and published values."""
 
 from typing import Any
 
@@ -6,9 +6,9 @@ import mpmath
 import numpy as np
 import pytest
 import torch
+from cases import each
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scipy import integrate, stats
 
 from ogm import evidence
 from ogm.evidence.dirichlet import dirichlet_kl_gradient
@@ -50,7 +50,7 @@ VECTORS = [
 ]
 
 
-@pytest.mark.parametrize(("alpha", "other", "expected"), VECTORS)
+@each(("alpha", "other", "expected"), VECTORS)
 def test_kl_vectors(alpha: tuple, other: tuple, expected: float) -> None:
     a, b = np.array(alpha, float), np.array(other, float)
     assert evidence.dirichlet_kl(a, b) == pytest.approx(expected, rel=1e-11)
@@ -60,7 +60,7 @@ def test_kl_vectors(alpha: tuple, other: tuple, expected: float) -> None:
     assert evidence.dirichlet_kl(torch.tensor(a), torch.tensor(b)).item() == pytest.approx(expected, rel=1e-11)
 
 
-@pytest.mark.parametrize("e", [0.5, 1.0, 10.0, 1e3])
+@each("e", [0.5, 1.0, 10.0, 1e3])
 def test_kl_of_missed_false_and_opposite_cells(e: float) -> None:
     """Closed forms: e - ln(1 + e), ln(1 + e) - e / (1 + e), and e times the harmonic number of e."""
     nothing, something, opposite = np.ones(2), np.array([1 + e, 1]), np.array([1, 1 + e])
@@ -92,7 +92,7 @@ def test_kl_is_exact_and_never_negative_for_near_densities(parts: list, log_step
         assert abs(value - exact) <= 1e-2 * exact
 
 
-@pytest.mark.parametrize("alpha", [(2.0, 5.0), (0.3, 40.0), (7.0, 1.5, 3.0)])
+@each("alpha", [(2.0, 5.0), (0.3, 40.0), (7.0, 1.5, 3.0)])
 def test_the_series_for_near_densities_has_three_orders(alpha: tuple) -> None:
     """The third is some 1e-5 of the value where it ends, at a relative difference of 1e-4."""
     for sign in (1, -1):
@@ -119,26 +119,8 @@ def test_entropy_is_exact(logs: list) -> None:
     assert abs(tensor - exact) <= 1e-12 * (1 + abs(exact))
 
 
-def test_entropy_and_kl_are_integrals() -> None:
-    """By quadrature of Beta densities."""
-    p, q = stats.beta(2.5, 1.7), stats.beta(1.2, 3.1)
-    a, b = np.array([2.5, 1.7]), np.array([1.2, 3.1])
-    kl = integrate.quad(lambda x: p.pdf(x) * (p.logpdf(x) - q.logpdf(x)), 0, 1)[0]
-    assert evidence.dirichlet_kl(a, b) == pytest.approx(kl, rel=1e-7)
-    assert evidence.dirichlet_entropy(a) == pytest.approx(p.entropy(), rel=1e-10)
-    assert evidence.dirichlet_entropy(np.ones(2)) == pytest.approx(0, abs=1e-15)
-
-
-def test_agrees_with_torch_distributions() -> None:
-    rng = np.random.default_rng(0)
-    a, b = torch.tensor(rng.uniform(0.5, 20, (2, 6, 3)))
-    p, q = torch.distributions.Dirichlet(a), torch.distributions.Dirichlet(b)
-    torch.testing.assert_close(evidence.dirichlet_kl(a, b), torch.distributions.kl_divergence(p, q))
-    torch.testing.assert_close(evidence.dirichlet_entropy(a), p.entropy())
-
-
-@pytest.mark.parametrize("shape", [(), (5,), (2, 3), (0,)])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@each("shape", [(), (5,), (2, 3), (0,)])
+@each("dtype", [np.float32, np.float64])
 def test_shapes_and_dtypes(shape: tuple, dtype: Any) -> None:
     alpha = np.full((*shape, 3), 2, dtype)
     for value in (evidence.dirichlet_kl(alpha, alpha + 1), evidence.dirichlet_entropy(alpha)):
@@ -146,14 +128,14 @@ def test_shapes_and_dtypes(shape: tuple, dtype: Any) -> None:
         assert value.dtype == dtype
 
 
-@pytest.mark.parametrize("alpha", [(3.0, 3.0), (5.0, 5.0), (9.99, 10.01), (10.0, 3.0), (0.5, 9.0)])
+@each("alpha", [(3.0, 3.0), (5.0, 5.0), (9.99, 10.01), (10.0, 3.0), (0.5, 9.0)])
 def test_entropy_is_exact_around_the_begin_of_the_series(alpha: tuple) -> None:
     """Six terms of the asymptotic series give 1e-15 from 10 on, and only 1e-11 at 3."""
     exact = exact_entropy(np.array(alpha))
     assert abs(evidence.dirichlet_entropy(np.array(alpha)) - exact) <= 3e-14 * (1 + abs(exact))
 
 
-@pytest.mark.parametrize("states", [2, 3])
+@each("states", [2, 3])
 def test_gradient_is_the_difference_quotient(states: int) -> None:
     rng = np.random.default_rng(0)
     alpha, other = 1 + 10 ** rng.uniform(-2, 2, (2, 200, states))
@@ -167,7 +149,7 @@ def test_gradient_is_the_difference_quotient(states: int) -> None:
         np.testing.assert_allclose(gradient[:, k], (above - below) / (2 * step[:, k]), rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("states", [2, 3])
+@each("states", [2, 3])
 def test_gradient_in_single_precision_is_that_in_double(states: int) -> None:
     rng = np.random.default_rng(1)
     alpha, other = (1 + 10 ** rng.uniform(-6, 5, (2, 5000, states))).astype(np.float32)

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from masses import CLOSED, DTYPES, RULES, rule
+from cases import each
+from masses import DTYPES, RULES, rule
 
 from ogm import evidence
 from ogm.evidence import powerset
@@ -12,9 +13,7 @@ from ogm.evidence import powerset
 FREE, OCCUPIED, VACUOUS = np.array([1.0, 0]), np.array([0, 1.0]), np.zeros(2)
 
 
-@pytest.mark.parametrize(
-    ("policy", "expected"), [("average", (0.5, 0.5)), ("vacuous", (0, 0)), ("nan", (np.nan, np.nan))]
-)
+@each(("policy", "expected"), [("average", (0.5, 0.5)), ("vacuous", (0, 0)), ("nan", (np.nan, np.nan))])
 def test_total_conflict_follows_the_policy(policy: Any, expected: tuple) -> None:
     both = np.stack([FREE, OCCUPIED]), np.stack([OCCUPIED, OCCUPIED])
     for combine in (evidence.dempster, evidence.belief_constraint):
@@ -63,7 +62,7 @@ def test_near_total_conflict_in_float32_divides_by_what_survives() -> None:
     np.testing.assert_allclose(evidence.dempster(tiny, tiny[::-1].copy()), (0.5, 0.5), atol=1e-3)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_many_conflicting_sources_neither_underflow_nor_explode(dtype: Any) -> None:
     stack = np.array([[0.9, 0.05], [0.05, 0.9]] * 500, dtype)
     np.testing.assert_allclose(evidence.dempster(stack, axis=0), (0.5, 0.5), atol=1e-3)
@@ -71,7 +70,7 @@ def test_many_conflicting_sources_neither_underflow_nor_explode(dtype: Any) -> N
     evidence.check_mass(evidence.conjunctive(stack, axis=0))
 
 
-@pytest.mark.parametrize("fuse", [evidence.cumulative, evidence.averaging, evidence.weighted])
+@each("fuse", [evidence.cumulative, evidence.averaging, evidence.weighted])
 def test_dogmatic_masses_are_averaged(fuse: Any) -> None:
     np.testing.assert_allclose(fuse(FREE, OCCUPIED), (0.5, 0.5))
     np.testing.assert_allclose(fuse(np.array([0.3, 0.7]), OCCUPIED), (0.15, 0.85))
@@ -82,8 +81,8 @@ def test_dogmatic_masses_are_averaged(fuse: Any) -> None:
     np.testing.assert_allclose(fuse(FREE, OCCUPIED, dogmatic_weights=[3, 1]), (0.75, 0.25))
 
 
-@pytest.mark.parametrize("fuse", [evidence.cumulative, evidence.averaging, evidence.weighted])
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("fuse", [evidence.cumulative, evidence.averaging, evidence.weighted])
+@each("dtype", DTYPES)
 def test_a_mass_is_dogmatic_up_to_rounding(fuse: Any, dtype: Any) -> None:
     """1 - f - o of these is a few 1e-17 or 1e-8, of either sign, and not zero."""
     shares = np.arange(1, 110, dtype=float)[:, None]
@@ -93,11 +92,6 @@ def test_a_mass_is_dogmatic_up_to_rounding(fuse: Any, dtype: Any) -> None:
         (dogmatic + OCCUPIED) / 2,
         atol=1e-6,
     )
-
-
-@pytest.mark.parametrize("name", CLOSED)
-def test_vacuous_with_vacuous_is_vacuous(name: str) -> None:
-    np.testing.assert_array_equal(rule(name)(VACUOUS, VACUOUS), VACUOUS)
 
 
 def test_base_rates_of_vacuous_and_dogmatic_masses_are_averaged() -> None:
@@ -115,7 +109,7 @@ def test_unfusing_certainty_from_certainty_leaves_the_question_open() -> None:
     np.testing.assert_allclose(evidence.cumulative_unfusion(np.array([0.2, 0.5]), VACUOUS), (0.2, 0.5))
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_cautious_reads_certainty_as_almost_certain(dtype: Any) -> None:
     certain = np.array([0, 1], dtype)
     result = evidence.cautious(certain, certain)
@@ -133,7 +127,7 @@ def test_consensus_compromise_jumps_at_agreement() -> None:
     np.testing.assert_allclose(near, (0.2, 0.64), atol=1e-4)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_consensus_compromise_keeps_what_dogmatic_sources_agree_on(dtype: Any) -> None:
     for certain in (FREE, OCCUPIED, np.array([0.75, 0.25])):
         for others in ([VACUOUS], [VACUOUS, VACUOUS], [0.4 * certain], [0.9 * certain, VACUOUS]):
@@ -143,7 +137,7 @@ def test_consensus_compromise_keeps_what_dogmatic_sources_agree_on(dtype: Any) -
     np.testing.assert_allclose(evidence.consensus_compromise(conflicting, axis=0), (1 / 3, 2 / 3), atol=1e-7)
 
 
-@pytest.mark.parametrize("dogmatic", [2, 3, 4])
+@each("dogmatic", [2, 3, 4])
 def test_consensus_compromise_of_dogmatic_sources_is_a_limit(dogmatic: int) -> None:
     """The published formula, at sources whose residues give 1e-6 to the unknown, instead of 0/0."""
     rng = np.random.default_rng(dogmatic)
@@ -172,45 +166,32 @@ def test_evidence_of_dogmatic_masses() -> None:
     np.testing.assert_allclose(evidence.mass_to_evidence(np.array([0.25, 0.75]), min_unknown=2e-5), (25e3, 75e3))
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_float32_carries_an_evidence_of_1e5_to_one_percent(dtype: Any) -> None:
     given = np.array([3e4, 7e4], dtype)
     there_and_back = evidence.mass_to_evidence(evidence.evidence_to_mass(given))
     np.testing.assert_allclose(there_and_back, given, rtol=1e-2)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("name", ["dempster", "yager", "cumulative", "averaging", "weighted"])
-def test_rounding_does_not_leave_the_simplex_in_a_thousand_steps(name: str, dtype: Any) -> None:
+@each("dtype", DTYPES)
+@each("name", ["dempster", "yager", "cumulative", "averaging", "weighted"])
+def test_rounding_does_not_leave_the_simplex_in_hundreds_of_steps(name: str, dtype: Any) -> None:
     rng = np.random.default_rng(3)
-    state = np.zeros((50, 2), dtype)
-    for _ in range(1000):
-        scan = rng.dirichlet([0.3, 0.3, 0.3], 50).astype(dtype)[:, :2]
-        scan[rng.random(50) < 0.1] = (1, 0)
+    state = np.zeros((20, 2), dtype)
+    for _ in range(300):
+        scan = rng.dirichlet([0.3, 0.3, 0.3], 20).astype(dtype)[:, :2]
+        scan[rng.random(20) < 0.1] = (1, 0)
         state = rule(name)(state, scan)
     evidence.check_mass(state)
 
 
-@pytest.mark.parametrize("name", RULES)
-def test_rules_broadcast_one_mass_over_a_grid(name: str) -> None:
-    grid = np.random.default_rng(0).dirichlet([1, 1, 1, 1], (3, 4))[..., : 3 if name == "bold" else 2]
-    one = grid[0, 0]
-    np.testing.assert_allclose(rule(name)(grid, one), rule(name)(grid, np.broadcast_to(one, grid.shape)), atol=1e-15)
-
-
-@pytest.mark.parametrize("name", CLOSED)
-def test_arguments_are_not_changed(name: str) -> None:
-    a, b = np.random.default_rng(0).dirichlet([1, 1, 1], (2, 7))[..., :2]
-    before = a.copy(), b.copy()
-    rule(name)(a, b)
+@each("name", RULES)
+def test_rules_take_views_and_single_masses_and_change_no_argument(name: str) -> None:
+    combine, open_world = rule(name), RULES[name].open_world
+    a, b = np.random.default_rng(0).dirichlet([1, 1, 1, 1], (2, 4, 5))[..., : 3 if name == "bold" else 2]
+    before, expected = (a.copy(), b.copy()), combine(a, b)
+    np.testing.assert_allclose(combine(a[::-1], b[::-1])[::-1], expected, atol=1e-15)
+    np.testing.assert_allclose(combine(np.asfortranarray(a), np.asfortranarray(b)), expected, atol=1e-15)
+    np.testing.assert_allclose(combine(a, b[0, 0]), combine(a, np.broadcast_to(b[0, 0], a.shape)), atol=1e-15)
     np.testing.assert_array_equal((a, b), before)
-
-
-@pytest.mark.parametrize("name", CLOSED)
-def test_views_of_any_memory_order_are_taken(name: str) -> None:
-    a, b = np.random.default_rng(0).dirichlet([1, 1, 1], (2, 4, 5))[..., :2]
-    expected = rule(name)(a, b)
-    flipped = rule(name)(a[::-1, :, :], b[::-1, :, :])[::-1]
-    fortran = rule(name)(np.asfortranarray(a), np.asfortranarray(b))
-    np.testing.assert_allclose(flipped, expected, atol=1e-15)
-    np.testing.assert_allclose(fortran, expected, atol=1e-15)
+    assert open_world or not combine(VACUOUS, VACUOUS).any()

@@ -4,7 +4,7 @@ import inspect
 from typing import Any
 
 import numpy as np
-import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from masses import CLOSED, RULES, arrays_of_masses, pair, rule, swapped, tolerance, triple
@@ -22,68 +22,56 @@ def same(actual: Any, expected: Any, times: float = 1) -> None:
     np.testing.assert_allclose(actual, expected, atol=times * tolerance(np.asarray(expected)), rtol=0)
 
 
-def drawn(data: Any, name: str, count: int, *, least_unknown: int = 0) -> Any:
-    """Draw masses on which the rule is defined: the bold one needs conflict."""
-    if name == "bold":
-        return data.draw(arrays_of_masses(count, states=3, least_unknown=least_unknown, least_conflict=1))
-    return data.draw(arrays_of_masses(count, least_unknown=least_unknown))
+def drawn(count: int, least_unknown: int = 0) -> Any:
+    """Draw masses for all rules but the bold one, and for that one, which needs conflict."""
+    options = {"least_unknown": least_unknown}
+    closed = arrays_of_masses(count, **options)
+    return st.tuples(closed, arrays_of_masses(count, states=3, least_conflict=1, **options))
 
 
-@pytest.mark.parametrize("name", RULES)
 @laws
-@given(data=st.data())
-def test_rules_give_masses(name: str, data: Any) -> None:
-    a, b = drawn(data, name, 2)
-    result = rule(name)(a, b)
+@given(masses=drawn(2), axis=st.integers(0, 2))
+@each("name", RULES)
+def test_rules_give_masses_in_any_order_of_sources_and_states(name: str, masses: Any, axis: int) -> None:
+    a, b = masses[name == "bold"]
+    result, axis = rule(name)(a, b), axis % a.ndim
     assert result.dtype == a.dtype
     assert result.shape[:-1] == a.shape[:-1]
     evidence.check_mass(result)
+    same(rule(name)(b, a), result)
+    same(rule(name)(swapped(a), swapped(b)), swapped(result))
+    same(rule(name)(np.stack([a, b], axis=axis), axis=axis), result)
+    same(rule(name)(np.stack([a, b], axis=axis), axis=axis - a.ndim - 1), result)
 
 
-@pytest.mark.parametrize("name", RULES)
-@laws
-@given(data=st.data())
-def test_rules_are_commutative(name: str, data: Any) -> None:
-    a, b = drawn(data, name, 2)
-    same(rule(name)(a, b), rule(name)(b, a))
-
-
-@pytest.mark.parametrize("name", RULES)
-@laws
-@given(data=st.data())
-def test_rules_treat_free_and_occupied_alike(name: str, data: Any) -> None:
-    a, b = drawn(data, name, 2)
-    same(rule(name)(swapped(a), swapped(b)), swapped(rule(name)(a, b)))
-
-
-@pytest.mark.parametrize("name", [name for name, law in RULES.items() if law.associative])
 @three
-@given(data=st.data())
-def test_rules_are_associative(name: str, data: Any) -> None:
+@given(masses=drawn(3, least_unknown=1))
+@each("name", [name for name, law in RULES.items() if law.associative])
+def test_rules_are_associative(name: str, masses: Any) -> None:
     # Dempster's rule and cumulative fusion are not associative across cells without any unknown (their edge
     # policy).
-    a, b, c = drawn(data, name, 3, least_unknown=1)
+    a, b, c = masses[name == "bold"]
     combine = rule(name)
     left, right = combine(combine(a, b), c), combine(a, combine(b, c))
     same(left, right, times=20)
     same(combine(np.stack([a, b, c]), axis=0), left, times=20)
 
 
-@pytest.mark.parametrize("name", [name for name, law in RULES.items() if not law.associative])
+@each("name", [name for name, law in RULES.items() if not law.associative])
 def test_rules_that_claim_no_associativity_have_none(name: str) -> None:
     a, b, c = pair((0.5, 0.2, 0.3)), pair((0.1, 0.6, 0.3)), pair((0.1, 0.7, 0.2))
     combine = rule(name)
     assert abs(combine(combine(a, b), c) - combine(a, combine(b, c))).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name, law in RULES.items() if law.vacuous_is_neutral])
 @laws
 @given(mass=arrays_of_masses())
+@each("name", [name for name, law in RULES.items() if law.vacuous_is_neutral])
 def test_vacuous_is_neutral(name: str, mass: np.ndarray) -> None:
     same(rule(name)(mass, np.zeros_like(mass))[..., :2], mass)
 
 
-@pytest.mark.parametrize("name", [name for name, law in RULES.items() if not law.vacuous_is_neutral])
+@each("name", [name for name, law in RULES.items() if not law.vacuous_is_neutral])
 def test_rules_that_claim_no_neutral_vacuous_have_none(name: str) -> None:
     mass, vacuous = np.array([0.5, 0.2, 0.1]), np.array([0, 0, 1e-3])
     if name != "bold":
@@ -91,44 +79,28 @@ def test_rules_that_claim_no_neutral_vacuous_have_none(name: str) -> None:
     assert abs(rule(name)(mass, vacuous)[..., :2] - mass[:2]).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name, law in RULES.items() if law.idempotent])
 @laws
-@given(data=st.data())
-def test_rules_are_idempotent(name: str, data: Any) -> None:
-    mass = drawn(data, name, 1, least_unknown=0 if name in CLOSED else 1)
+@given(masses=drawn(1), some=drawn(1, least_unknown=1))
+@each("name", [name for name, law in RULES.items() if law.idempotent])
+def test_rules_are_idempotent(name: str, masses: Any, some: Any) -> None:
+    mass = (masses if name in CLOSED else some)[name == "bold"]
     same(rule(name)(mass, mass)[..., : mass.shape[-1]], mass)
 
 
-@pytest.mark.parametrize("name", [name for name, law in RULES.items() if not law.idempotent])
+@each("name", [name for name, law in RULES.items() if not law.idempotent])
 def test_rules_that_claim_no_idempotence_have_none(name: str) -> None:
     mass = pair((0.5, 0.2, 0.3))
     assert abs(rule(name)(mass, mass)[..., :2] - mass).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", RULES)
-@laws
-@given(data=st.data())
-def test_a_stack_of_two_is_a_pair(name: str, data: Any) -> None:
-    a, b = drawn(data, name, 2)
-    axis = data.draw(st.integers(0, a.ndim - 1))
-    same(rule(name)(np.stack([a, b], axis=axis), axis=axis), rule(name)(a, b))
-    same(rule(name)(np.stack([a, b], axis=axis), axis=axis - a.ndim - 1), rule(name)(a, b))
-
-
-@pytest.mark.parametrize("name", CLOSED)
 @three
-@given(data=st.data())
-def test_the_order_in_a_stack_does_not_matter(name: str, data: Any) -> None:
-    masses = drawn(data, name, 4)
-    same(rule(name)(np.stack(masses), axis=0), rule(name)(np.stack(masses[::-1]), axis=0))
-
-
-@pytest.mark.parametrize("name", ["dempster", "cumulative", "averaging", "weighted", "yager", "murphy"])
-@laws
-@given(data=st.data())
-def test_a_stack_of_one_is_itself(name: str, data: Any) -> None:
-    mass = data.draw(arrays_of_masses())
-    same(rule(name)(mass[None], axis=0), mass)
+@given(masses=arrays_of_masses(4))
+@each("name", CLOSED)
+def test_the_order_in_a_stack_does_not_matter(name: str, masses: Any) -> None:
+    combine = rule(name)
+    same(combine(np.stack(masses), axis=0), combine(np.stack(masses[::-1]), axis=0))
+    if name in ("dempster", "cumulative", "averaging", "weighted", "yager", "murphy"):
+        same(combine(masses[0][None], axis=0), masses[0])
 
 
 @laws
@@ -354,7 +326,7 @@ def test_deduction_from_certainty_is_the_conditional(conditionals: Any) -> None:
     same(evidence.deduction(swapped(certain), if_true, if_false).mass, if_false, times=5)
 
 
-@pytest.mark.parametrize("base_rate", [0.1, 0.5, 0.8])
+@each("base_rate", [0.1, 0.5, 0.8])
 def test_deduction_from_nothing_keeps_what_both_conditionals_hold(base_rate: float) -> None:
     """The most unknown that keeps the projected probability and the belief and disbelief that both have at least."""
     rng = np.random.default_rng(0)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from cases import each
 from cells import combine_cells
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -32,32 +33,23 @@ def tolerated(draw: Any, dtype: Any, states: int) -> np.ndarray:
     return mass
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("name", RULES)
+@each("dtype", DTYPES)
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())
-def test_every_rule_maps_tolerated_masses_to_tolerated_masses(name: str, dtype: Any, data: Any) -> None:
-    states = 3 if name == "bold" else 2
-    a, b = data.draw(tolerated(dtype, states)), data.draw(tolerated(dtype, states))
-    if name == "bold":
-        a[2], b[2] = max(a[2], dtype(1e-3)), max(b[2], dtype(1e-3))
-        a, b = evidence.renormalize(a), evidence.renormalize(b)
-    for result in (rule(name)(a, b), rule(name)(np.stack([a, b]), axis=0)):
-        assert np.isfinite(result).all()
-        evidence.check_mass(result)
+def test_every_rule_maps_tolerated_masses_to_tolerated_masses(dtype: Any, data: Any) -> None:
+    pairs, triples = ([data.draw(tolerated(dtype, states)) for _ in range(2)] for states in (2, 3))
+    with_conflict = [evidence.renormalize(np.maximum(mass, np.array([-1, -1, 1e-3], dtype))) for mass in triples]
+    for name in RULES:
+        a, b = with_conflict if name == "bold" else pairs
+        for result in (rule(name)(a, b), rule(name)(np.stack([a, b]), axis=0)):
+            assert np.isfinite(result).all(), name
+            evidence.check_mass(result)
+    for name in ("conjunctive", "disjunctive", "cautious"):
+        evidence.check_mass(rule(name)(*triples))
+    evidence.check_mass(evidence.close_world(triples[0]))
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("name", ["conjunctive", "disjunctive", "cautious"])
-@settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_open_world_rules_map_tolerated_triples_to_tolerated_triples(name: str, dtype: Any, data: Any) -> None:
-    a, b = data.draw(tolerated(dtype, 3)), data.draw(tolerated(dtype, 3))
-    evidence.check_mass(rule(name)(a, b))
-    evidence.check_mass(evidence.close_world(a))
-
-
-@pytest.mark.parametrize(
+@each(
     ("combine", "a", "b", "expected"),
     [
         (evidence.dempster, (1.0000001, -1e-7), (2e-7, 1), (1, 0)),
@@ -75,7 +67,7 @@ def test_a_negative_belief_is_read_as_none(combine: Any, a: Any, b: Any, expecte
     assert all(torch.isfinite(mass.grad).all() for mass in tensors)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_parts_of_a_tolerated_mass_lie_in_the_simplex(dtype: Any) -> None:
     t = 0.9 * tolerance_of(np.zeros(2, dtype))
     pairs = np.array([[1 + t, -t / 2], [0.5 + t / 2, 0.5 + t / 2], [-t, 0.3], [0, 1]], dtype)
@@ -99,10 +91,9 @@ def test_the_librarys_own_results_are_not_negative() -> None:
     assert evidence.probability_to_mass(probability, unknown).min() >= 0
 
 
-@pytest.mark.parametrize("name", ["dempster", "yager", "cumulative"])
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_kernels_read_negative_numbers_as_none(name: str, dtype: Any) -> None:
-    t = 0.9 * tolerance_of(np.zeros(2, dtype))
+@each("name", ["dempster", "yager", "cumulative"])
+def test_kernels_read_negative_numbers_as_none(name: str) -> None:
+    dtype, t = np.float32, 0.9 * tolerance_of(np.zeros(2, np.float32))
     # unknown below zero, beliefs below zero
     a = np.array([[1 + t, -t], [0.5 + t / 2, 0.5 + t / 2], [-t, 0.3], [1, 0]], dtype)
     b = np.array([[2 * t, 1 - 2 * t], [0, 1 + t], [0.4, -t], [-t, 0.5]], dtype)
@@ -146,8 +137,8 @@ def test_measures_stay_in_range_on_a_saturated_map() -> None:
     assert torch.isfinite(tensor.grad).all()  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("units", [0, 1, 3, 4, 5, 6, 8, 20])
+@each("dtype", DTYPES)
+@each("units", [0, 1, 3, 4, 5, 6, 8, 20])
 def test_the_same_masses_are_dogmatic_in_pairs_stacks_and_kernels(dtype: Any, units: int) -> None:
     """An unknown of up to 4 units of rounding counts as none, in each mass by itself."""
     eps = np.finfo(dtype).eps
@@ -170,7 +161,7 @@ def test_rounding_is_four_units() -> None:
     assert rounding(np.zeros(2)) == pytest.approx(8.9e-16, rel=0.01)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_unfusing_and_evidence_know_rounding(dtype: Any) -> None:
     eps = np.finfo(dtype).eps
     for units, vacuous in [(4, True), (8, False)]:
@@ -181,15 +172,15 @@ def test_unfusing_and_evidence_know_rounding(dtype: Any) -> None:
         assert evidence.mass_to_evidence(mass)[0] == 0
 
 
-@pytest.mark.parametrize("fuse", EVIDENCE_RULES)
+@each("fuse", EVIDENCE_RULES)
 def test_a_chain_of_dogmatic_masses_is_not_the_stack(fuse: Any) -> None:
     free, occupied = np.array([1.0, 0]), np.array([0, 1.0])
     np.testing.assert_allclose(fuse(np.stack([free, free, occupied]), axis=0), (2 / 3, 1 / 3))
     np.testing.assert_allclose(fuse(fuse(free, free), occupied), (1 / 2, 1 / 2))
 
 
-@pytest.mark.parametrize("fuse", EVIDENCE_RULES)
-@pytest.mark.parametrize("weights", [[0.1, 0.2], [0.1, 0.7]])
+@each("fuse", EVIDENCE_RULES)
+@each("weights", [[0.1, 0.2], [0.1, 0.7]])
 def test_dogmatic_weights_keep_double_precision_in_torch(fuse: Any, weights: list) -> None:
     a, b = np.array([1.0, 0]), np.array([0.3, 0.7])
     result = fuse(torch.tensor(a), torch.tensor(b), dogmatic_weights=weights)
@@ -205,7 +196,7 @@ def test_total_conflict_in_general_frames_warns_of_nothing() -> None:
         assert np.isnan(powerset.plausibility_transform(nothing)).all()
 
 
-@pytest.mark.parametrize("base_rate", [0.0, 0.2, 0.9, 1.0])
+@each("base_rate", [0.0, 0.2, 0.9, 1.0])
 def test_maximal_uncertainty_by_its_definition(base_rate: float) -> None:
     masses = np.random.default_rng(0).dirichlet([1, 1, 1], 200)[:, :2]
     p = evidence.mass_to_probability(masses, base_rate)
@@ -233,7 +224,7 @@ def test_degree_of_conflict_depends_on_the_base_rate() -> None:
         assert evidence.degree_of_conflict(a, b, base_rate=rate) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("rate", [evidence.cumulative_base_rate, evidence.confidence_base_rate])
+@each("rate", [evidence.cumulative_base_rate, evidence.confidence_base_rate])
 def test_base_rates_without_weight_are_averaged_up_to_rounding(rate: Any) -> None:
     eps = np.finfo(float).eps
     tiny = np.array([0, eps])
@@ -243,6 +234,6 @@ def test_base_rates_without_weight_are_averaged_up_to_rounding(rate: Any) -> Non
 
 def test_divergence_of_random_near_densities_is_never_negative() -> None:
     rng = np.random.default_rng(0)
-    alpha = 10 ** rng.uniform(-3, 7, (400_000, 2))
-    other = alpha * (1 + 10 ** rng.uniform(-16, -2, (400_000, 1)) * rng.normal(size=(400_000, 2)))
+    alpha = 10 ** rng.uniform(-3, 7, (100_000, 2))
+    other = alpha * (1 + 10 ** rng.uniform(-16, -2, (100_000, 1)) * rng.normal(size=(100_000, 2)))
     assert evidence.dirichlet_kl(alpha, other).min() >= 0

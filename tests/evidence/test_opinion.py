@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from masses import DTYPES, A, arrays_of_masses, pair, tolerance
@@ -37,7 +38,7 @@ def test_an_opinion_is_a_value() -> None:
     np.testing.assert_array_equal(opinion.mass, (0.5, 0.2))
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@each("dtype", DTYPES)
 def test_an_opinion_is_made_of_a_mass(dtype: Any) -> None:
     opinion = Opinion.from_mass(np.array([0.1, 0.9], dtype), base_rate=0.2)
     assert opinion.occupied == pytest.approx(0.9)
@@ -130,8 +131,8 @@ def test_pignistic_is_the_projection_with_base_rate_one_half() -> None:
     assert evidence.mass_to_probability(mass, 0.9) == pytest.approx(0.47)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("shape", [(), (5,), (2, 3), (0,)])
+@each("dtype", DTYPES)
+@each("shape", [(), (5,), (2, 3), (0,)])
 def test_conversions_keep_shape_and_dtype(dtype: Any, shape: tuple) -> None:
     mass = np.full((*shape, 2), 0.25, dtype)
     cells = np.full(shape, 2, dtype)

@@ -4,7 +4,7 @@ from itertools import combinations, product
 from typing import Any
 
 import numpy as np
-import pytest
+from cases import each
 from hypothesis import given, settings
 from masses import DTYPES, RULES, SHAPES, arrays_of_masses, rule, tolerance
 
@@ -29,9 +29,9 @@ def random_masses(states: int, shape: tuple, dtype: Any = np.float64, seed: int 
     return (weights / weights.sum(-1, keepdims=True)).astype(dtype)
 
 
-@pytest.mark.parametrize("name", [name for name in GENERAL if name not in ("bold", "cumulative_epistemic")])
 @laws
 @given(masses=arrays_of_masses(2))
+@each("name", [name for name in GENERAL if name not in ("bold", "cumulative_epistemic")])
 def test_binary_rules_are_the_general_ones(name: str, masses: Any) -> None:
     a, b = masses
     back = powerset.to_triple if RULES[name].open_world else powerset.to_pair
@@ -60,9 +60,9 @@ def test_the_normalized_cautious_rule_is_the_general_one_closed(masses: Any) -> 
     )
 
 
-@pytest.mark.parametrize("name", ["conjunctive", "disjunctive", "cautious", "bold"])
 @laws
 @given(masses=arrays_of_masses(2, states=3, least_unknown=1, least_conflict=1))
+@each("name", ["conjunctive", "disjunctive", "cautious", "bold"])
 def test_open_world_rules_are_the_general_ones(name: str, masses: Any) -> None:
     a, b = masses
     general = getattr(powerset, name)(powerset.from_pair(a), powerset.from_pair(b))
@@ -88,9 +88,9 @@ def test_binary_transforms_are_the_general_ones(mass: np.ndarray) -> None:
     )
 
 
-@pytest.mark.parametrize("states", range(1, 7))
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("shape", SHAPES)
+@each("states", range(1, 7))
+@each("dtype", DTYPES)
+@each("shape", SHAPES)
 def test_transforms_invert_each_other(states: int, dtype: Any, shape: tuple) -> None:
     mass = random_masses(states, shape, dtype)
     for there, back in [
@@ -118,7 +118,7 @@ def test_transforms_are_their_definitions() -> None:
         np.testing.assert_allclose(powerset.mass_to_plausibility(mass)[:, a], pl, atol=1e-14)
 
 
-@pytest.mark.parametrize("name", ["conjunctive", "disjunctive", "yager", "dempster", "dubois_prade"])
+@each("name", ["conjunctive", "disjunctive", "yager", "dempster", "dubois_prade"])
 def test_general_rules_are_their_definitions(name: str) -> None:
     """Pair by pair of subsets, as in the papers, on four states."""
     a, b = random_masses(4, (10,), seed=1), random_masses(4, (10,), seed=2)
@@ -134,7 +134,7 @@ def test_general_rules_are_their_definitions(name: str) -> None:
     np.testing.assert_allclose(getattr(powerset, name)(a, b), expected, atol=1e-13)
 
 
-@pytest.mark.parametrize("states", [3, 4])
+@each("states", [3, 4])
 def test_general_consensus_compromise_is_its_definition(states: int) -> None:
     """Pair by pair of sets (van der Heijden et al. 2018), with base rates in proportion to the sizes of sets."""
     whole = frozenset(range(states))
@@ -161,9 +161,9 @@ def test_general_consensus_compromise_is_its_definition(states: int) -> None:
         np.testing.assert_allclose(powerset.consensus_compromise(a, b), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", sorted(set(GENERAL.values()) - {"cumulative_epistemic"}))
-@pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("shape", SHAPES)
+@each("name", sorted(set(GENERAL.values()) - {"cumulative_epistemic"}))
+@each("dtype", DTYPES)
+@each("shape", SHAPES)
 def test_general_rules_give_mass_functions(name: str, dtype: Any, shape: tuple) -> None:
     a, b = random_masses(3, shape, dtype, seed=1), random_masses(3, shape, dtype, seed=2)
     if name == "bold":

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each, refused
 
 from ogm.fusion import DynamicMapper, DynamicSettings
 from ogm.fusion.dynamic.scan_history import ScanHistory
@@ -26,30 +27,18 @@ def arrays(mapper: DynamicMapper) -> list[np.ndarray]:
     return [grid.mass, grid.velocity, grid.covariance, *(one[: p.start[-1]].copy() for one in p[:4]), p.start.copy()]
 
 
-@pytest.mark.parametrize("particles", [0, -5, 2**25 + 1, 10**15, 1.5, math.nan, math.inf])
-def test_a_number_of_particles_that_cannot_be_is_refused_before_memory_is_taken(particles):
-    with pytest.raises(ValueError, match="particles must be a whole number from 1 to 33554432"):
-        DynamicMapper(SPEC, particles)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"filter": "sorted"}, "filter must be one of hybrid, nuss, got 'sorted'"),
-        ({"window": "sliding"}, "window must be one of rolling, fixed"),
-        ({"threads": 0}, "threads must be a whole number of at least 1, got 0"),
-        ({"max_speed": -1.0}, "max_speed"),
-        ({"max_delay": -1.0}, "max_delay"),
-    ],
-)
-def test_arguments_out_of_range_are_refused(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        DynamicMapper(SPEC, 10, **arguments)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
+def test_arguments_and_settings_out_of_range_are_refused():
+    for particles in (0, -5, 2**25 + 1, 10**15, 1.5, math.nan, math.inf):  # before memory is taken
+        refused("particles must be a whole number from 1 to 33554432", DynamicMapper, SPEC, particles)
+    for name, value, words in (
+        ("filter", "sorted", "filter must be one of hybrid, nuss, got 'sorted'"),
+        ("window", "sliding", "window must be one of rolling, fixed"),
+        ("threads", 0, "threads must be a whole number of at least 1, got 0"),
+        ("max_speed", -1.0, "max_speed"),
+        ("max_delay", -1.0, "max_delay"),
+    ):
+        refused(words, DynamicMapper, SPEC, 10, **{name: value})
+    for name, value, words in (
         ("free_half_life", 0.0, "greater than 0 s"),
         ("static_half_life", math.nan, "greater than 0 s"),
         ("dynamic_half_life", -1.0, "greater than 0 s"),
@@ -60,11 +49,8 @@ def test_arguments_out_of_range_are_refused(arguments, words):
         ("association", -0.1, r"in \[0, 1\]"),
         ("min_unknown", 1.0, r"in \[0, 1\)"),
         ("conflict_half_life", -1.0, "0 s or more"),
-    ],
-)
-def test_settings_out_of_range_are_refused(name, value, words):
-    with pytest.raises(ValueError, match=f"{name} must be {words}"):
-        DynamicSettings(**{name: value})
+    ):
+        refused(f"{name} must be {words}", DynamicSettings, **{name: value})
 
 
 def test_an_error_in_the_middle_of_an_update_changes_nothing():
@@ -93,7 +79,7 @@ def test_an_error_in_the_middle_of_an_update_changes_nothing():
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("filter", ["hybrid", "nuss"])
+@each("filter", ["hybrid", "nuss"])
 def test_a_late_scan_moves_no_particle_and_no_dynamic_mass(filter):
     mapper = DynamicMapper(SPEC, 5000, filter=filter)
     for k in range(12):
@@ -118,28 +104,6 @@ def test_a_late_scan_moves_no_particle_and_no_dynamic_mass(filter):
     mapper.update(scan(block=46), np.eye(4), stamp=1.2)
 
 
-def test_a_repeated_stamp_moves_and_ages_nothing():
-    mapper = DynamicMapper(SPEC, 5000)
-    for k in range(8):
-        mapper.update(scan(block=10 + 3 * k), np.eye(4), stamp=0.1 * k)
-    before = mapper.dynamic_grid
-    mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=0.7)
-    after = mapper.dynamic_grid
-    np.testing.assert_allclose(after.free, before.free, atol=2e-3)
-    np.testing.assert_allclose(after.static, before.static, atol=2e-3)
-    np.testing.assert_allclose(after.dynamic, before.dynamic, atol=2e-3)
-
-
-def test_a_long_gap_leaves_an_unknown_map_and_no_errors(caplog):
-    mapper = DynamicMapper(SPEC, 1000)
-    mapper.update(scan(block=10), np.eye(4), stamp=0.0)
-    mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=3600.0)
-    assert "no scan for 3600.0 s" in caplog.text
-    assert mapper.dynamic_grid.unknown.min() > 0.99
-    mapper.update(scan(block=10), np.eye(4), stamp=3600.1)
-    assert mapper.grid.occupied[12, 24] > 0.7
-
-
 def test_scans_without_anything_occupied_give_a_map_without_particles():
     mapper = DynamicMapper(SPEC, 1000)
     for k in range(3):
@@ -148,21 +112,6 @@ def test_scans_without_anything_occupied_give_a_map_without_particles():
     assert np.isnan(mapper.dynamic_grid.velocity).all()
     mapper.update(scan(block=10), pose(0.3), stamp=0.3)
     assert abs(mapper._particles.start[-1] - 1000) <= 1
-
-
-def test_reset_begins_a_new_map():
-    mapper, fresh = DynamicMapper(SPEC, 1000), DynamicMapper(SPEC, 1000)
-    for k in range(5):
-        mapper.update(scan(block=10 + k), pose(0.3 * k), stamp=0.1 * k)
-    mapper.reset()
-    assert mapper.scans == 0
-    assert mapper.stamp is None
-    assert mapper.dynamic_grid.mass.max() == 0
-    for one in (mapper, fresh):
-        for k in range(4):
-            one.update(scan(block=10 + k), pose(500.0), stamp=9.0 + 0.1 * k)
-    for a, b in zip(arrays(fresh), arrays(mapper), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def test_particles_that_leave_the_window_die_and_new_cells_are_unknown():

@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from cases import each, refused
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
@@ -207,11 +208,11 @@ def flickering(rng, points, at, velocity, visible=None):
     return masks[0], list(zip(masks[1:], AGES, strict=True))
 
 
-@pytest.mark.parametrize("visible", [None, lambda age: 0.9 - 1.5 * age], ids=["constant", "growing"])
+@each("visible", [None, lambda age: 0.9 - 1.5 * age])
 def test_flicker_and_a_growing_view_cost_little(visible):
     rng = np.random.default_rng(7)
     errors, inside, found = [], [], 0
-    for _ in range(60):
+    for _ in range(40):
         speed, heading = rng.uniform(2, 12), rng.uniform(-np.pi, np.pi)
         velocity = speed * np.array([np.cos(heading), np.sin(heading)])
         match = matched(*flickering(rng, outline(28, 11), (60, 50) + rng.random(2), velocity, visible))
@@ -220,7 +221,7 @@ def test_flicker_and_a_growing_view_cost_little(visible):
         error = match.velocity[best] - velocity
         errors.append(np.hypot(*error))
         inside.append(error @ np.linalg.inv(match.covariance[best]) @ error < 5.99)
-    assert found >= 57
+    assert found >= 38
     assert np.median(errors) < 0.35
     assert np.max(errors) < 1.0
     assert np.mean(inside) > 0.8
@@ -236,22 +237,15 @@ def test_standing_shapes_that_flicker_get_no_velocity():
     assert valid.sum() <= 1
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [({"max_speed": 0}, "max_speed"), ({"cap": np.nan}, "cap"), ({"max_cells": 1000}, "max_cells <= 655")],
-)
-def test_settings_out_of_range_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
-        MatchSettings(**change)
-
-
-def test_masks_that_do_not_fit_are_refused():
+def test_settings_and_masks_that_do_not_fit_are_refused():
+    for change, message in (
+        ({"max_speed": 0}, "max_speed"),
+        ({"cap": np.nan}, "cap"),
+        ({"max_cells": 1000}, "max_cells <= 655"),
+    ):
+        refused(message, MatchSettings, **change)
     now, earlier = moved(L_SHAPE, (50, 45), (10, 0))
-    with pytest.raises(ValueError, match="an earlier mask must be bool"):
-        match_velocities(now, now, [(earlier[0][0][1:], 0.2)], SIDE)
-    with pytest.raises(ValueError, match="above 0 s"):
-        match_velocities(now, now, [(earlier[0][0], 0.0)], SIDE)
-    with pytest.raises(ValueError, match="resolution"):
-        match_velocities(now, now, earlier, 0.0)
-    with pytest.raises(ValueError, match="prior must have shape"):
-        match_velocities(now, now, earlier, SIDE, prior=np.zeros((*SHAPE, 3)))
+    refused("an earlier mask must be bool", match_velocities, now, now, [(earlier[0][0][1:], 0.2)], SIDE)
+    refused("above 0 s", match_velocities, now, now, [(earlier[0][0], 0.0)], SIDE)
+    refused("resolution", match_velocities, now, now, earlier, 0.0)
+    refused("prior must have shape", match_velocities, now, now, earlier, SIDE, prior=np.zeros((*SHAPE, 3)))

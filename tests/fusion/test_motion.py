@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from cases import each, refused
 
 from ogm.fusion import deskew, extrapolate
-from ogm.fusion.ego import deskewing
 from ogm.pose import Trajectory, inverse, pose, transform_points
 
 STAMP = 735.25
@@ -49,13 +49,6 @@ def test_a_clock_that_counts_from_1970_costs_no_more_than_its_rounding() -> None
     np.testing.assert_allclose(moved, deskew(points, time, trajectory, STAMP), atol=1e-4)
 
 
-def test_the_kernel_is_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    points, time = cloud(100)
-    fast = deskew(points, time, drive(), STAMP)
-    monkeypatch.setattr(deskewing, "_deskew", deskewing._deskew.py_func)
-    np.testing.assert_allclose(deskew(points, time, drive(), STAMP), fast, atol=1e-5)
-
-
 def test_a_wall_seen_in_a_turn_is_straight_again() -> None:
     # A sensor at 10 m/s that turns at 0.5 rad/s; sees the wall x = 20 of the map once per 1.8 degrees of its turn.
     t = np.linspace(-0.05, 0.05, 201)
@@ -68,17 +61,6 @@ def test_a_wall_seen_in_a_turn_is_straight_again() -> None:
     assert np.ptp(measured[:, 0]) > 1.0
     straight = deskew(measured.astype(np.float32), t, circle, 0.0)
     np.testing.assert_allclose(straight, wall, atol=1e-4)
-
-
-def test_points_measured_at_the_stamp_stay() -> None:
-    points, _ = cloud(50)
-    np.testing.assert_allclose(deskew(points, np.zeros(50), drive(), STAMP), points, atol=1e-5)
-
-
-def test_without_motion_nothing_moves() -> None:
-    points, time = cloud(50)
-    still = Trajectory([STAMP - 1, STAMP, STAMP + 1], [pose(3, 4, 5, yaw=1)] * 3)
-    np.testing.assert_allclose(deskew(points, time, still, STAMP), points, atol=1e-5)
 
 
 def test_where_the_map_has_its_origin_does_not_matter() -> None:
@@ -131,33 +113,25 @@ def test_the_ends_of_the_trajectory_are_inside() -> None:
     np.testing.assert_allclose(deskew(points, np.zeros(2), trajectory, first - 5e-7), points, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("time", "stamp", "message"),
-    [
+def test_times_outside_the_trajectory_and_other_shapes_are_refused() -> None:
+    points = np.zeros((2, 4), np.float32)
+    for time, stamp, message in (
         ([0.0, 0.6], STAMP, "extrapolate"),
         ([-0.25, 0.0], STAMP, "extrapolate"),
         ([0.0, 0.0], STAMP + 10, "extrapolate"),
         ([0.0, np.nan], STAMP, r"time\[1\] is not"),
         ([0.0], STAMP, "one per point"),
         ([0.0, 0.0], np.nan, "covers"),
-    ],
-)
-def test_times_outside_the_trajectory_are_refused(time: list, stamp: float, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        deskew(np.zeros((2, 4), np.float32), time, drive(), stamp)
+    ):
+        refused(message, deskew, points, time, drive(), stamp)
+    refused("N, 3 or more", deskew, np.zeros((4, 2)), np.zeros(4), drive(), STAMP)
 
 
 def test_one_pose_serves_one_time() -> None:
     points, _ = cloud(4)
     one = Trajectory([STAMP], [pose(1, 2, 3, yaw=1)])
     np.testing.assert_array_equal(deskew(points, np.zeros(4), one, STAMP), points)
-    with pytest.raises(ValueError, match="trajectory"):
-        deskew(points, np.full(4, 0.01), one, STAMP)
-
-
-def test_shapes_are_checked() -> None:
-    with pytest.raises(ValueError, match="N, 3 or more"):
-        deskew(np.zeros((4, 2)), np.zeros(4), drive(), STAMP)
+    refused("trajectory", deskew, points, np.full(4, 0.01), one, STAMP)
 
 
 def on_circle(stamps: np.ndarray) -> Trajectory:
@@ -167,7 +141,7 @@ def on_circle(stamps: np.ndarray) -> Trajectory:
     return Trajectory(stamps, start @ np.array(turns))
 
 
-@pytest.mark.parametrize("seconds", [0.03, 0.1, 0.25])
+@each("seconds", [0.03, 0.1, 0.25])
 def test_a_trajectory_goes_on_along_its_circle(seconds: float) -> None:
     longer = extrapolate(on_circle(np.linspace(0, 1, 11)), seconds)
     assert longer.stamps[0] == pytest.approx(-seconds)
@@ -184,12 +158,9 @@ def test_a_trajectory_goes_on_straight_and_keeps_what_it_knew() -> None:
     np.testing.assert_array_equal(extrapolate(known, 0.0).stamps, known.stamps)
 
 
-@pytest.mark.parametrize(
-    ("count", "seconds", "message"), [(1, 0.1, "two poses"), (3, -1, "0 or more"), (3, np.inf, "0")]
-)
-def test_what_cannot_be_extended_is_refused(count: int, seconds: float, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        extrapolate(drive(count), seconds)
+def test_what_cannot_be_extended_is_refused() -> None:
+    for count, seconds, message in ((1, 0.1, "two poses"), (3, -1, "0 or more"), (3, np.inf, "0")):
+        refused(message, extrapolate, drive(count), seconds)
 
 
 def test_nearly_equal_stamps_do_not_extend_a_trajectory_without_end() -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each, refused
 from dynamic_scenes import SPEC, Block, scene
 
 from ogm.fusion.dynamic.object_tracker import ObjectTracker, TrackerSettings
@@ -97,7 +98,7 @@ def test_velocities_are_filtered_and_their_covariances_fit() -> None:
     assert np.mean(distances) < 2.0  # the object does not accelerate, as the filter assumes that it may
 
 
-@pytest.mark.parametrize("turn", [-0.8, 0.0, 0.4])
+@each("turn", [-0.8, 0.0, 0.4])
 def test_a_turn_rate_is_found(turn: float) -> None:
     tracker = ObjectTracker()
     for k in range(40):  # the heading passes pi
@@ -162,8 +163,7 @@ def test_stamps_and_reset() -> None:
     tracker.update(objects(), 0.2995)  # a clock's jitter
     assert repr(tracker) == "ObjectTracker(1 confirmed of 1 tracks)"
     for stamp in (0.2, math.nan, math.inf):
-        with pytest.raises(ValueError, match="stamp"):
-            tracker.update(objects(), stamp)
+        refused("stamp", tracker.update, objects(), stamp)
     tracker.reset()
     assert len(tracker) == 0
     assert numbers(tracker, [objects((0.5 * k, 0, 5, 0)) for k in range(3)])[-1] == ("1",)

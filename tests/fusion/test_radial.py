@@ -1,9 +1,8 @@
 """Radial velocities in the dynamic map: one component is measured at once, the other stays open, what stands stays."""
 
-import itertools
-
 import numpy as np
 import pytest
+from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import logsumexp
@@ -256,18 +255,6 @@ def test_beside_what_moves_what_stands_stays_as_static_as_without():
     assert grid.static[walls].mean() == pytest.approx(plain.static[walls].mean(), abs=0.01)
 
 
-def test_results_are_the_same_for_any_number_of_threads():
-    results = []
-    for threads in (1, 2, 3):
-        mapper = DynamicMapper(SPEC, 20_000, threads=threads)
-        for k in range(4):
-            update_map(mapper, ISM(sweep(k).scan), sweep(k))
-        grid = mapper.dynamic_grid
-        results.append((grid.mass, grid.velocity, grid.covariance))
-    for other, k in itertools.product(results[1:], range(3)):
-        np.testing.assert_array_equal(results[0][k], other[k])
-
-
 def block(k: int, speed: float = 4.0) -> EvidentialGrid:
     """Return scan k, at 10 Hz, of a lidar: a car in free space."""
     x, y = np.broadcast_arrays(*SPEC.cell_centers)
@@ -327,7 +314,7 @@ def test_a_detection_measures_what_the_map_holds_as_dynamic_where_the_scan_marks
     assert velocities[1] == pytest.approx(5, abs=0.4)
 
 
-@pytest.mark.parametrize("make", [EvidentialMapper, BinaryBayesMapper])
+@each("make", [EvidentialMapper, BinaryBayesMapper])
 def test_other_maps_ignore_radial_velocities(make):
     a, b = make(SPEC, half_life=2.0), make(SPEC, half_life=2.0)
     for k in range(3):
@@ -337,15 +324,14 @@ def test_other_maps_ignore_radial_velocities(make):
     assert a.grid == b.grid
 
 
-@pytest.mark.parametrize("make", [EvidentialMapper, lambda spec: DynamicMapper(spec, 100)])
+@each("make", [EvidentialMapper, lambda spec: DynamicMapper(spec, 100)])
 def test_what_is_no_radial_velocities_is_refused_and_the_map_stays(make):
-    mapper = make(SPEC)
+    mapper, later = make(SPEC), (block(1), np.eye(4))
     mapper.update(block(0), np.eye(4), stamp=0.0)
-    before = mapper.grid
-    with pytest.raises(TypeError, match="radial must be RadialVelocities, got list"):
-        mapper.update(block(1), np.eye(4), stamp=0.1, radial=[])
-    with pytest.raises(ValueError, match="must have shape"):
-        mapper.update(block(1), np.eye(4), stamp=0.1, radial=NOTHING._replace(xy=np.zeros((3, 2))))
+    before, wrong = mapper.grid, NOTHING._replace(xy=np.zeros((3, 2)))
+    message = "radial must be RadialVelocities, got list"
+    refused(message, mapper.update, *later, stamp=0.1, radial=[], error=TypeError)
+    refused("must have shape", mapper.update, *later, stamp=0.1, radial=wrong)
     assert mapper.grid == before
     assert mapper.stamp == 0
 

@@ -4,10 +4,10 @@ import functools
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from cases import refused
 
 from ogm.fusion import odometry
 from ogm.fusion.ego.registration import METHODS
@@ -89,6 +89,7 @@ def test_a_missing_scan_is_bridged(method: str) -> None:
     assert departure(truth.poses[-1], found.poses[-1])[0] < 0.05
 
 
+@pytest.mark.slow
 @methods
 def test_motion_distorted_scans_are_deskewed_by_their_times(method: str) -> None:
     distorted, times = [], []
@@ -123,34 +124,28 @@ def test_the_ego_vehicle_and_missing_points_do_not_bias_the_poses(method: str) -
 
 
 @methods
-@pytest.mark.parametrize(
-    ("scans", "stamps", "message"),
-    [
+def test_scans_that_cannot_be_registered_are_refused(method: str) -> None:
+    far = np.ones((500, 3)) * 10
+    for scans, stamps, message in (
         ([], [], "no scan"),
         ([np.zeros((0, 4))], [0.0], "scan 0 has 0 points"),
         ([np.ones((5, 4)) * 10], [0.0], "scan 0 has 5 points .* leave it out"),
         ([np.full((500, 4), np.nan)], [0.0], "scan 0 has 0 points"),
         ([np.ones((500, 2))], [0.0], "N, 3 or more"),
-        ([np.ones((500, 3)) * 10] * 2, [0.0, 0.0], "stamps must increase"),
-        ([np.ones((500, 3)) * 10] * 2, [0.0], "stamps ended after 1"),
-        ([np.ones((500, 3)) * 10], [0.0, 1.0], "scans ended after 1"),
-    ],
-)
-def test_scans_that_cannot_be_registered_are_refused(method: str, scans: list, stamps: list, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        odometry(scans, stamps, method)
+        ([far] * 2, [0.0, 0.0], "stamps must increase"),
+        ([far] * 2, [0.0], "stamps ended after 1"),
+        ([far], [0.0, 1.0], "scans ended after 1"),
+    ):
+        refused(message, odometry, scans, stamps, method)
 
 
-@pytest.mark.parametrize(
-    ("given", "message"), [({"method": "icp"}, "kiss-icp or small-gicp"), ({"range_min": 100}, "below range_max")]
-)
-def test_impossible_settings_are_refused_before_the_first_scan(given: dict[str, Any], message: str) -> None:
+def test_impossible_settings_are_refused_before_the_first_scan() -> None:
     def never() -> Iterator[np.ndarray]:
         pytest.fail("a scan was taken")
         yield
 
-    with pytest.raises(ValueError, match=message):
-        odometry(never(), [0.0], **given)
+    refused("kiss-icp or small-gicp", odometry, never(), [0.0], "icp")
+    refused("below range_max", odometry, never(), [0.0], range_min=100)
 
 
 @pytest.mark.parametrize("name", METHODS)

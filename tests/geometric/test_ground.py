@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each, refused
 
 from ogm import GridSpec, Mount, read_points
 from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground, reference
@@ -43,7 +44,7 @@ def test_local_ground_follows_slopes_under_cars_walls_and_crowns() -> None:
     assert (flat[is_ground] < 0.15).mean() < 0.7  # the plane fails here, which is why there is a local estimate
 
 
-@pytest.mark.parametrize("depth", [0.6, 3.0, 20.0])
+@each("depth", [0.6, 3.0, 20.0])
 def test_ghost_returns_below_ground_do_not_pull_it_down(depth: float) -> None:
     xyz, is_ground = scene()
     rng = np.random.default_rng(1)
@@ -54,7 +55,7 @@ def test_ghost_returns_below_ground_do_not_pull_it_down(depth: float) -> None:
     assert (np.abs(above[is_ground]) < 0.15).mean() > 0.985
 
 
-@pytest.mark.parametrize("edge", ["front", "back", "left", "right"])
+@each("edge", ["front", "back", "left", "right"])
 def test_strays_in_the_outermost_cells_are_dropped(edge: str) -> None:
     """The sensor stands at one end of a long grid, and the stray return at the other, 1 m under the road."""
     length, width = (40, 12) if edge in ("front", "back") else (12, 40)
@@ -116,18 +117,16 @@ def test_ground_without_returns_does_not_rise_faster_than_a_road() -> None:
 
 
 def test_a_ground_point_or_a_map_that_the_kernels_cannot_take_is_refused() -> None:
-    with pytest.raises(ValueError, match="must lie inside the grid"):
-        local_ground(np.zeros((1, 3), np.float32), SPEC, (99.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match="2 x 2 cells"):
-        local_ground(np.zeros((1, 3), np.float32), GridSpec(1.0, (1, 5), (-0.5, -2.0)), (0.0, 0.0, 0.0))
+    point = np.zeros((1, 3), np.float32)
+    refused("must lie inside the grid", local_ground, point, SPEC, (99.0, 0.0, 0.0))
+    refused("2 x 2 cells", local_ground, point, GridSpec(1.0, (1, 5), (-0.5, -2.0)), (0.0, 0.0, 0.0))
     at = np.array([(0.2, 0.7, 0.0), (5.0, 2.6, 0.0)], np.float32)
     for shape in ((1, 1), (1, 3), (3, 1)):
-        np.testing.assert_array_equal(
-            ground_height(np.full(shape, 3, np.float32), GridSpec(1.0, shape, (0.0, 0.0)), at), [3, 3]
-        )
+        height = ground_height(np.full(shape, 3, np.float32), GridSpec(1.0, shape, (0.0, 0.0)), at)
+        np.testing.assert_array_equal(height, [3, 3])
 
 
-@pytest.mark.parametrize("seed", range(6))
+@each("seed", range(4))
 @pytest.mark.parametrize("shape", [(12, 9), (2, 2), (2, 7), (13, 2)])
 def test_local_ground_equals_its_reference(seed: int, shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(seed)
@@ -141,7 +140,7 @@ def test_local_ground_equals_its_reference(seed: int, shape: tuple[int, int]) ->
     np.testing.assert_allclose(fast, slow, atol=1e-4)
 
 
-@pytest.mark.parametrize(
+@each(
     ("lowest", "layer", "above", "height"),
     [(1, 10, 0, -1.75), (1, 9, 0, -2.0), (2, 20, 2, -1.75), (2, 20, 3, -2.0), (2, 19, 0, -2.0)],
 )
@@ -156,13 +155,12 @@ def test_a_layer_above_the_lowest_is_the_ground_from_ten_times_the_returns(
         np.testing.assert_allclose(estimate, height, atol=1e-3)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.9])
-@pytest.mark.parametrize(
+@each(
     "shape", [(1, 1), (1, 2), (2, 1), (1, 3), (1, 9), (8, 1), (2, 2), (2, 3), (3, 2), (3, 3), (5, 4), (7, 17), (16, 9)]
 )
-def test_missing_heights_are_filled_as_the_slow_version_does(shape: tuple[int, int], share: float) -> None:
+def test_missing_heights_are_filled_as_the_slow_version_does(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(shape[0] * 100 + shape[1])
-    for _ in range(4):
+    for share in (0.0, 0.05, 0.3, 0.9):
         height = rng.uniform(-2, 3, shape).astype(np.float32)
         weight = np.where(rng.random(shape) < share, rng.integers(1, 9, shape), 0).astype(np.float32)
         height[weight == 0] = 0
@@ -237,7 +235,7 @@ def test_ray_model_takes_any_ground() -> None:
     assert (local.occupied[ahead] > 0.5).mean() < 0.1
 
 
-@pytest.mark.parametrize(("cell", "side"), [(1.0, 1.0), (0.1, 0.5), (3.0, 3.0), (50.0, 50.0)])
+@each(("cell", "side"), [(1.0, 1.0), (0.1, 0.5), (3.0, 3.0), (50.0, 50.0)])
 def test_the_map_of_the_ground_covers_the_grid_with_cells_that_are_no_finer(cell: float, side: float) -> None:
     seen = []
 

@@ -5,6 +5,7 @@ from importlib.resources import as_file, files
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import GridSpec, Mount, Scan, read_points
 from ogm.geometric import HeightBandISM, RayISM, flat_ground
@@ -52,14 +53,11 @@ def test_height_band_evidence_is_a_belief() -> None:
         assert grid.at(3, 0).occupied == pytest.approx(belief)
 
 
-def test_height_band_clears_up_to_the_border_for_returns_beyond() -> None:
-    assert drawing(HeightBandISM(SPEC, MOUNT)(at((9, 0, 1.0))))[:4] == ["...f...", "...f...", "...f...", "...f..."]
-
-
-def test_height_band_stops_at_the_first_obstacle() -> None:
+def test_height_band_clears_up_to_the_border_for_returns_beyond_and_stops_at_the_first_obstacle() -> None:
     """A return beyond the border whose way is blocked clears nothing behind, its exit cell included."""
-    grid = HeightBandISM(SPEC, MOUNT)(at((9, 0, 1.0), (2, 0, 1.0)))
-    assert drawing(grid)[:4] == [".......", "...O...", "...f...", "...f..."]
+    ism = HeightBandISM(SPEC, MOUNT)
+    assert drawing(ism(at((9, 0, 1.0))))[:4] == ["...f...", "...f...", "...f...", "...f..."]
+    assert drawing(ism(at((9, 0, 1.0), (2, 0, 1.0))))[:4] == [".......", "...O...", "...f...", "...f..."]
 
 
 def test_the_released_code_never_exceeds_a_third() -> None:
@@ -113,24 +111,6 @@ def test_a_ray_clears_less_the_higher_it_passes() -> None:
     free = ism(fan).free[spec.index(6.0, 0)[0] : spec.index(17.0, 0)[0], 4]
     assert (np.diff(free) > 0).mean() > 0.9  # the rays come down, and clear more
     np.testing.assert_allclose(free, 1 - 1.8 * (1 - np.arange(6.25, 17, 0.5) / 18) / 2, atol=0.1)
-
-
-def test_many_rays_over_a_roof_do_not_clear_what_is_below() -> None:
-    """However many rays pass at 1.6 m, an obstacle lower than that would go unnoticed."""
-    spec = GridSpec.centered(40.0, 8.0, 0.5)
-    ism = RayISM(spec, Mount(1.8), ground=flat_ground)
-    over = np.array([(19.0, y, -0.2, 0) for y in np.linspace(-0.4, 0.4, 5000)], np.float32)
-    assert ism(over).at(9.0, 0.1).free < 0.25
-
-
-def test_shadows_stay_unknown() -> None:
-    spec = GridSpec.centered(30.0, 30.0, 0.25)
-    scene = [(5.0, y, z) for y in np.arange(-1, 1, 0.02) for z in np.arange(0.2, 1.9, 0.05)]
-    scene += [(r * math.cos(a), r * math.sin(a), 0.0) for r in range(3, 15) for a in np.arange(0.25, 6.03, 0.01)]
-    grid = RayISM(spec, MOUNT)(at(*scene))
-    shadow = grid.mass[spec.index(6.0, 0)[0] : spec.index(14.0, 0)[0], spec.index(0, 0.0)[1]]
-    assert (shadow == 0).all()
-    assert grid.at(-10.0, 1.0).free > 0.3
 
 
 def test_returns_from_the_ego_vehicle_are_dropped_and_its_cells_stay_unknown() -> None:
@@ -265,7 +245,7 @@ def test_the_order_of_the_points_does_not_matter() -> None:
     points, ism = shipped_scan(), RayISM(GridSpec.centered(81.92, 56.32, 0.16), Mount(1.98))
     expected = ism(points).mass
     assert (expected > 0.5).any(axis=(0, 1)).all()
-    for seed in range(3):
+    for seed in range(2):
         shuffled = np.random.default_rng(seed).permutation(points)
         np.testing.assert_allclose(ism(shuffled).mass, expected, atol=1e-3)
 
@@ -277,7 +257,7 @@ def test_one_point_matters_only_near_it_and_in_its_direction() -> None:
     per_turn, (cx, cy) = sectors / (2 * math.pi), spec.cell_centers
     azimuth, run = np.arctan2(cy, cx) * per_turn, np.hypot(cx, cy)
     expected, inside = ism(points).mass, np.flatnonzero(spec.contains(points[:, 0], points[:, 1]))
-    for n in np.random.default_rng(0).choice(inside, 40, replace=False):
+    for n in np.random.default_rng(0).choice(inside, 15, replace=False):
         x, y = points[n, :2].astype(float)
         own = int(math.atan2(y, x) % (2 * math.pi) * per_turn) + 0.5
         apart = np.abs((azimuth - own + sectors / 2) % sectors - sectors / 2)
@@ -286,8 +266,8 @@ def test_one_point_matters_only_near_it_and_in_its_direction() -> None:
         assert change[is_far].max() < 1e-3
 
 
-@pytest.mark.parametrize("quarter", [1, 2, 3])
-@pytest.mark.parametrize("model", [HeightBandISM, RayISM])
+@each("quarter", [1, 2, 3])
+@each("model", [HeightBandISM, RayISM])
 def test_rotating_points_rotates_the_grid(model: type, quarter: int) -> None:
     rng = np.random.default_rng(5)
     spec = GridSpec.centered(20.5, 20.5, 0.5)  # odd: the sensor in the middle of a cell
@@ -346,7 +326,7 @@ def test_passing_rays_lower_the_belief_in_a_lone_return_only_as_far_as_they_are_
     assert lone(1.0).occupied < lone(0.2).occupied < lone(0.0).occupied
 
 
-@pytest.mark.parametrize("height", [1.9, 3.0, 5.0])
+@each("height", [1.9, 3.0, 5.0])
 def test_rays_above_clearance_take_nothing_from_what_others_clear(height: float) -> None:
     """A facade behind free ground, hit well above clearance, changes no cell before it."""
     spec = GridSpec.centered(80.0, 4.0, 0.5)
@@ -400,7 +380,7 @@ def test_the_released_codes_numbers() -> None:
         assert (ism(np.array([[x, 0.0, 0.0, 0]], np.float32)).occupied.max() > 0) == marks
 
 
-@pytest.mark.parametrize("edge", [9.99999999, 0.0, 1e-9, 9.9999])
+@each("edge", [9.99999999, 0.0, 1e-9, 9.9999])
 def test_a_sensor_on_the_grids_edge(edge: float) -> None:
     """Its cell is found in float64: rounding must not carry it off the grid."""
     spec = GridSpec(0.5, (20, 20), (0.0, 0.0))

@@ -1,15 +1,17 @@
-"""Laws of the counts and scores, and their references."""
+"""Counts and scores, and their references: divergences, sums, ranking, edges of bins and thresholds."""
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from plain import FREE, IGNORE, OCCUPIED, UNKNOWN
+from scipy import special
 
 from ogm.evidence import dirichlet_kl, evidence_to_mass
-from ogm.metrics import METRICS, accumulate, divergence, evilog_kl, score
-from ogm.metrics.ranking import auroc
+from ogm.metrics import RANGES, ConfusionSums, accumulate, by_range, divergence, evilog_kl, free_space, reasons, score
+from ogm.metrics.ranking import auroc, average_precision, false_positive_rate
 from ogm.state import predict_state
 
 
@@ -36,22 +38,14 @@ def dogmatic(state: NDArray[np.uint8]) -> NDArray[np.float32]:
 # Divergences
 
 
-@pytest.mark.parametrize(
-    ("evidence", "state", "metric", "value"),
-    [
-        ((0, 0), FREE, "kl_e1", 0.30685281944),
-        ((1, 0), UNKNOWN, "kl_e1", 0.19314718056),
-        ((1, 0), OCCUPIED, "kl_e1", 1.0),
-        ((0, 0), OCCUPIED, "kl_e10", 7.6021047272),
-        ((10, 0), FREE, "kl_e1", 0.886566274057),
-        ((0.5, 0.5), UNKNOWN, "kl_e1", 0.0484172947105),
-        ((0, 0), UNKNOWN, "kl_e10", 0.0),
-        ((0, 0), FREE, "kl_e1_reverse", 0.19314718056),
-        ((0, 1), FREE, "kl_e1_reverse", 1.0),
-        ((1, 0), UNKNOWN, "kl_e1_reverse", 0.30685281944),
-        ((0, 10), UNKNOWN, "kl_e10_reverse", 7.6021047272),
-    ],
-)
+@each(("evidence", "state", "metric", "value"), [
+    ((0, 0), FREE, "kl_e1", 0.30685281944), ((1, 0), UNKNOWN, "kl_e1", 0.19314718056),
+    ((1, 0), OCCUPIED, "kl_e1", 1.0), ((0, 0), OCCUPIED, "kl_e10", 7.6021047272),
+    ((10, 0), FREE, "kl_e1", 0.886566274057), ((0.5, 0.5), UNKNOWN, "kl_e1", 0.0484172947105),
+    ((0, 0), UNKNOWN, "kl_e10", 0.0), ((0, 0), FREE, "kl_e1_reverse", 0.19314718056),
+    ((0, 1), FREE, "kl_e1_reverse", 1.0), ((1, 0), UNKNOWN, "kl_e1_reverse", 0.30685281944),
+    ((0, 10), UNKNOWN, "kl_e10_reverse", 7.6021047272),
+])  # fmt: skip
 def test_divergence_has_the_value_of_sixty_digits(
     evidence: tuple[float, float], state: int, metric: str, value: float
 ) -> None:
@@ -74,23 +68,12 @@ def test_evilog_divergence_is_that_of_keras() -> None:
     assert evilog_kl(evidence, state).mean() == pytest.approx(0.45814305, abs=1e-8)
 
 
-def test_evilog_divergence_ignores_false_detections() -> None:
-    _, state = random_grid(2)
-    everything_is_both = evilog_kl(np.ones((7, 7, 2)), state)
-    nothing = evilog_kl(np.zeros((7, 7, 2)), state)
-    assert np.nanmax(everything_is_both) < 1e-5
-    np.testing.assert_allclose(nothing[(state == FREE) | (state == OCCUPIED)], 16.118, atol=1e-3)
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-def test_special_functions_of_the_table_are_the_special_functions(compiled: bool) -> None:
-    from scipy.special import digamma, gammaln
-
-    look_up = divergence._look_up if compiled else getattr(divergence._look_up, "py_func", divergence._look_up)
+def test_special_functions_of_the_table_are_the_special_functions() -> None:
     x = np.concatenate([[1.0, 2.0, 2.0 - 1e-16, 4.0, 2e5], 1 + np.logspace(-9, 5.3, 300)])
-    found = np.array([look_up(float(one), int(one.view(np.int64)), divergence._table()) for one in x])
-    np.testing.assert_allclose(found[:, 0], gammaln(x), rtol=1e-11, atol=1e-11)
-    np.testing.assert_allclose(found[:, 1], digamma(x), rtol=0, atol=1e-11)
+    table, bits = divergence._table(), x.view(np.int64)
+    found = np.array([divergence._look_up(float(one), int(n), table) for one, n in zip(x, bits, strict=True)])
+    np.testing.assert_allclose(found[:, 0], special.gammaln(x), rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(found[:, 1], special.digamma(x), rtol=0, atol=1e-11)
 
 
 # Counts
@@ -131,25 +114,6 @@ def test_sums_are_those_of_every_cell() -> None:
         np.testing.assert_allclose(counts.reliability[k, :, 2], np.bincount(place, y[kept], 15))
 
 
-def test_a_perfect_map_is_perfect() -> None:
-    _, state = random_grid(4)
-    scores = score(accumulate(dogmatic(state), state))
-    ones = ("iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known", "auroc_unknown")
-    assert [scores[name] for name in ones] == [1.0] * len(ones)
-    for name in (
-        "ece",
-        "ece_called",
-        "ece_relative",
-        "brier",
-        "brier_relative",
-        "false_free",
-        "missed_occupied",
-        "false_occupied",
-    ):
-        assert scores[name] == 0.0
-    assert scores["legacy_kl"] < 1e-5
-
-
 def test_relative_probability_does_not_depend_on_the_strength_of_evidence() -> None:
     """What is right with evidence 10 has P(occupied) = 1/12 at best: an error of calibration by convention."""
     _, state = random_grid(12)
@@ -157,32 +121,6 @@ def test_relative_probability_does_not_depend_on_the_strength_of_evidence() -> N
         scores = score(accumulate(evidence_to_mass(strength * dogmatic(state)), state))
         assert scores["ece"] == pytest.approx(1 / (strength + 2), rel=1e-6)
         assert scores["ece_relative"] == scores["brier_relative"] == 0.0
-
-
-@pytest.mark.parametrize(("metric", "strength"), [("kl_e1", 1.0), ("kl_e10", 10.0)])
-def test_the_truth_with_its_own_evidence_has_no_divergence(metric: str, strength: float) -> None:
-    _, state = random_grid(5)
-    scores = score(accumulate(evidence_to_mass(strength * dogmatic(state)), state))
-    assert scores[metric] == pytest.approx(0.0, abs=1e-6)
-    assert scores[f"{metric}_reverse"] == pytest.approx(0.0, abs=1e-6)
-    if metric == "kl_e10":
-        assert scores["kl_e1_scaled"] == pytest.approx(0.0, abs=1e-6)
-
-
-def test_scores_of_a_vacuous_grid() -> None:
-    _, state = random_grid(6)
-    kept = state[state != IGNORE]
-    known = np.mean(kept != UNKNOWN)
-    scores = score(accumulate(np.zeros((7, 7, 2), np.float32), state))
-    assert scores["kl_e10"] == pytest.approx(known * (10 - np.log(11)))
-    assert scores["kl_e1"] == pytest.approx(known * (1 - np.log(2)))
-    assert scores["iou_unknown"] == pytest.approx(1 - known)
-    assert scores["iou_free"] == scores["iou_occupied"] == scores["iou_occupied_known"] == 0.0
-    assert scores["auroc_unknown"] == 0.5
-    assert scores["brier"] == 0.25
-    assert scores["mean_unknown"] == 1.0
-    assert scores["missed_occupied"] == 1.0
-    assert np.isnan(scores["ece_called"])
 
 
 def test_hand_drawn_cells_are_counted_by_hand() -> None:
@@ -213,80 +151,6 @@ def test_hand_drawn_cells_are_counted_by_hand() -> None:
     assert scores["brier"] == pytest.approx((0.05**2 + 0.4**2 + 0.9**2 + 0.05**2 + 0.75**2) / 5)
 
 
-def test_the_predicted_state_has_most_mass_and_ties_are_cautious() -> None:
-    mass = np.array([[0.5, 0.1], [0.1, 0.5], [0.5, 0.5], [0.5, 0.0], [0.25, 0.375], [0.2, 0.2]])
-    assert predict_state(mass).tolist() == [FREE, OCCUPIED, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN]
-
-
-def test_evidence_of_one_predicts_every_cell_unknown() -> None:
-    """The EviLOG baseline has no mass above 1/3: by most mass, all its cells are unknown."""
-    _, state = random_grid(7)
-    scores = score(accumulate(evidence_to_mass(dogmatic(state)), state))
-    assert scores["iou_free"] == scores["iou_occupied"] == 0.0
-    assert scores["iou_free_known"] == scores["iou_occupied_known"] == scores["auroc_unknown"] == 1.0
-
-
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 2**31))
-def test_scores_depend_neither_on_place_nor_on_ignored_cells(seed: int) -> None:
-    mass, state = random_grid(seed)
-    scores = score(accumulate(mass, state))
-    other = mass.copy()
-    other[state == IGNORE] = [0.3, 0.6]
-    for same in (score(accumulate(other, state)), score(accumulate(mass[::-1, ::-1], state[::-1, ::-1]))):
-        assert same == pytest.approx(scores, nan_ok=True)
-
-
-def test_exchanging_free_and_occupied_exchanges_their_scores() -> None:
-    mass, state = random_grid(8)
-    swap = np.array([UNKNOWN, OCCUPIED, FREE, IGNORE], np.uint8)
-    one, other = score(accumulate(mass, state)), score(accumulate(mass[..., ::-1], swap[state]))
-    for a, b in (("iou_free", "iou_occupied"), ("mean_free", "mean_occupied"), ("kl_e10", "kl_e10"), ("ece",) * 2):
-        assert one[a] == pytest.approx(other[b])
-        assert one[b] == pytest.approx(other[a])
-
-
-@pytest.mark.parametrize(
-    ("states", "without"),
-    [
-        ((UNKNOWN, FREE), {"iou_occupied_known", "false_free", "missed_occupied"}),
-        ((FREE, OCCUPIED), {"auroc_unknown"}),
-        ((UNKNOWN,), {"iou_free_known", "ece", "ece_called", "ece_relative", "brier", "false_free"}),
-        ((IGNORE,), set(METRICS)),
-    ],
-)
-def test_scores_without_a_cell_are_nan_and_not_zero(states: tuple[int, ...], without: set[str]) -> None:
-    state = np.resize(np.array(states, np.uint8), (7, 7))
-    mass = np.zeros((7, 7, 2), np.float32)
-    mass[..., 0] = 0.7
-    scores = score(accumulate(mass, state))
-    assert tuple(scores) == tuple(METRICS)
-    assert without <= {name for name, value in scores.items() if np.isnan(value)}
-
-
-def test_pooled_counts_are_those_of_all_cells_together() -> None:
-    (a, a_state), (b, b_state) = random_grid(9), random_grid(10)
-    heights = [np.random.default_rng(seed).integers(5, 201, a_state.shape).astype(np.uint8) for seed in (11, 12)]
-    both = score(accumulate(np.concatenate([a, b]), np.concatenate([a_state, b_state]), None, np.concatenate(heights)))
-    parts = [accumulate(a, a_state, None, heights[0]), accumulate(b, b_state, None, heights[1])]
-    assert score(parts[0].plus(parts[1])) == pytest.approx(both)
-
-
-@pytest.mark.parametrize(
-    ("mass", "state", "description"),
-    [
-        (np.zeros((3, 3, 2)), np.zeros((3, 4), np.uint8), "crop the truth"),
-        (np.zeros((3, 3, 3)), np.zeros((3, 3), np.uint8), "crop the truth"),
-        (np.zeros((3, 3, 2)), np.zeros((3, 3)), "state must be uint8"),
-        (np.zeros((3, 3, 2)), np.full((3, 3), 4, np.uint8), "up to 4"),
-        (np.full((3, 3, 2), np.nan), np.zeros((3, 3), np.uint8), "nan"),
-    ],
-)
-def test_invalid_masses_and_states_are_refused(mass: NDArray, state: NDArray, description: str) -> None:
-    with pytest.raises(ValueError, match=description):
-        accumulate(mass, state)
-
-
 # Ranking
 
 
@@ -299,5 +163,90 @@ def test_auroc_is_the_share_of_pairs_in_order(values: list[tuple[int, bool]]) ->
     assert auroc(*histograms) == pytest.approx(np.mean(pairs) if pairs else np.nan, nan_ok=True)
 
 
-def test_auroc_needs_both_kinds() -> None:
-    assert np.isnan(auroc(np.array([1, 2]), np.array([0, 0])))
+# Edges of bins, thresholds and kinds with one cell
+
+
+@each(
+    ("distance", "place"),
+    [(0, 0), (9.999, 0), (10, 1), (12.5, 1), (19.999, 1), (20, 2), (30, 3), (39.999, 3), (40, 4), (1e4, 4)],
+)
+def test_ranges_are_of_10_m_and_a_cell_on_an_edge_is_in_the_farther(distance: float, place: int) -> None:
+    counts = accumulate(np.array([[[0.8, 0.1]]]), np.array([[OCCUPIED]], np.uint8), np.array([[float(distance)]]))
+    table = by_range(counts)
+    assert np.flatnonzero(table["cells"]).tolist() == [place]
+    assert table["false_free"][place] == 1
+    assert len(RANGES) == len(table["cells"]) + 1
+    assert RANGES[place] <= distance < RANGES[place + 1]
+
+
+@each("wrong", [0.25, 0.0])
+def test_one_free_and_one_occupied_cell_make_a_curve(wrong: float) -> None:
+    counts = accumulate(np.array([[[0.75, 0.0], [wrong, 0.5]]]), np.array([[FREE, OCCUPIED]], np.uint8))
+    false_free, recall, threshold = free_space(counts)
+    assert [recall[false_free == 0].max(), false_free[-1]] == [1, 1]
+    assert threshold[(false_free == 0) & (recall == 1)].max() == pytest.approx(0.75, abs=1 / 4096)
+    scores = score(counts)
+    assert scores["free_recall_1"] == scores["free_recall_01"] == scores["ap_occupied"] == 1
+
+
+@each(
+    ("positive", "negative", "area", "precision", "false"),
+    [
+        ([0, 1], [1, 0], 1, 1, 0),
+        ([1, 0], [0, 1], 0, 0.5, 1),
+        ([0, 0, 1], [0, 0, 1], 0.5, 0.5, 1),
+        ([0, 5, 0, 95], [4, 0, 4, 0], 39 / 40, 0.95 + 0.05 * 100 / 104, 0),  # 95 % are found at the highest level
+        ([0, 6, 0, 94], [4, 0, 4, 0], 0.97, 0.94 + 0.06 * 100 / 104, 0.5),
+        ([1, 1], [0, 0], np.nan, np.nan, np.nan),
+        ([0, 0], [1, 1], np.nan, np.nan, np.nan),
+    ],
+)
+def test_rankings_of_few_cells_are_those_by_hand(
+    positive: list[int], negative: list[int], area: float, precision: float, false: float
+) -> None:
+    p, n = np.array(positive), np.array(negative)
+    found = auroc(p, n), average_precision(p, n), false_positive_rate(p, n)
+    assert found == pytest.approx((area, precision, false), nan_ok=True)
+
+
+def test_cells_without_belief_in_free_make_a_curve() -> None:
+    counts = accumulate(np.array([[[0.0, 0.5], [0.0, 0.5]]]), np.array([[FREE, OCCUPIED]], np.uint8))
+    false_free, recall, _ = free_space(counts)
+    assert [false_free[0], recall[0], false_free[-1], recall[-1]] == [0, 0, 1, 1]
+    assert score(counts)["free_recall_1"] == 0
+
+
+@each(
+    ("states", "missing"),
+    [((FREE,), "unknown"), ((OCCUPIED,), "unknown"), ((FREE, OCCUPIED), "unknown"), ((UNKNOWN,), "known")],
+)
+def test_reasons_name_the_kinds_of_cells_that_are_missing(states: tuple[int, ...], missing: str) -> None:
+    counts = accumulate(np.full((1, 6, 2), 0.3), np.resize(np.array(states, np.uint8), (1, 6)))
+    assert reasons(counts)["auroc_unknown"] == f"the truth has no {missing} cell"
+
+
+@each(("name", "cells"), [("free_recall_1", 100), ("free_recall_01", 1000)])
+def test_bounds_of_false_free_are_a_hundredth_and_a_thousandth(name: str, cells: int) -> None:
+    """One occupied cell with Bel(free) = 0.9: with one cell fewer than the bound allows for, no cell may exceed it."""
+    of_free = np.array([0.95] * 3 + [0.85] * 7)
+    for occupied, recall in ((cells - 1, 0.3), (cells, 1.0)):
+        free = np.concatenate([of_free, [0.9], np.zeros(occupied - 1)])
+        state = np.where(np.arange(len(free)) < 10, FREE, OCCUPIED).astype(np.uint8)[None]
+        mass = np.stack([free, 0 * free], axis=-1)[None]
+        counts = accumulate(mass, state, np.full(state.shape, 15.0))
+        assert score(counts)[name] == pytest.approx(recall)
+        assert by_range(counts)[name][1] == pytest.approx(recall)
+
+
+def test_sums_have_the_documented_shapes() -> None:
+    shapes = {name: one.shape for name, one in ConfusionSums.zeros()._asdict().items()}
+    by_truth = ("cells", "evilog_kl", "log_loss", "entropy", "dissonance", "squared_error")
+    assert [shapes.pop(name) for name in by_truth] == [(3,)] * 6
+    assert shapes == {
+        **{"mass": (3, 2), "to_truth": (3, 3), "from_truth": (2, 3), "confusion": (3, 3), "detections": (3, 2)},
+        **{"confusion_by_probability": (3, 3), "reliability": (3, 15, 3), "intervals": (15, 4), "obstacles": (2,)},
+        **{"unknown_hist": (3, 4097), "p_occupied_hist": (3, 4097), "p_occupied_hist_tol1": (3, 4097)},
+        **{"bel_free_hist": (2, 4097), "range_confusion": (5, 3, 3), "range_detections": (5, 3, 2)},
+        "range_bel_free_hist": (5, 2, 1025),
+        **{"high_confusion": (2, 3), "high_detections": (2, 2)},
+    }

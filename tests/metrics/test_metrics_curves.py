@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid
 
 from ogm.evidence import evidence_to_mass
@@ -112,22 +113,7 @@ def test_areas_of_the_best_and_the_worst_order_are_the_closed_forms() -> None:
         assert scores["ause"] == pytest.approx(area - best, abs=1e-12)
 
 
-def test_a_vacuous_grid_is_half_wrong_in_every_order() -> None:
-    _, state = lattice_grid(4)
-    scores = score(accumulate(np.zeros((7, 7, 2), np.float32), state))
-    assert scores["aurc"] == pytest.approx(0.5)
-    assert scores["ause"] == pytest.approx(0, abs=1e-12)
-
-
-def test_free_space_is_what_its_thresholds_take(counts: ConfusionSums) -> None:
-    false_free, recall, threshold = free_space(counts)
-    assert (np.diff(false_free) >= 0).all()
-    assert (np.diff(recall) >= 0).all()
-    assert (np.diff(threshold) <= 0).all()
-    assert (false_free[-1], recall[-1]) == (1, 1)
-
-
-@pytest.mark.parametrize("seed", range(3))
+@each("seed", range(3))
 def test_points_of_the_curves_are_those_of_their_thresholds(seed: int) -> None:
     mass, state = lattice_grid(seed, SHAPE, coarse=16)
     counts = accumulate(mass, state)
@@ -140,9 +126,14 @@ def test_points_of_the_curves_are_those_of_their_thresholds(seed: int) -> None:
         claimed = state[((state == FREE) | (state == OCCUPIED)) & (p >= threshold)]
         assert recall == pytest.approx((p[state == OCCUPIED] >= threshold).mean())
         assert precision == pytest.approx((claimed == OCCUPIED).mean() if len(claimed) else 1.0)
+    false_free, recall, threshold = free_space(counts)
+    assert (np.diff(false_free) >= 0).all()
+    assert (np.diff(recall) >= 0).all()
+    assert (np.diff(threshold) <= 0).all()
+    assert (false_free[-1], recall[-1]) == (1, 1)
 
 
-@pytest.mark.parametrize(
+@each(
     ("ahead", "there", "within_one", "exact"),
     [
         (0, OCCUPIED, (1, 1), (1, 1)),
@@ -166,16 +157,6 @@ def test_a_detection_may_be_one_cell_off(
         precision, recall, threshold = precision_recall(accumulate(mass, state), tolerance)
         sure = np.flatnonzero(threshold > 0.3)[-1]  # all points beyond lie where nothing changes
         assert (precision[sure], recall[sure]) == wanted
-
-
-def test_detections_on_ignored_cells_have_no_effect() -> None:
-    state = np.full((7, 7), FREE, np.uint8)
-    state[3, 3], state[3, 4], state[0, 0] = OCCUPIED, IGNORE, IGNORE
-    quiet = np.zeros((7, 7, 2), np.float32)
-    loud = quiet.copy()
-    loud[3, 4] = loud[0, 0] = [0, 1]
-    for one, other in zip(accumulate(quiet, state), accumulate(loud, state), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_scores_by_range_are_those_of_the_cells_in_the_range() -> None:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -83,16 +84,17 @@ def test_cells_that_the_truth_ignores_have_no_effect(seed: int) -> None:
 
 
 def test_counts_add_up_to_those_of_the_cells_together() -> None:
-    (a, a_state), (b, b_state) = lattice_grid(1), lattice_grid(2)
     between = (np.zeros((1, 7, 2), np.float32), np.full((1, 7), IGNORE, np.uint8))  # else cells become neighbours
-    both = accumulate(np.concatenate([a, between[0], b]), np.concatenate([a_state, between[1], b_state]))
+    rows, rng = [lattice_grid(1), between, lattice_grid(2)], np.random.default_rng(11)
+    rows = [(mass, state, None, rng.integers(5, 201, state.shape).astype(np.uint8)) for mass, state in rows]
+    whole = accumulate(*(None if column[0] is None else np.concatenate(column) for column in zip(*rows, strict=True)))
     for name, one, other in zip(
-        ConfusionSums._fields, accumulate(a, a_state).plus(accumulate(b, b_state)), both, strict=True
+        ConfusionSums._fields, accumulate(*rows[0]).plus(accumulate(*rows[2])), whole, strict=True
     ):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7, err_msg=name)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@each("dtype", [np.float32, np.float64])
 def test_both_float_types_and_any_layout_are_taken(dtype: type) -> None:
     mass, state = lattice_grid(3)
     height = np.random.default_rng(3).integers(5, 201, state.shape).astype(np.uint8)
@@ -125,9 +127,7 @@ def test_a_perfect_map_is_perfect_under_every_metric(seed: int) -> None:
             assert scores[name] == pytest.approx(best[metric.better], abs=1e-6), name
 
 
-@pytest.mark.parametrize(
-    ("strength", "names"), [(1.0, ("kl_e1", "kl_e1_reverse")), (10.0, ("kl_e10", "kl_e10_reverse", "kl_e1_scaled"))]
-)
+@each(("strength", "names"), [(1.0, ("kl_e1", "kl_e1_reverse")), (10.0, ("kl_e10", "kl_e10_reverse", "kl_e1_scaled"))])
 def test_a_divergence_is_zero_for_the_truth_of_its_own_evidence_only(strength: float, names: tuple[str, ...]) -> None:
     """A divergence grows where evidence exceeds that of the truth: its optimum is the evidence of the truth."""
     _, state = lattice_grid(5)
@@ -155,7 +155,9 @@ def test_no_map_is_better_than_the_perfect_one(seed: int, share: float) -> None:
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_fractions_are_fractions_and_divergences_are_not_negative(seed: int) -> None:
-    for name, value in score(accumulate(*lattice_grid(seed))).items():
+    scores = score(accumulate(*lattice_grid(seed)))
+    assert tuple(scores) == tuple(METRICS)
+    for name, value in scores.items():
         if not math.isnan(value):
             low, high = (0, 1) if name in FRACTIONS else (-math.inf, 1) if name == "map_score" else (0, math.inf)
             assert low - 1e-9 <= value <= high + 1e-9, name
@@ -168,12 +170,15 @@ def test_scores_of_a_vacuous_grid() -> None:
     _, state = lattice_grid(6)
     scores = score(accumulate(np.zeros((7, 7, 2), np.float32), state))
     share = (state == OCCUPIED).sum() / ((state == OCCUPIED) | (state == FREE)).sum()
+    known = np.mean(state[state != IGNORE] != UNKNOWN)
     wanted = {
         "nll": math.log(2), "map_score": 0, "brier": 0.25, "brier_expected": 0.25 + 1 / 12, "entropy": 1,
         "dissonance": 0, "conflict": 0, "false_free": 0, "false_occupied": 0, "missed_occupied": 1,
         "missed_obstacles": 1, "free_recall_1": 0, "free_recall_01": 0, "ap_occupied": share, "auroc_unknown": 0.5,
         "fpr95_unknown": 1, "aurc": 0.5, "ause": 0, "ace": abs(0.5 - share), "ece": abs(0.5 - share),
-        "interval_violation": 0, "legacy_accuracy": 1,
+        "interval_violation": 0, "legacy_accuracy": 1, "iou_unknown": 1 - known, "iou_free": 0, "iou_occupied": 0,
+        "iou_occupied_known": 0, "mean_unknown": 1, "kl_e10": known * (10 - math.log(11)),
+        "kl_e1": known * (1 - math.log(2)),
     }  # fmt: skip
     assert {name: scores[name] for name in wanted} == pytest.approx(wanted)
 
@@ -192,9 +197,7 @@ def test_a_dogmatic_grid_that_is_wrong_everywhere_is_worst_and_finite() -> None:
     assert all(math.isfinite(value) for value in scores.values())
 
 
-@pytest.mark.parametrize(
-    ("states", "missing"),
-    [
+@each(("states", "missing"), [
         ((IGNORE,), dict.fromkeys(METRICS, "the truth ignores every cell")),
         (
             (FREE, OCCUPIED),
@@ -219,8 +222,7 @@ def test_a_dogmatic_grid_that_is_wrong_everywhere_is_worst_and_finite() -> None:
                 "the truth has no free cell",
             ),
         ),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_what_is_missing_has_a_reason(states: tuple[int, ...], missing: dict[str, str]) -> None:
     state = np.resize(np.array(states, np.uint8), (7, 7))
     assert reasons(accumulate(np.full((7, 7, 2), [0.7, 0.0]), state, None, high(state))) == missing
@@ -260,60 +262,39 @@ def test_a_grid_without_cells_has_no_scores() -> None:
 # Bad input
 
 
-GOOD = np.zeros((3, 3, 2), np.float32), np.zeros((3, 3), np.uint8)
-
-
-def with_one(value: float) -> NDArray[np.float32]:
-    mass = GOOD[0].copy()
-    mass[1, 2, 0] = value
-    return mass
-
-
-@pytest.mark.parametrize(
-    ("mass", "description"),
-    [
-        (with_one(math.nan), "nan"),
-        (with_one(math.inf), "inf"),
-        (with_one(-math.inf), "-inf"),
-        (with_one(-0.01), "must be non-negative .* worst of the 1 cells .*-0.00999"),
-        (with_one(1.01), "sum to at most 1 .*1.00999.*; evidence becomes masses by"),
-        (np.full((3, 3, 2), 0.6, np.float32), "worst of the 9 cells"),
-        (np.zeros((3, 2), np.float32), r"shape \(nx, ny, 2\)"),
-        (np.zeros((9, 2), np.float32), r"shape \(nx, ny, 2\)"),
-    ],
-)
-def test_invalid_masses_are_refused(mass: NDArray, description: str) -> None:
-    with pytest.raises(ValueError, match=description):
-        accumulate(mass, GOOD[1])
-
-
-@pytest.mark.parametrize("dtype", [np.float16, np.int64, np.complex128, bool, object])
-def test_masses_are_floats(dtype: type) -> None:
-    with pytest.raises(TypeError, match="mass must be float32 or float64, got"):
-        accumulate(GOOD[0].astype(dtype), GOOD[1])
-
-
-def test_rounding_is_tolerated() -> None:
-    mass = with_one(1 + 5e-7)
-    mass[0, 0] = -5e-7
-    scores = score(accumulate(mass, GOOD[1]))
-    assert scores["mean_free"] == pytest.approx(1 / 9)
-
-
-@pytest.mark.parametrize(
-    ("distance", "description"),
-    [
+def test_bad_input_is_refused() -> None:
+    mass, state = np.zeros((3, 3, 2), np.float32), np.zeros((3, 3), np.uint8)
+    for value, message in (
+        (math.nan, "nan"),
+        (math.inf, "inf"),
+        (-math.inf, "-inf"),
+        (-0.01, "must be non-negative .* worst of the 1 cells .*-0.00999"),
+        (1.01, "sum to at most 1 .*1.00999.*; evidence becomes masses by"),
+    ):
+        spoilt = mass.copy()
+        spoilt[1, 2, 0] = value
+        refused(message, accumulate, spoilt, state)
+    refused("worst of the 9 cells", accumulate, mass + np.float32(0.6), state)
+    refused("nan", accumulate, np.full((3, 3, 2), np.nan), state)
+    for shape in ((3, 2), (9, 2)):
+        refused(r"shape \(nx, ny, 2\)", accumulate, np.zeros(shape, np.float32), state)
+    for dtype in (np.float16, np.int64, np.complex128, bool, object):
+        refused("mass must be float32 or float64, got", accumulate, mass.astype(dtype), state, error=TypeError)
+    refused("crop the truth", accumulate, mass, np.zeros((3, 4), np.uint8))
+    refused("crop the truth", accumulate, np.zeros((3, 3, 3)), state)
+    refused("state must be uint8", accumulate, mass, np.zeros((3, 3)))
+    refused("up to 4", accumulate, mass, state + np.uint8(4))
+    for distance, message in (
         (np.zeros((3, 4), np.float32), "of the cells' shape"),
         (np.zeros((3, 3), np.int64), "must be a float array"),
         (np.full((3, 3), -1.0), "at least 0, got -1"),
         (np.full((3, 3), np.nan), "at least 0, got nan"),
-    ],
-)
-def test_invalid_distances_are_refused(distance: NDArray, description: str) -> None:
-    with pytest.raises(ValueError, match=description):
-        accumulate(*GOOD, distance)
+    ):
+        refused(message, accumulate, mass, state, distance)
+    refused("height_cm must have the cells' shape", accumulate, mass, state, None, np.zeros((3, 4), np.uint8))
 
 
-def test_heights_are_of_the_same_cells() -> None:
-    with pytest.raises(ValueError, match="height_cm must have the cells' shape"):
-        accumulate(*GOOD, None, np.zeros((3, 4), np.uint8))
+def test_rounding_is_tolerated() -> None:
+    mass = np.zeros((3, 3, 2), np.float32)
+    mass[1, 2, 0], mass[0, 0] = 1 + 5e-7, -5e-7
+    assert score(accumulate(mass, np.zeros((3, 3), np.uint8)))["mean_free"] == pytest.approx(1 / 9)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import LABELS, SPEC, motionless, perfect, scene
@@ -99,7 +100,7 @@ def plain(grid: DynamicGrid, motion: Motion, occupied: np.ndarray, kind: str | N
     }
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4])
+@each("seed", [1, 2, 4])
 def test_scores_follow_their_definitions(seed: int) -> None:
     grid, motion, occupied = scene(seed)
     found = score_motion(accumulate_motion(grid, motion, occupied, LABELS))

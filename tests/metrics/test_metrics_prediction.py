@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import SPEC, motionless, perfect, scene
@@ -50,7 +51,7 @@ def test_a_perfect_prediction_scores_one_and_standing_still_nothing() -> None:
     assert math.isnan(nothing["precision"])
 
 
-@pytest.mark.parametrize(("shift", "recall", "precision"), [(1, 1, 1), (2, 6 / 8, 6 / 8), (6, 0, 0)])
+@each(("shift", "recall", "precision"), [(1, 1, 1), (2, 6 / 8, 6 / 8), (6, 0, 0)])
 def test_the_tolerance_is_one_cell(shift: int, recall: float, precision: float) -> None:
     (later, cells), (other, there) = at(12), at(12 + shift)
     found = score_prediction(accumulate_prediction(perfect(other.motion, there), later, cells))
@@ -120,7 +121,7 @@ def test_time_counts_from_the_first_cell_in_sight() -> None:
     assert (other.stamp, other.seconds, other.from_rest) == (0.2, 0, True)
 
 
-@pytest.mark.parametrize("scans", [4, 5, 9])
+@each("scans", [4, 5, 9])
 def test_an_object_that_is_never_detected_counts_if_it_was_long_in_sight(scans: int) -> None:
     found = detection_times((0.1 * k, sight(5, 4, 1)) for k in range(scans))
     assert [one.seconds for one in found] == ([math.inf] if scans >= 5 else [])

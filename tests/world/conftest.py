@@ -14,7 +14,7 @@ Place = Callable[[], dict[str, Any]]
 _numbers = itertools.count()
 
 
-@pytest.fixture(params=["folder", "s3"])
+@pytest.fixture(params=["folder", pytest.param("s3", marks=pytest.mark.slow)])
 def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
     """Give arguments for `WorldMap.create` and `WorldMap.open`: each call a new place."""
     if request.param == "folder":

@@ -1,18 +1,14 @@
 """Maps built from drives: one result for any workers, whoever is killed; drives that move after a loop closure."""
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from world_frames import SLOWLY_IN_S3, RandomGrids, StraightDrive, grid_of
+from cases import each, refused
+from world_frames import RandomGrids, StraightDrive, grid_of
 
 from ogm.evidence import cumulative, dempster, discount, normalized_cautious
 from ogm.grid import GridSpec
@@ -90,7 +86,6 @@ def integrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@SLOWLY_IN_S3  # tests/world/test_outputs.py builds a smaller one
 def test_a_built_map_is_that_of_its_scans(place: Place, integrated: Path) -> None:
     with WorldMap.create(**place(), **UNBOUNDED) as world, WorldMap.open(integrated) as plain:
         build_world(world, DRIVES, RandomGrids(), length=15.0)
@@ -101,17 +96,18 @@ def test_a_built_map_is_that_of_its_scans(place: Place, integrated: Path) -> Non
         assert all(load_drive(world.store, name).finished for name in drive_names(world.store))
 
 
-@pytest.mark.parametrize("rule", ["cautious", "dempster", "cumulative"])
+@each("rule", ["cautious", "dempster", "cumulative"])
 def test_the_map_of_each_drive_is_discounted_before_it_meets_the_others(tmp_path: Path, rule: str) -> None:
     """Whatever the number of its sub-maps, and in whatever order drives are built."""
     options = OPTIONS | {"rule": rule, "dtype": "float32", "min_unknown": 1e-4}
     drives = {"a": DRIVES["a"][:16], "b": DRIVES["b"][14:]}  # around where they cross
     alone = []
+    (tmp_path / rule).mkdir()
     for name in "ab":
-        with WorldMap.create(tmp_path / name, **options, drive_reliability=1.0) as world:
+        with WorldMap.create(tmp_path / rule / name, **options, drive_reliability=1.0) as world:
             build_world(world, {name: drives[name]}, RandomGrids(), length=15.0)
             alone.append(discount(world.window(AROUND).mass, 0.7))
-    with WorldMap.create(tmp_path / "both", **options, drive_reliability=0.7) as world:
+    with WorldMap.create(tmp_path / rule / "both", **options, drive_reliability=0.7) as world:
         for name in "ba":
             build_world(world, {name: drives[name]}, RandomGrids(), length=15.0)
         np.testing.assert_allclose(world.window(AROUND).mass, RULES[rule](*alone), atol=2e-5)
@@ -127,7 +123,6 @@ def test_drives_are_cut_by_their_length(whole: WorldMap) -> None:
     assert sum(one.mapped for one in drive.submaps) == 28
 
 
-@SLOWLY_IN_S3
 def test_the_order_and_number_of_builds_do_not_matter(place: Place, whole: WorldMap) -> None:
     with WorldMap.create(**place(), **OPTIONS) as other:
         for names in ("c", "ab", "abc"):
@@ -135,9 +130,10 @@ def test_the_order_and_number_of_builds_do_not_matter(place: Place, whole: World
         assert same(whole, other)
 
 
-@pytest.mark.parametrize("workers", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@each("workers", [2, 3])
 def test_any_number_of_workers_gives_the_same_map(tmp_path: Path, whole: WorldMap, workers: int) -> None:
-    with built({"url": tmp_path / "many"}, workers=workers) as many:
+    with built({"url": tmp_path / str(workers)}, workers=workers) as many:
         assert same(whole, many)
 
 
@@ -148,6 +144,7 @@ def test_workers_write_to_an_object_store(s3: dict[str, str], whole: WorldMap) -
         assert same(whole, many)
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_map(tmp_path: Path, whole: WorldMap) -> None:
     from distributed import LocalCluster
 
@@ -190,53 +187,6 @@ def test_what_is_finished_is_not_made_again(tmp_path: Path, whole: WorldMap) -> 
         assert [event.total for event in events] == [0, 0]
 
 
-CLIENT = """
-import sys
-from test_build import DRIVES, OPTIONS
-from world_frames import RandomGrids
-from ogm.world import WorldMap, build_world
-if __name__ == "__main__":
-    url = sys.argv[1]
-    try:
-        world = WorldMap.open(url, "r+")
-    except FileNotFoundError:
-        world = WorldMap.create(url, **OPTIONS)
-    with world:
-        build_world(world, DRIVES, RandomGrids(), length=15.0, workers=2, progress=lambda one: print(one, flush=True))
-"""
-
-
-@pytest.mark.slow
-def test_a_client_that_is_killed_goes_on(tmp_path: Path, whole: WorldMap) -> None:
-    script, url = tmp_path / "client.py", tmp_path / "map"
-    script.write_text(CLIENT)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
-    command = [sys.executable, str(script), str(url)]
-    for stage, number in (("sub-maps", 2), ("sub-maps", 6), ("tiles", 4)):
-        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            for line in process.stdout:
-                if f"stage='{stage}', done={number}" in line:
-                    process.send_signal(signal.SIGKILL)
-                    break
-        time.sleep(1.0)  # workers end with it
-    subprocess.run(command, env=environment, check=True, capture_output=True)
-    with WorldMap.open(url) as world:
-        assert same(world, whole)
-
-
-def test_a_lost_tile_is_made_again(tmp_path: Path, copied: WorldMap, whole: WorldMap) -> None:
-    lost = copied.tiles()[3:6]
-    for index in lost:
-        os.unlink(tmp_path / "map" / copied.store.key(index))
-    assert not same(copied, whole)
-    events: list[Progress] = []
-    rebuild_world(copied, progress=events.append)
-    assert events[-1] == Progress("tiles", 3, 3)
-    assert same(copied, whole)
-
-
-@SLOWLY_IN_S3
 def test_a_removed_drive_leaves_the_map(built_map: WorldMap, tmp_path: Path) -> None:
     two = {name: DRIVES[name] for name in "ac"}
     with built({"url": tmp_path / "without"}, two) as without:
@@ -245,12 +195,6 @@ def test_a_removed_drive_leaves_the_map(built_map: WorldMap, tmp_path: Path) -> 
         assert same(built_map, without)
 
 
-def test_two_builders_at_once_are_refused(tmp_path: Path) -> None:
-    with WorldMap.create(tmp_path / "map", **OPTIONS), pytest.raises(BlockingIOError):
-        WorldMap.open(tmp_path / "map", "r+")
-
-
-@SLOWLY_IN_S3
 def test_a_moved_drive_lies_where_its_scans_would(built_map: WorldMap, tmp_path: Path) -> None:
     """A shift by whole cells moves the cells alone; the sub-maps of the other drives stay."""
     shift = pose(4.0, -2.5)
@@ -289,27 +233,19 @@ def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
 
 
 def test_drives_that_make_no_sense_are_refused(copied: WorldMap, tmp_path: Path, make_grid: Callable) -> None:
+    drive, model, moments = DRIVES["a"], RandomGrids(), Trajectory([0.0, 1.0], [np.eye(4), np.eye(4)])
     with copied as world:
-        with pytest.raises(OgmError, match="made from other frames"):
-            build_world(world, {"a": DRIVES["b"]}, RandomGrids(), length=15.0)
-        with pytest.raises(OgmError, match="built from drives"):
-            world.integrate(make_grid(), np.eye(4))
-        with pytest.raises(OgmError, match="no drive 'x'"):
-            rebuild_world(world, {"x": {}})
-        with pytest.raises(ValueError, match="frame .* has no pose, and is an anchor"):
-            rebuild_world(world, {"a": {}})
-        with pytest.raises(ValueError, match="poses are not extrapolated"):
-            rebuild_world(world, {"a": Trajectory([0.0, 1.0], [np.eye(4), np.eye(4)])})
-        with pytest.raises(ValueError, match="letters, digits"):
-            build_world(world, {"../a": DRIVES["a"]}, RandomGrids())
-        with pytest.raises(ValueError, match="has a pose"):
-            build_world(world, {"d": StraightDrive(3, lost=(0, 1, 2))}, RandomGrids())
+        refused("made from other frames", build_world, world, {"a": DRIVES["b"]}, model, length=15.0, error=OgmError)
+        refused("built from drives", world.integrate, make_grid(), np.eye(4), error=OgmError)
+        refused("no drive 'x'", rebuild_world, world, {"x": {}}, error=OgmError)
+        refused("frame .* has no pose, and is an anchor", rebuild_world, world, {"a": {}})
+        refused("poses are not extrapolated", rebuild_world, world, {"a": moments})
+        refused("letters, digits", build_world, world, {"../a": drive}, model)
+        refused("has a pose", build_world, world, {"d": StraightDrive(3, lost=(0, 1, 2))}, model)
     with WorldMap.create(tmp_path / "plain", **OPTIONS) as plain:
         plain.integrate(make_grid(), np.eye(4))
-        with pytest.raises(OgmError, match="integrated or merged"):
-            build_world(plain, DRIVES, RandomGrids())
-    with pytest.raises(ValueError, match="open to read alone"):
-        build_world(WorldMap.open(tmp_path / "map"), DRIVES, RandomGrids())
+        refused("integrated or merged", build_world, plain, DRIVES, model, error=OgmError)
+    refused("open to read alone", build_world, WorldMap.open(tmp_path / "map"), DRIVES, model)
 
 
 def test_a_damaged_sub_map_is_named(copied: WorldMap, tmp_path: Path) -> None:
@@ -318,5 +254,4 @@ def test_a_damaged_sub_map_is_named(copied: WorldMap, tmp_path: Path) -> None:
         if file.is_file():
             file.write_bytes(file.read_bytes()[:-30] + bytes(30))
     shutil.rmtree(tmp_path / "map" / "0" / "c")
-    with pytest.raises(OgmError, match="of sub-map .* of drive a .* remove drives/a/c/"):
-        rebuild_world(copied)
+    refused("of sub-map .* of drive a .* remove drives/a/c/", rebuild_world, copied, error=OgmError)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from world_frames import SLOWLY_IN_S3
+from cases import each, refused
 from world_reference import SlowMap
 
 from ogm.fusion import EvidentialMapper
@@ -29,15 +29,15 @@ def made(where: dict[str, Any], make_grid: MakeGrid, **options: Any) -> WorldMap
     return world
 
 
-@pytest.mark.parametrize("rule", ["cautious", "dempster", "cumulative"])
-@pytest.mark.parametrize("dtype", ["uint16", "float32"])
+@each("rule", ["cautious", "dempster", "cumulative"])
+@each("dtype", ["uint16", "float32"])
 def test_scans_are_combined_as_the_slow_reference_does(
     tmp_path: Path, make_grid: MakeGrid, rule: str, dtype: str
 ) -> None:
     slow = SlowMap(0.5, rule)
     for k, T in enumerate(POSES):
         slow.integrate(make_grid(k), T, 10.0 + 7.5 * k)
-    with made({"url": tmp_path / "map"}, make_grid, rule=rule, dtype=dtype) as world:
+    with made({"url": tmp_path / f"{rule} {dtype}"}, make_grid, rule=rule, dtype=dtype) as world:
         grid, layers = world.window(AROUND), world.layers(AROUND)
     expected = {name: np.zeros(AROUND.shape) for name in ("free", "occupied", "to_occupied", "to_free", "count")}
     seen = np.full(AROUND.shape, np.nan)
@@ -74,11 +74,14 @@ def test_a_map_in_tiles_is_that_of_the_mapper(tmp_path: Path, make_grid: MakeGri
         np.testing.assert_allclose(world.window(AROUND).mass, mapper.grid.mass, atol=1e-6)
 
 
+@pytest.mark.parametrize("place", ["folder", "s3"], indirect=True)
 def test_what_is_written_is_what_was_in_memory(place: Place, make_grid: MakeGrid) -> None:
     where = place()
     with made(where, make_grid) as world:
         before, layers, tiles = world.window(AROUND), world.layers(AROUND), world.tiles()
     with WorldMap.open(**where) as again:
+        again._cache.get((0, 0))  # the other tiles are not in memory
+        again._cache.get((-1, 0))
         assert again.window(AROUND) == before
         assert again.layers(AROUND) == layers
         assert again.tiles() == tiles
@@ -91,16 +94,6 @@ def test_the_memory_does_not_change_the_map(place: Place, make_grid: MakeGrid) -
         assert len(small._cache) == 4 < len(large._cache)
         assert small.window(AROUND) == large.window(AROUND)
         assert small.layers(AROUND) == large.layers(AROUND)
-
-
-def test_a_window_of_tiles_in_memory_and_on_disk_is_whole(place: Place, make_grid: MakeGrid) -> None:
-    where = place()
-    with made(where, make_grid) as world:
-        before = world.window(AROUND)
-    with WorldMap.open(**where, mode="r+") as again:
-        again._cache.get((0, 0))
-        again._cache.get((-1, 0))
-        assert again.window(AROUND) == before
 
 
 def test_flushed_tiles_outlive_the_process(place: Place, make_grid: MakeGrid) -> None:
@@ -143,7 +136,6 @@ def test_finer_scans_are_averaged(tmp_path: Path, make_grid: MakeGrid) -> None:
         np.testing.assert_allclose(world.window(GridSpec(0.5, (20, 20), (-5.0, -5.0))).mass, mean, atol=1e-6)
 
 
-@SLOWLY_IN_S3
 def test_a_turned_window_is_resampled_once(place: Place, make_grid: MakeGrid) -> None:
     spec, T = GridSpec.centered(20.0, 12.0, 0.4), pose(2.0, 1.0, yaw=0.7)
     with made(place(), make_grid) as world:
@@ -154,8 +146,7 @@ def test_a_turned_window_is_resampled_once(place: Place, make_grid: MakeGrid) ->
             np.testing.assert_array_equal(turned.mass[ix, iy], source.mass[AROUND.index(*at)])
 
 
-@SLOWLY_IN_S3
-@pytest.mark.parametrize("rule", ["cautious", "dempster", "cumulative"])
+@each("rule", ["cautious", "dempster", "cumulative"])
 def test_a_merge_is_that_of_all_scans(place: Place, make_grid: MakeGrid, rule: Any) -> None:
     def part(numbers: range) -> WorldMap:
         world = WorldMap.create(**place(), resolution=0.5, tile=16, rule=rule, dtype="float32", min_unknown=1e-4)
@@ -209,8 +200,7 @@ def test_a_zip_archive_has_all_of_the_map(place: Place, tmp_path: Path, make_gri
             assert packed.layers(AROUND) == world.layers(AROUND)
             assert packed.tiles() == world.tiles()
             assert packed.levels == world.levels
-    with pytest.raises(ValueError, match="zip archive, in which nothing can be replaced"):
-        WorldMap.open(tmp_path / "map.zip", "r+")
+    refused("zip archive, in which nothing can be replaced", WorldMap.open, tmp_path / "map.zip", "r+")
     assert len(set(zipfile.ZipFile(tmp_path / "map.zip").namelist())) > 10
 
 
@@ -223,7 +213,7 @@ def test_every_flipped_byte_of_a_tile_is_found(tmp_path: Path, make_grid: MakeGr
     index = int(file.parent.name) - half, int(file.name) - half
     found = 0
     with WorldMap.open(tmp_path / "map") as world:
-        for at in range(0, len(data), max(1, len(data) // 60)):
+        for at in range(0, len(data), max(1, len(data) // 30)):
             file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
             damage = world.damage()
             if damage:
@@ -234,7 +224,7 @@ def test_every_flipped_byte_of_a_tile_is_found(tmp_path: Path, make_grid: MakeGr
             found += bool(damage)
         file.write_bytes(data)
         assert world.damage() == []
-    assert found > 50
+    assert found > 25
 
 
 def test_damaged_attributes_are_refused(tmp_path: Path, make_grid: MakeGrid) -> None:
@@ -248,30 +238,24 @@ def test_damaged_attributes_are_refused(tmp_path: Path, make_grid: MakeGrid) -> 
         ("{", "[", "cannot be read"),
     ):
         file.write_text(text.replace(before, after, 1))
-        with pytest.raises(OgmError, match=wanted):
-            WorldMap.open(tmp_path / "map")
+        refused(wanted, WorldMap.open, tmp_path / "map", error=OgmError)
 
 
 def test_places_that_make_no_sense_are_refused(place: Place, tmp_path: Path, make_grid: MakeGrid) -> None:
     where = place()
-    with pytest.raises(FileNotFoundError, match="no world map"):
-        WorldMap.open(**where)
+    refused("no world map", WorldMap.open, **where, error=FileNotFoundError)
     made(where, make_grid).close()
-    with pytest.raises(ValueError, match="already"):
-        WorldMap.create(**where)
-    with pytest.raises(ValueError, match="storage options are for object stores"):
-        WorldMap.create(tmp_path / "other", storage={"region": "x"})
+    refused("already", WorldMap.create, **where)
+    message = "storage options are for object stores"
+    refused(message, WorldMap.create, tmp_path / "other", storage={"region": "x"})
     (tmp_path / "file").write_text("no map")
-    with pytest.raises(OgmError, match="is a file"):
-        WorldMap.open(tmp_path / "file")
-    with pytest.raises(FileNotFoundError, match="no archive"):
-        WorldMap.open(tmp_path / "none.zip")
+    refused("is a file", WorldMap.open, tmp_path / "file", error=OgmError)
+    refused("no archive", WorldMap.open, tmp_path / "none.zip", error=FileNotFoundError)
 
 
 def test_a_folder_has_one_writer(tmp_path: Path, make_grid: MakeGrid) -> None:
     with made({"url": tmp_path / "map"}, make_grid) as world:
-        with pytest.raises(BlockingIOError):
-            WorldMap.open(tmp_path / "map", "r+")
+        refused("", WorldMap.open, tmp_path / "map", "r+", error=BlockingIOError)
         world.flush()
         WorldMap.open(tmp_path / "map").close()
     WorldMap.open(tmp_path / "map", "r+").close()
@@ -281,53 +265,41 @@ def test_a_map_open_to_read_does_not_change(tmp_path: Path, make_grid: MakeGrid)
     world = made({"url": tmp_path / "map"}, make_grid)
     world.close()
     for closed in (world, WorldMap.open(tmp_path / "map")):
-        for change in (
-            lambda one: one.integrate(make_grid(), np.eye(4)),
-            lambda one: one.merge(one),
-            lambda one: one.build_overviews(),
-        ):
-            with pytest.raises(ValueError, match="open to read alone"):
-                change(closed)
+        refused("open to read alone", closed.integrate, make_grid(), np.eye(4))
+        refused("open to read alone", closed.merge, closed)
+        refused("open to read alone", closed.build_overviews)
 
 
-@pytest.mark.parametrize(
-    ("options", "wanted"),
-    [
-        ({"tile": 100}, "power of two"),
-        ({"resolution": -1}, "resolution must be positive"),
-        ({"rule": "yager"}, "depend on the order"),
-        ({"dtype": "uint8"}, "uint16 or float32"),
-        ({"min_unknown": 0}, "min_unknown"),
-        ({"min_unknown": 2e-4}, "min_unknown"),
-        ({"drive_reliability": 0}, "drive_reliability"),
-        ({"drive_reliability": 1.1}, "drive_reliability"),
-        ({"memory": 0}, "memory"),
-    ],
-)
-def test_numbers_out_of_range_are_refused(tmp_path: Path, options: dict[str, Any], wanted: str) -> None:
-    with pytest.raises(ValueError, match=wanted):
-        WorldMap.create(tmp_path / "map", **options)
+def test_numbers_out_of_range_are_refused(tmp_path: Path) -> None:
+    for name, value, wanted in (
+        ("tile", 100, "power of two"),
+        ("resolution", -1, "resolution must be positive"),
+        ("rule", "yager", "depend on the order"),
+        ("dtype", "uint8", "uint16 or float32"),
+        ("min_unknown", 0, "min_unknown"),
+        ("min_unknown", 2e-4, "min_unknown"),
+        ("drive_reliability", 0, "drive_reliability"),
+        ("drive_reliability", 1.1, "drive_reliability"),
+        ("memory", 0, "memory"),
+    ):
+        refused(wanted, WorldMap.create, tmp_path / "map", **{name: value})
 
 
 def test_scans_that_make_no_sense_are_refused(tmp_path: Path, make_grid: MakeGrid) -> None:
     with WorldMap.create(tmp_path / "map", 0.5, 16) as world, WorldMap.create(tmp_path / "b", 0.25, 16) as finer:
-        for change, wanted in (
-            (lambda: world.integrate(make_grid(), np.diag([1, 1, 2, 1.0])), "must be rigid"),
-            (lambda: world.integrate(make_grid(), pose(pitch=1.2)), "leans by"),
-            (lambda: world.integrate(make_grid(), np.eye(4), stamp=-1.0), "stamp must be 0"),
-            (lambda: world.integrate(make_grid(), np.eye(4), reliability=1.5), "reliability"),
-            (lambda: world.integrate(make_grid(), pose(1e12)), "beyond the map"),
-            (lambda: world.integrate(make_grid(), pose(1e300)), "too far"),
-            (lambda: world.merge(finer), "other cells"),
-            (lambda: world.cells(), "is empty"),
-            (lambda: world.layers(GridSpec(0.5, (4, 4), (0.1, 0.0))), "other cells than the map"),
-            (lambda: world.window(AROUND, level=3), "no level 3"),
-            (lambda: world.copy_to(tmp_path / "copy"), "one .zip archive"),
-        ):
-            with pytest.raises(ValueError, match=wanted):
-                change()
-        with pytest.raises(TypeError, match="EvidentialGrid"):
-            world.integrate(make_grid().mass, np.eye(4))  # type: ignore[arg-type]
+        add, grid = world.integrate, make_grid()
+        refused("must be rigid", add, grid, np.diag([1, 1, 2, 1.0]))
+        refused("leans by", add, grid, pose(pitch=1.2))
+        refused("stamp must be 0", add, grid, np.eye(4), stamp=-1.0)
+        refused("reliability", add, grid, np.eye(4), reliability=1.5)
+        refused("beyond the map", add, grid, pose(1e12))
+        refused("too far", add, grid, pose(1e300))
+        refused("EvidentialGrid", add, grid.mass, np.eye(4), error=TypeError)
+        refused("other cells", world.merge, finer)
+        refused("is empty", world.cells)
+        refused("other cells than the map", world.layers, GridSpec(0.5, (4, 4), (0.1, 0.0)))
+        refused("no level 3", world.window, AROUND, level=3)
+        refused("one .zip archive", world.copy_to, tmp_path / "copy")
 
 
 def test_counts_and_stamps_stay_in_their_range(tmp_path: Path) -> None:
@@ -345,7 +317,6 @@ def test_counts_and_stamps_stay_in_their_range(tmp_path: Path) -> None:
         assert world.layers(spec)["count"][0, 0] == 65535
 
 
-@SLOWLY_IN_S3
 def test_far_from_the_origin_cells_are_as_exact(place: Place, make_grid: MakeGrid) -> None:
     x, y = 691_608.0, 5_334_760.0  # of UTM, in whole cells
     with made(place(), make_grid) as near, WorldMap.create(**place(), resolution=0.5, tile=16) as far:

@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 from ogm.scan import Boxes, LazyFrame, Mount, Scan
 
 SPEC = GridSpec.centered(24.0, 16.0, 0.5)
-SLOWLY_IN_S3 = pytest.mark.parametrize("place", ["folder", pytest.param("s3", marks=pytest.mark.slow)], indirect=True)
 
 
 @dataclass(frozen=True)
