@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.dataset  # noqa: F401  its first import is not memory that a file takes
 import pytest
+from cases import each
 
 import ogm.io.formats.feather
 import ogm.io.formats.table
@@ -79,47 +80,45 @@ def put(folder: Path, name: str, content: bytes) -> Path:
     return folder / name
 
 
-@pytest.mark.parametrize("suffix", ALL)
+@each("suffix", ALL)
 def test_a_file_that_is_not_there(suffix, tmp_path):
     with pytest.raises(FileNotFoundError, match="there is no file .*cloud"):
         read_scan(tmp_path / f"cloud{suffix}")
 
 
-@pytest.mark.parametrize("suffix", ALL)
+@each("suffix", ALL)
 def test_a_folder(suffix, tmp_path):
     (tmp_path / f"cloud{suffix}").mkdir()
     refused(tmp_path / f"cloud{suffix}", "is a folder")
 
 
-@pytest.mark.parametrize("suffix", ALL)
+@each("suffix", ALL)
 def test_zero_bytes(suffix, tmp_path):
     refused(put(tmp_path, f"cloud{suffix}", b""), "0 bytes|cut short")
 
 
-@pytest.mark.parametrize("pack", [lzma.compress, gzip.compress])
+@each("pack", [lzma.compress, gzip.compress])
 def test_zero_bytes_packed(pack, tmp_path):
     suffix = ".xz" if pack is lzma.compress else ".gz"
     refused(put(tmp_path, f"cloud.pcd{suffix}", pack(b"")), "0 bytes")
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@each("suffix", SUFFIXES)
 def test_a_picture(suffix, tmp_path):
     refused(put(tmp_path, f"cloud{suffix}", PNG), "is a PNG picture")
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@each("suffix", SUFFIXES)
 def test_a_text(suffix, tmp_path):
     refused(put(tmp_path, f"cloud{suffix}", TEXT))
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@each("suffix", SUFFIXES)
 def test_random_bytes(suffix, tmp_path):
     refused(put(tmp_path, f"cloud{suffix}", np.random.default_rng(0).bytes(400)))
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
+@each("name, content, message", [
         ("a.bin", b"# .PCD v0.7\n", "PCD cloud.*name it .pcd"),
         ("a.pcd.bin", PCD.encode(), "PCD cloud.*name it .pcd"),
         ("a.pcd", PLY.encode(), "PLY cloud.*name it .ply"),
@@ -127,19 +126,18 @@ def test_random_bytes(suffix, tmp_path):
         ("a.pcd", lzma.compress(PCD.encode()), "packed by xz"),
         ("a.bin", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
         ("a.npy", b"PK\x03\x04" + bytes(40), "zip archive"),
-    ],
-)
+    ])
 def test_a_known_format_under_a_wrong_name(name, content, message, tmp_path):
     refused(put(tmp_path, name, content), message)
 
 
-@pytest.mark.parametrize("name", ["cloud", "cloud.txt", "cloud.png", "cloud.xz", "cloud.txt.gz", "bin"])
+@each("name", ["cloud", "cloud.txt", "cloud.png", "cloud.xz", "cloud.txt.gz", "bin"])
 def test_an_unknown_name(name, tmp_path):
     packed = {"xz": lzma.compress, "gz": gzip.compress}.get(name.rpartition(".")[2], bytes)
     refused(put(tmp_path, name, packed(b"1234")), "wanted .pcd.bin, .bin")
 
 
-@pytest.mark.parametrize(("name", "number"), [("a.bin", 15), ("a.bin", 33), ("a.pcd.bin", 16), ("a.pcd.bin", 41)])
+@each("name, number", [("a.bin", 15), ("a.bin", 33), ("a.pcd.bin", 16), ("a.pcd.bin", 41)])
 def test_a_size_that_is_no_number_of_points(name, number, tmp_path):
     refused(put(tmp_path, name, b"\x01" * number), "no multiple of")
 
@@ -157,9 +155,7 @@ def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
 # ---- PCD headers
 
 
-@pytest.mark.parametrize(
-    ("line", "instead"),
-    [
+@each("line, instead", [
         ("POINTS 10", "POINTS 11"),
         ("POINTS 10", "POINTS -10"),
         ("POINTS 10", "POINTS ten"),
@@ -186,45 +182,40 @@ def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
         ("DATA binary", "DATA binary_squeezed"),
         ("DATA binary\n", "DATA binary"),
         ("DATA binary\n", ""),
-    ],
-)
+    ])
 def test_a_pcd_header_that_cannot_be(line, instead, tmp_path):
     assert line in PCD
     refused(put(tmp_path, "a.pcd", PCD.replace(line, instead).encode() + bytes(120)))
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
-@pytest.mark.parametrize("points", [11, 10**6, 10**12, 10**17])
+@each("encoding", ["ascii", "binary", "binary_compressed"])
+@each("points", [11, 10**6, 10**12, 10**17])
 def test_a_pcd_header_that_promises_more_than_there_is(encoding, points, tmp_path):
     header = PCD.replace("10", str(points)).replace("DATA binary", f"DATA {encoding}")
     body = {"ascii": b"1 2 3\n" * 10, "binary": bytes(120), "binary_compressed": struct.pack("<II", 112, 2**32 - 1)}
     refused(put(tmp_path, "a.pcd", header.encode() + body[encoding]), "cut short|damaged")
 
 
-@pytest.mark.parametrize("gap", ["0 1 -9 1", "0 1 999999999999 1", "-99999 1 1 1"])
+@each("gap", ["0 1 -9 1", "0 1 999999999999 1", "-99999 1 1 1"])
 def test_pcd_padding_that_cannot_be(gap, tmp_path):
     header = PCD.replace("x y z", "x y z _ intensity _ ring").replace("4 4 4", "4 4 4 1 4 1 2")
     header = header.replace("F F F", "F F F U F U U").replace("1 1 1", f"1 1 1 {gap}", 1)
     refused(put(tmp_path, "a.pcd", header.encode() + bytes(400)))
 
 
-@pytest.mark.parametrize(
-    "lines", [b"1 2 3\n1 2\n", b"1 2 3\n1 2 x\n", b"1.00 2.00 3.00\n\n", b"1,2,3\n1,2,3\n", b"1 2 3\n\xff\n"]
-)
+@each("lines", [b"1 2 3\n1 2\n", b"1 2 3\n1 2 x\n", b"1.00 2.00 3.00\n\n", b"1,2,3\n1,2,3\n", b"1 2 3\n\xff\n"])
 def test_pcd_lines_that_cannot_be(lines, tmp_path):
     header = PCD.replace("10", "2").replace("binary", "ascii")
     refused(put(tmp_path, "a.pcd", header.encode() + lines))
 
 
-@pytest.mark.parametrize(
-    "body", [b"", b"\0" * 7, struct.pack("<II", 5, 120) + b"\xff" * 5, struct.pack("<II", 500, 120) + b"\0" * 50]
-)
+@each("body", [b"", b"\0" * 7, struct.pack("<II", 5, 120) + b"\xff" * 5, struct.pack("<II", 500, 120) + b"\0" * 50])
 def test_pcd_points_that_do_not_unpack(body, tmp_path):
     header = PCD.replace("DATA binary", "DATA binary_compressed")
     refused(put(tmp_path, "a.pcd", header.encode() + body))
 
 
-@pytest.mark.parametrize("points", [59, 61])
+@each("points", [59, 61])
 def test_pcd_points_that_unpack_to_another_number(points, cloud, tmp_path):
     pypcd4 = pytest.importorskip("pypcd4")
     compressed = pypcd4.Encoding.BINARY_COMPRESSED
@@ -246,8 +237,8 @@ def test_a_pcd_field_of_no_values(tmp_path):
     refused(put(tmp_path, "a.pcd", header.replace("1 1 1", "1 1 1 0").encode() + bytes(160)), "wanted 1 or more")
 
 
-@pytest.mark.parametrize("names", [("x",), ("w", "w"), ("scalar_Time", "time")])
-@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+@each("names", [("x",), ("w", "w"), ("scalar_Time", "time")])
+@each("encoding", ["ascii", "binary", "binary_compressed"])
 def test_a_pcd_field_that_is_there_twice(names, encoding, tmp_path):
     header = PCD.replace("DATA binary", f"DATA {encoding}")
     for line, more in (("x y z", names), ("4 4 4", "44"), ("F F F", "FF"), ("1 1 1", "11")):
@@ -258,9 +249,7 @@ def test_a_pcd_field_that_is_there_twice(names, encoding, tmp_path):
 # ---- PLY headers
 
 
-@pytest.mark.parametrize(
-    ("line", "instead"),
-    [
+@each("line, instead", [
         ("vertex 10", "vertex 11"),
         ("vertex 10", "vertex 99999999999"),
         ("vertex 10", "vertex 99999999999999999999"),
@@ -281,21 +270,20 @@ def test_a_pcd_field_that_is_there_twice(names, encoding, tmp_path):
         ("format binary_little_endian 1.0\n", ""),
         ("end_header\n", ""),
         ("end_header\n", "end_header"),
-    ],
-)
+    ])
 def test_a_ply_header_that_cannot_be(line, instead, tmp_path):
     assert line in PLY
     refused(put(tmp_path, "a.ply", PLY.replace(line, instead).encode() + bytes(120)))
 
 
-@pytest.mark.parametrize(("name", "double"), [("x", "x"), ("w", "w"), ("x", "scalar_X")])
+@each("name, double", [("x", "x"), ("w", "w"), ("x", "scalar_X")])
 def test_a_ply_property_that_is_there_twice(name, double, tmp_path):
     more = f"property float {double}\n" + ("property float w\n" if name == "w" else "")
     header = PLY.replace("end_header", f"{more}end_header")
     refused(put(tmp_path, "a.ply", header.encode() + bytes(200)), f"fields {name}, {double}, wanted one of each name")
 
 
-@pytest.mark.parametrize("number", [11, 99999999999])
+@each("number", [11, 99999999999])
 def test_a_ply_text_that_is_too_short(number, tmp_path):
     header = PLY.replace("binary_little_endian", "ascii").replace("10", str(number))
     refused(put(tmp_path, "a.ply", header.encode() + b"1 2 3\n" * 10), "cut short")
@@ -303,7 +291,7 @@ def test_a_ply_text_that_is_too_short(number, tmp_path):
     refused(put(tmp_path, "a.ply", header.encode() + b"1\n"), "cut short")
 
 
-@pytest.mark.parametrize("name", ["a.pcd", "a.ply"])
+@each("name", ["a.pcd", "a.ply"])
 def test_text_without_end(name, tmp_path, monkeypatch):
     limited(monkeypatch, text=30)
     header = PCD.replace("binary", "ascii") if name == "a.pcd" else PLY.replace("binary_little_endian", "ascii")
@@ -335,8 +323,8 @@ def test_text_takes_little_more_memory_than_its_numbers():
 # ---- Feather
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "uncompressed"])
-@pytest.mark.parametrize("batch", [5_000, 50_000])
+@each("compression", ["zstd", "lz4", "uncompressed"])
+@each("batch", [5_000, 50_000])
 def test_a_small_feather_file_cannot_fill_the_memory(compression, batch, tmp_path, monkeypatch):
     pyarrow, feather = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.feather")
     table = pyarrow.table({name: np.zeros(50_000, np.float32) for name in "xyzw"})
@@ -372,9 +360,7 @@ def test_a_feather_column_that_is_there_twice(tmp_path):
 # ---- numpy arrays
 
 
-@pytest.mark.parametrize(
-    "array",
-    [
+@each("array", [
         np.zeros(4),
         np.zeros((4, 2)),
         np.zeros((4, 6)),
@@ -385,8 +371,7 @@ def test_a_feather_column_that_is_there_twice(tmp_path):
         np.zeros((4, 3), bool),
         np.full((4, 3), "a"),
         np.zeros(4, [("x", "f4")]),
-    ],
-)
+    ])
 def test_an_array_that_is_no_cloud(array, tmp_path):
     np.save(tmp_path / "a.npy", array)
     refused(tmp_path / "a.npy", "wanted numbers of shape")
@@ -408,7 +393,7 @@ def test_a_pickle_is_never_opened(tmp_path):
     refused(tmp_path / "a.npy", "array of object")
 
 
-@pytest.mark.parametrize("rows", [11, 10**9, 10**15, 10**40, -5])
+@each("rows", [11, 10**9, 10**15, 10**40, -5])
 def test_an_array_header_that_promises_more_than_there_is(rows, tmp_path):
     np.save(tmp_path / "a.npy", np.ones((10, 3), np.float32))
     content = (tmp_path / "a.npy").read_bytes()
@@ -427,17 +412,14 @@ def test_an_archive_of_arrays(tmp_path):
 # ---- LAS headers
 
 
-@pytest.mark.parametrize(
-    ("at", "size", "claim"),
-    [
+@each("at, size, claim", [
         (96, 4, 2**32 - 1),  # where the points begin
         (100, 4, 2**32 - 1),  # records before them
         (107, 4, 2**32 - 1),  # points
         (107, 4, 61),
         (107, 4, 1_000_000),
         (105, 2, 2**16 - 1),  # bytes of a point
-    ],
-)
+    ])
 def test_a_las_header_that_promises_more_than_there_is(at, size, claim, cloud, tmp_path):
     laspy = pytest.importorskip("laspy")
     las = laspy.create(point_format=3)
@@ -464,7 +446,7 @@ def test_a_laz_file_that_promises_more_chunks_than_there_are(cloud, tmp_path):
 # ---- packed files
 
 
-@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
+@each("suffix, pack", [(".xz", lzma.compress), (".gz", gzip.compress)])
 def test_a_small_file_cannot_fill_the_memory(suffix, pack, tmp_path, monkeypatch):
     limited(monkeypatch, file=3_000_000)
     path = put(tmp_path, f"a.bin{suffix}", pack(bytes(20_000_000)))
@@ -472,7 +454,7 @@ def test_a_small_file_cannot_fill_the_memory(suffix, pack, tmp_path, monkeypatch
     refused(path, "more than 3000000 bytes")
 
 
-@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
+@each("suffix, pack", [(".xz", lzma.compress), (".gz", gzip.compress)])
 def test_packed_files_that_are_damaged(suffix, pack, cloud, tmp_path):
     content = pack(cloud.tobytes())
     for end in range(0, len(content), 9):
@@ -550,14 +532,11 @@ def test_a_file_with_wrong_bytes_is_refused_or_read(whole):
 # ---- packages that are not there
 
 
-@pytest.mark.parametrize(
-    ("name", "module", "content"),
-    [
+@each("name, module, content", [
         ("a.las", "laspy", b"LASF"),
         ("a.feather", "pyarrow", b"ARROW1"),
         ("a.pcd", "lzf", PCD.replace("binary", "binary_compressed").encode() + struct.pack("<II", 8, 120) + bytes(8)),
-    ],
-)
+    ])
 def test_a_missing_package_is_named_with_its_cure(name, module, content, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ImportError, match=rf'{name}.*{module}.*pip install "ogm-toolkit\[io\]"'):

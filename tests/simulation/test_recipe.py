@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ogm.datasets.simulated import simulated
+from ogm.datasets.simulated import SimulatedRecording
 from ogm.simulation import dataset, moments
 from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
 from ogm.simulation.dataset import beams_of, make_sample
