@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from moving import street
 from typer.testing import CliRunner
 
@@ -50,7 +51,7 @@ def test_demo_writes_pictures_and_a_table(tmp_path: Path) -> None:
     assert grid.at(10, 9.2).occupied > 0.5  # its left border
 
 
-@pytest.mark.parametrize("model", ["ray", "height-band", "height-band-released"])
+@each("model", ["ray", "height-band", "height-band-released"])
 def test_map_writes_the_grid_and_its_picture(scan: Path, tmp_path: Path, model: str) -> None:
     out, picture = tmp_path / "o.npz", tmp_path / "o.png"
     result = ogm("map", scan, "--ism", model, "--out", out, "--picture", picture, *SMALL)
@@ -107,7 +108,7 @@ def test_a_folder_is_mapped_scan_by_scan(scan: Path, tmp_path: Path) -> None:
     assert one == of_folder
 
 
-@pytest.mark.parametrize(("resolution", "shape"), [(0.1, (819, 563)), (0.2, (410, 282))])
+@each("resolution, shape", [(0.1, (819, 563)), (0.2, (410, 282))])
 def test_the_default_extent_follows_the_resolution(
     scan: Path, tmp_path: Path, resolution: float, shape: tuple[int, int]
 ) -> None:
@@ -135,8 +136,8 @@ def test_folders_of_outputs_are_made_before_the_work(scan: Path, tmp_path: Path)
     assert (tmp_path / "new").is_dir()
 
 
-@pytest.mark.parametrize(
-    ("names", "short"),
+@each(
+    "names, short",
     [
         (["a", "b"], ["a", "b"]),
         ([f"{'n' * 60}_{k}" for k in "12"], ["…nnn_1", "…nnn_2"]),
@@ -168,8 +169,8 @@ def test_info_on_dynamic_and_layered_grids(tmp_path: Path) -> None:
     assert "velocity_x -6 ... 8" in found[1]
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
+@each(
+    "words, text",
     [
         (("map", "none.pcd"), "none.pcd"),
         (("info", "none.npz"), "none.npz"),
@@ -198,7 +199,7 @@ def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, text: str
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
 
 
-@pytest.mark.parametrize("name", ["m$\\frac$.bin", "tag[red].bin", "with space.bin", "日本.bin", "x" * 120 + ".bin"])
+@each("name", ["m$\\frac$.bin", "tag[red].bin", "with space.bin", "日本.bin", "x" * 120 + ".bin"])
 def test_odd_file_names(scan: Path, tmp_path: Path, name: str) -> None:
     odd = tmp_path / name
     odd.write_bytes(scan.read_bytes())

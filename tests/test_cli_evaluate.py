@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cases import each
 from click.testing import Result
 from PIL import Image
 from typer.testing import CliRunner
@@ -223,7 +224,7 @@ def interrupted(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     monkeypatch.setattr(tasks, "accumulate", stopping)
 
 
-@pytest.mark.parametrize("folder", ["a", "a/frames"])
+@each("folder", ["a", "a/frames"])
 def test_one_process_evaluates_into_a_folder_at_a_time(data: Path, tmp_path: Path, folder: str) -> None:
     (tmp_path / folder).mkdir(parents=True)
     with locked(tmp_path / folder):
@@ -561,8 +562,8 @@ def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, mo
 # --- Errors -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
+@each(
+    "words, text",
     [
         (("{nothing}",), "there is no"),
         (("{file}",), "file"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from click.testing import Result
 from PIL import Image
 from typer.testing import CliRunner
@@ -207,7 +208,7 @@ def test_after_three_jumps_the_map_begins_anew_and_the_old_one_is_kept(scans: Pa
     assert after.at(500 + WALL + 0.25, 1.0).occupied > 0.9
 
 
-@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt(), 130), (RuntimeError("the device is lost"), 2)])
+@each("error, code", [(KeyboardInterrupt(), 130), (RuntimeError("the device is lost"), 2)])
 def test_an_error_or_interrupt_half_way_writes_the_map_so_far(
     scans: Path, tmp_path: Path, poses: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
 ) -> None:
@@ -240,7 +241,7 @@ def test_nothing_mapped_is_an_error_and_writes_nothing(scans: Path, tmp_path: Pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["poses.txt", "scan_5.bin", "scan_6.bin"]
 
 
-@pytest.mark.parametrize("numbered", [5, None])
+@each("numbered", [5, None])
 def test_the_first_scans_alone_can_be_mapped(scans: Path, tmp_path: Path, numbered: int | None) -> None:
     poses = kitti(tmp_path / "poses.txt", first=numbered)
     result = ogm("fuse", scans, "--poses", poses, "--first", 3, "--out", tmp_path / "m.npz", *SMALL)
@@ -251,7 +252,7 @@ def test_the_first_scans_alone_can_be_mapped(scans: Path, tmp_path: Path, number
     assert "--first must be at least 1" in result.output
 
 
-@pytest.mark.parametrize("rule", ["dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes"])
+@each("rule", ["dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes"])
 def test_every_rule_maps_the_drive(scans: Path, poses: Path, tmp_path: Path, rule: str) -> None:
     movie = ("--movie", tmp_path / "m.png") if rule == "bayes" else ()  # it has other panels
     words = ("--rule", rule, "--half-life", 1, "--out", tmp_path / "m.npz", *movie)
@@ -559,8 +560,8 @@ def test_each_drive_has_the_files_that_it_has_alone(sequences: Path, tmp_path: P
     assert "by other options" in result.output
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
+@each(
+    "words, message",
     [
         (("--workers", 2), "are for --each-drive"),
         (("--each-drive", "--sequence", "00"), "are of one drive"),

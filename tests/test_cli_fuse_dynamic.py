@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from PIL import Image
 from test_cli_fuse import HEIGHT, WALL, kitti, ogm, scan_at
 
@@ -72,9 +73,7 @@ def test_film_picture_and_page_show_it(drive: tuple[object, ...], tmp_path: Path
     assert '"arrows":[[' in text
 
 
-@pytest.mark.parametrize(
-    ("ending", "message", "whole"), [("mcap", "grid-map", True), ("mcap", None, False), ("nc", None, True)]
-)
+@each("ending, message, whole", [("mcap", "grid-map", True), ("mcap", None, False), ("nc", None, True)])
 def test_layers_are_kept_where_the_format_holds_them(
     drive: tuple[object, ...], tmp_path: Path, ending: str, message: str | None, whole: bool
 ) -> None:
@@ -95,8 +94,8 @@ def test_nuss_is_a_rule_of_dynamic_maps(drive: tuple[object, ...], tmp_path: Pat
     assert not DynamicGrid.load(tmp_path / "m.npz").static.any()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
+@each(
+    "words, message",
     [
         (("--dynamic", "--rule", "yager"), "has a filter of its own, dynamic or nuss: leave out --rule yager"),
         (("--particles", "100"), "--particles belongs to --dynamic, which is missing"),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from click.testing import Result
 from typer.testing import CliRunner
 
@@ -101,8 +102,8 @@ def test_pictures_need_their_extent(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.mass, grid().mass, atol=1 / 255)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
+@each(
+    "words, message",
     [
         (("m.npz", "x.txt"), "a grid is written as .npz, .yaml"),
         (("m.npz", "m.npz"), "would take the place of"),
@@ -132,7 +133,7 @@ def test_wrong_words_are_one_line_and_exit_code_2(
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("name", ["rasterio", "xarray", "netCDF4", "zarr", "rosbags", "foxglove"])
+@each("name", ["rasterio", "xarray", "netCDF4", "zarr", "rosbags", "foxglove"])
 def test_a_missing_package_is_named_with_the_line_that_installs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drive: Path, name: str
 ) -> None:
@@ -176,7 +177,7 @@ def test_all_formats_hold_the_map_of_the_drive(drive: Path, tmp_path: Path) -> N
     assert result.output.count("mapped") == 1
 
 
-@pytest.mark.parametrize("ending", ["mcap", "db3", "bag"])
+@each("ending", ["mcap", "db3", "bag"])
 def test_a_log_has_the_map_and_the_pose_after_each_scan(drive: Path, tmp_path: Path, ending: str) -> None:
     assert fused(drive, tmp_path / f"m.{ending}").exit_code == 0
     assert fused(drive, tmp_path / "m.npz").exit_code == 0
@@ -263,7 +264,7 @@ def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: P
     assert "message is for" in result.output
 
 
-@pytest.mark.parametrize("ending", ["yaml", "tif", "nc", "zarr", "png", "mcap"])
+@each("ending", ["yaml", "tif", "nc", "zarr", "png", "mcap"])
 def test_a_scan_is_mapped_to_every_format(drive: Path, tmp_path: Path, ending: str) -> None:
     words = ("--sensor-height", HEIGHT, *SMALL)
     for _ in range(2):  # the second time over the first

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from click.testing import Result
 from foxglove_client import Client, grid_fields
 from typer.testing import CliRunner
@@ -112,7 +113,7 @@ def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int)
         pass
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
+@each("suffix", [".mcap", ".db3"])
 def test_a_log_plays(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"drive{suffix}"
     lidars = {"front": pose(z=HEIGHT)}

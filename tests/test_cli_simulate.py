@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -91,8 +92,8 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
     assert contents(data) == before
 
 
-@pytest.mark.parametrize(
-    ("words", "description"),
+@each(
+    "words, description",
     [
         ((), "give a folder for the data set, or --preview"),
         (("--resume",), "want the data set's folder"),

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -194,8 +195,8 @@ def test_models_must_fill_the_same_grid():
         CombinedISM([Given(np.zeros((3, 4, 2), np.float32)), other])
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "text"),
+@each(
+    "options, error, text",
     [
         ({"models": []}, ValueError, "at least one sensor model"),
         ({"models": ["ray"]}, TypeError, "callables with a .spec"),

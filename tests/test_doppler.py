@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import Mount, Scan
 from ogm.geometric.doppler import RadialVelocities, moving_detections, radial_velocities
@@ -27,14 +28,13 @@ def street(mount: Mount, own: tuple[float, float], car: tuple[float, float], rng
     return Scan(points.astype(np.float32), doppler=doppler.astype(np.float32))
 
 
-@pytest.mark.parametrize(
+@each(
     "mount",
     [
         Mount(0.6, pose(3.7, 0.0, 0.6), ego_footprint=(-1.0, 3.9, -1.0, 1.0)),
         Mount(0.6, pose(3.0, 0.8, 0.6, yaw=0.9, pitch=0.05), ego_footprint=(-1.0, 3.9, -1.0, 1.0)),
         Mount(0.6, pose(3.7, 0.0, 0.6, yaw=-0.5), points_in="vehicle"),
     ],
-    ids=["front", "corner", "vehicle frame"],
 )
 def test_speeds_are_over_ground_and_places_in_the_vehicle_frame(mount):
     car = np.array([-7.0, 1.5])
@@ -96,8 +96,8 @@ def test_in_another_frame_places_and_directions_turn_and_speeds_stay():
     assert moved.speed == one.speed
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
+@each(
+    "wrong, message",
     [
         ({"xy": np.zeros((2, 2))}, "xy of radial velocities must have shape"),
         ({"speed": np.zeros((1, 1))}, "speed of radial velocities must have shape"),

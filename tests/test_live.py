@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from foxglove_client import Client, fields_of, grid_fields
 from hypothesis import given
 from hypothesis import strategies as st
@@ -363,7 +364,7 @@ def test_damaged_frames_are_counted_and_left_out() -> None:
         assert "no pose" in errors["placeless"]
 
 
-@pytest.mark.parametrize("rate", [None, 1.0])
+@each("rate", [None, 1.0])
 def test_an_error_of_the_publisher_ends_it(rate: float | None) -> None:
     def broken(*_: object) -> None:
         raise RuntimeError("the link is down")
@@ -418,7 +419,7 @@ def test_reports_come_regularly_and_add_up() -> None:
     assert math.isnan(empty.p99)
 
 
-@pytest.mark.parametrize("fused", [mapper(), BinaryBayesMapper(rolling_window(SPEC))])
+@each("fused", [mapper(), BinaryBayesMapper(rolling_window(SPEC))])
 def test_warming_up_leaves_the_map_as_it_is(fused: EvidentialMapper | BinaryBayesMapper) -> None:
     serve([frame(5)], LShape(), fused, ignore)
     before = fused.grid
@@ -516,7 +517,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("data", WRONG, ids=list(WRONG.values()))
+@each("data", WRONG)
 def test_a_wrong_message_ends_its_connection_alone(listener: socket.socket, data: bytes) -> None:
     with Receiver(listener) as receiver:
         with sender(listener) as driver:

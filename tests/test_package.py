@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from cases import each
 
 import ogm
 
@@ -147,9 +148,7 @@ def test_examples_of_the_documentation_run(
     assert found.failed == 0
 
 
-@pytest.mark.parametrize(
-    "page", [*PAGES, ROOT / "benchmarks/README.md", ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name
-)
+@each("page", [*PAGES, ROOT / "benchmarks/README.md", ROOT / "CONTRIBUTING.md"])
 def test_links_of_the_documentation_lead_somewhere(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
     for link in re.findall(r"\]\(([^)\s]+)\)", text):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from moving import SPEC as MOVING
 from moving import street
 
@@ -104,7 +105,7 @@ def test_axes_have_round_numbers() -> None:
         assert plot.figures._step(length) == pytest.approx(step)
 
 
-@pytest.mark.parametrize("call", [plot.show, lambda *a, **k: plot.save_picture("x.png", *a, **k)])
+@each("call", [plot.show, lambda *a, **k: plot.save_picture("x.png", *a, **k)])
 def test_what_cannot_be_shown_is_refused(call, ell: EvidentialGrid) -> None:
     with pytest.raises(ValueError, match="nothing to show"):
         call()
@@ -169,7 +170,7 @@ RECORDINGS = {  # sensor: file, axes
 }
 
 
-@pytest.mark.parametrize("sensor", RECORDINGS)
+@each("sensor", RECORDINGS)
 def test_every_point_of_every_sensor_is_drawn_and_readable(sensor: str, real: Callable[[str], Path]) -> None:
     name, axes = RECORDINGS[sensor]
     points = read_scan(real(name), axes=axes).points

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from cases import each
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
 import record_tables
@@ -67,8 +68,8 @@ def test_records_become_tables_whose_last_row_is_of_all(results: Path) -> None:
     assert tables.failed() == ["RayISM: p99: 1.25 x"]
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "found"),
+@each(
+    "name, change, found",
     [
         ("fuzz", {"crashes": 1}, "crashes: 1"),
         ("fuzz", {"undocumented": 2}, "undocumented: 2"),

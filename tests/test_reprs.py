@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from moving import street
 from PIL import Image
 
@@ -165,9 +166,7 @@ def test_a_notebook_gets_both_kinds() -> None:
         assert {"text/plain", "text/html", "image/png"} <= set(found)
 
 
-@pytest.mark.parametrize(
-    "make", ["EvidentialGrid.vacuous(GridSpec.centered())", "LayeredGrid(GridSpec.centered(), {})"]
-)
+@each("make", ["EvidentialGrid.vacuous(GridSpec.centered())", "LayeredGrid(GridSpec.centered(), {})"])
 def test_drawing_is_loaded_when_a_notebook_asks(make: str) -> None:
     code = f"import sys; from ogm import EvidentialGrid, GridSpec, LayeredGrid; grid = {make}; "
     code += "before = set(sys.modules); grid._repr_html_(); "
@@ -178,7 +177,7 @@ def test_drawing_is_loaded_when_a_notebook_asks(make: str) -> None:
     assert done.stdout.split() == ["|", "False"]  # masses are drawn without matplotlib
 
 
-@pytest.mark.parametrize("scan", ["nebula_apache2/vlp16/*.pcd", "kitti_odometry_00/000000.bin"])
+@each("scan", ["nebula_apache2/vlp16/*.pcd", "kitti_odometry_00/000000.bin"])
 def test_real_scans_fill_their_picture(scan: str, real: Callable[[str], Path]) -> None:
     from ogm import read_scan
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from chromium import Page, open_chromium
 from moving import SPEC as MOVING
 from moving import street
@@ -419,7 +420,7 @@ def test_the_address_brings_a_view_back(shown: Page) -> None:
     assert values(shown)["cell"] == f"({ix}, {iy})"
 
 
-@pytest.mark.parametrize(("size", "scale"), [((390, 700), 2.0), ((1600, 900), 1.5), ((800, 420), 1.0)])
+@each("size, scale", [((390, 700), 2.0), ((1600, 900), 1.5), ((800, 420), 1.0)])
 def test_nothing_overlaps_or_is_cut_off_in_other_windows(shown: Page, size: tuple[int, int], scale: float) -> None:
     shown.resize(*size, scale)
     shown.key("0")
@@ -541,7 +542,7 @@ def test_more_layers_of_a_dynamic_grid_are_shown(tmp_path: Path) -> None:
     assert {"motion", "conflict", "height"} <= {one["name"] for one in page.data["layers"]}
 
 
-@pytest.mark.parametrize("kind", ["dynamic", "layered"])
+@each("kind", ["dynamic", "layered"])
 def test_ogm_view_shows_every_kind_of_grid(tmp_path: Path, kind: str) -> None:
     grid = street() if kind == "dynamic" else drawn_layers()
     grid.save(tmp_path / "g.npz")

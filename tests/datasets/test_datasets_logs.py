@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
@@ -113,7 +114,7 @@ def on_map(dataset: Dataset, n: int) -> np.ndarray:
 # --- One lidar ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [f"drive{ending}" for ending in ENDINGS])
+@each("name", [f"drive{ending}" for ending in ENDINGS])
 def test_points_come_back_to_their_places_on_the_map(log: Callable[..., Path], name: str) -> None:
     dataset = open_dataset(log(drive(), name))
     assert [frame.stamp for frame in dataset] == STAMPS.tolist()  # of the headers, not of the log
@@ -166,7 +167,7 @@ def test_poses_are_interpolated_and_not_extrapolated(log: Callable[..., Path]) -
     assert "2 of /points: the transform from base_link to map needs extrapolation by 0.0625 s" in dataset.facts["poses"]
 
 
-@pytest.mark.parametrize(("wanted", "x"), [(None, 7.0), ("odom", 2.0), ("/map", 7.0), ("earth", 107.0)])
+@each("wanted, x", [(None, 7.0), ("odom", 2.0), ("/map", 7.0), ("earth", 107.0)])
 def test_the_fixed_frame_is_map_unless_another_is_wanted(
     log: Callable[..., Path], wanted: str | None, x: float
 ) -> None:
@@ -199,8 +200,8 @@ def test_odometry_serves_where_transforms_do_not(log: Callable[..., Path]) -> No
     assert open_dataset(log(both), frame="odom").facts["frame"] == "odom"
 
 
-@pytest.mark.parametrize(
-    ("rows", "missing"),
+@each(
+    "rows, missing",
     [
         ([], "no transforms (/tf, /tf_static) and no odometry"),
         ([fixed("base_link", "lidar", np.eye(4))], "one from a fixed frame (map, odom, world) to base_link is missing"),
@@ -393,7 +394,7 @@ def test_odometry_and_truth_are_for_one_lidar(log: Callable[..., Path], tmp_path
 # --- Access ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "compression"), [(f"a{one}", "") for one in ENDINGS] + [("a.mcap", "zstd")])
+@each("name, compression", [(f"a{one}", "") for one in ENDINGS] + [("a.mcap", "zstd")])
 def test_frames_are_read_in_any_order_by_any_thread_and_after_pickling(
     log: Callable[..., Path], name: str, compression: str
 ) -> None:
@@ -409,7 +410,7 @@ def test_frames_are_read_in_any_order_by_any_thread_and_after_pickling(
         assert np.array_equal(one[0].T_map_sensor, dataset[1].T_map_sensor)
 
 
-@pytest.mark.parametrize("ending", [".mcap", ".bag"])
+@each("ending", [".mcap", ".bag"])
 def test_opening_reads_no_points_and_a_frame_no_others(
     log: Callable[..., Path], ending: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -538,7 +539,7 @@ def kitti(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Path]:
     return make
 
 
-@pytest.mark.parametrize("name", ["drive.mcap", "zstd.mcap", "drive.db3", "drive.bag"])
+@each("name", ["drive.mcap", "zstd.mcap", "drive.db3", "drive.bag"])
 def test_fuse_makes_of_a_log_the_map_of_the_files(
     real: Callable[[str], Path], kitti: Callable[[Path], Path], name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -555,9 +556,7 @@ def test_fuse_makes_of_a_log_the_map_of_the_files(
     assert (one.occupied > 0.5).sum() > 1000
 
 
-@pytest.mark.parametrize(
-    ("folder", "near", "far"), [("vlp16", 0.01, 0.03), ("vlp32", 0.01, 0.03), ("vls128", 0.02, 0.1)]
-)
+@each("folder, near, far", [("vlp16", 0.01, 0.03), ("vlp32", 0.01, 0.03), ("vls128", 0.02, 0.1)])
 def test_packets_decode_to_the_clouds_of_the_driver(
     real: Callable[[str], Path], folder: str, near: float, far: float
 ) -> None:

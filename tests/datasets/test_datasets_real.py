@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import GridSpec
 from ogm.datasets import open_dataset
@@ -30,7 +31,7 @@ RECORDINGS = {  # frames, sources, sensor height [m], shares of free and occupie
 }
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
+@each("name", RECORDINGS)
 def test_a_dataset_opens_by_its_path_and_its_truth_is_plausible(real, name):
     frames, sources, height, free, occupied = RECORDINGS[name]
     dataset = opened(real(name))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.datasets import open_dataset
 from ogm.simulation.sample import OBJECT, Beams, SimulatedSample
@@ -66,7 +67,7 @@ def nothing_in_memory() -> None:
     remote._objects.cache_clear()
 
 
-@pytest.mark.parametrize("split", ["training", "sequences"])
+@each("split", ["training", "sequences"])
 def test_frames_in_a_bucket_are_those_of_the_folder(folder: Path, uploaded: S3, split: str) -> None:
     here, there = open_dataset(folder, split=split), open_dataset(URL, storage=uploaded, split=split)
     assert (here.name, here.facts) == (there.name, there.facts)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.datasets import open_dataset, with_poses
 from ogm.pose import pose
@@ -105,8 +106,8 @@ def test_samples_belong_to_their_drives_so_that_statistics_can_group_them(store:
     assert open_dataset(store, split="train").sequences == {"drive 0": [*range(5)], "drive 1": [*range(5, 10)]}
 
 
-@pytest.mark.parametrize(
-    ("split", "message"),
+@each(
+    "split, message",
     [
         ("val", "has no sample of validation; go on with `ogm simulate"),
         ("test", "has no sample of test$"),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from cases import each
 from safetensors.torch import load_file, save_file
 
 from ogm.deep.checkpoint import FORMAT, load_network, save_network
@@ -57,7 +58,7 @@ class Trap:
         return Path.touch, (self.sprung,)
 
 
-@pytest.mark.parametrize("config", [ADD, CONCATENATE], ids=lambda config: config.join)
+@each("config", [ADD, CONCATENATE])
 def test_what_was_saved_comes_back(config: Any, tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = PillarNetwork(config, SPEC).train()
@@ -92,7 +93,7 @@ def test_facts_that_json_cannot_hold_leave_what_was_there(saved: Path) -> None:
     assert {path: path.read_bytes() for path in saved.parent.iterdir()} == before
 
 
-@pytest.mark.parametrize("name", ["net.pt", "net", "net.safetensors.gz"])
+@each("name", ["net.pt", "net", "net.safetensors.gz"])
 def test_other_names_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"\.safetensors"):
         save_network(tmp_path / name, PillarNetwork(ADD, SPEC), {})
@@ -101,7 +102,7 @@ def test_other_names_are_refused(name: str, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("suffix", [".json", ".safetensors"])
+@each("suffix", [".json", ".safetensors"])
 def test_one_file_of_the_two_is_not_enough(saved: Path, suffix: str) -> None:
     saved.with_suffix(suffix).unlink()
     with pytest.raises(FileNotFoundError, match=rf"net\{suffix} is not there.*two files"):
@@ -133,7 +134,7 @@ def test_nothing_is_unpickled(saved: Path, tmp_path: Path) -> None:
     assert sprung.exists()  # the trap works
 
 
-@pytest.mark.parametrize("header", [2**63, 2**40, 2**31], ids=str)
+@each("header", [2**63, 2**40, 2**31])
 def test_a_header_that_claims_to_be_huge_is_refused(saved: Path, header: int) -> None:
     saved.write_bytes(struct.pack("<Q", header) + b'{"a": 1}')
     with pytest.raises(ValueError, match="not a whole file of weights"):
@@ -148,7 +149,7 @@ def test_a_weight_that_claims_to_be_huge_is_refused(saved: Path) -> None:
         load_network(saved)
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         b"",
@@ -163,7 +164,6 @@ def test_a_weight_that_claims_to_be_huge_is_refused(saved: Path) -> None:
         b"[" + b"0," * 2**19 + b"0]",
         b"9" * 5000,
     ],
-    ids=["empty", "cut", "binary", "list", "number", "null", "text", "bare", "deep", "large", "digits"],
 )
 def test_a_description_that_is_none_is_refused(saved: Path, text: bytes) -> None:
     saved.with_suffix(".json").write_bytes(text)
@@ -171,15 +171,15 @@ def test_a_description_that_is_none_is_refused(saved: Path, text: bytes) -> None
         load_network(saved)
 
 
-@pytest.mark.parametrize("found", ["ogm.network/2", None, 1, ["ogm.network/1"]], ids=str)
+@each("found", ["ogm.network/2", None, 1, ["ogm.network/1"]])
 def test_another_format_is_refused(saved: Path, found: Any) -> None:
     change(saved, lambda description: description.update(format=found))
     with pytest.raises(ValueError, match="has the format .* reads ogm.network/1"):
         load_network(saved)
 
 
-@pytest.mark.parametrize(
-    ("part", "value"),
+@each(
+    "part, value",
     [
         ("pillar", 10**9),
         ("pillar", 0),
@@ -214,7 +214,6 @@ def test_another_format_is_refused(saved: Path, found: Any) -> None:
         ("z_range", [3.0, -3.0]),
         ("unheard_of", 1),
     ],
-    ids=lambda value: str(value)[:30],
 )
 def test_a_network_that_cannot_be_is_refused_before_it_is_made(
     saved: Path, part: str, value: Any, monkeypatch: pytest.MonkeyPatch
@@ -225,7 +224,7 @@ def test_a_network_that_cannot_be_is_refused_before_it_is_made(
         load_network(saved)
 
 
-@pytest.mark.parametrize("join", ["add", "concatenate"])
+@each("join", ["add", "concatenate"])
 def test_a_huge_network_is_refused_before_it_fills_the_memory(
     saved: Path, join: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,7 +235,7 @@ def test_a_huge_network_is_refused_before_it_fills_the_memory(
         load_network(saved)
 
 
-@pytest.mark.parametrize(
+@each(
     "spec",
     [
         {"resolution": 0.16, "shape": [2**20, 2**20], "origin": [0, 0]},
@@ -252,7 +251,6 @@ def test_a_huge_network_is_refused_before_it_fills_the_memory(
         [0.16, 64, 32],
         None,
     ],
-    ids=str,
 )
 def test_a_grid_that_cannot_be_is_refused(saved: Path, spec: Any) -> None:
     change(saved, lambda description: description.update(spec=spec))
@@ -260,14 +258,14 @@ def test_a_grid_that_cannot_be_is_refused(saved: Path, spec: Any) -> None:
         load_network(saved)
 
 
-@pytest.mark.parametrize("network", [None, [], ["pillar", 8], "lite", {}], ids=str)
+@each("network", [None, [], ["pillar", 8], "lite", {}])
 def test_a_config_that_is_none_is_refused(saved: Path, network: Any) -> None:
     change(saved, lambda description: description.update(network=network))
     with pytest.raises(ValueError, match="describes no network that can be made"):
         load_network(saved)
 
 
-@pytest.mark.parametrize("part", ["network", "spec"])
+@each("part", ["network", "spec"])
 def test_a_description_that_lacks_a_part_is_refused(saved: Path, part: str) -> None:
     change(saved, lambda description: description.pop(part))
     with pytest.raises(ValueError, match="describes no network that can be made"):
@@ -281,7 +279,7 @@ def test_weights_of_another_network_are_refused(saved: Path, tmp_path: Path) -> 
         load_network(saved)
 
 
-@pytest.mark.parametrize("change_names", ["missing", "more"])
+@each("change_names", ["missing", "more"])
 def test_weights_with_other_names_are_refused(saved: Path, change_names: str) -> None:
     weights = load_file(saved)
     if change_names == "missing":
@@ -299,7 +297,7 @@ def test_weights_of_other_shapes_are_refused(saved: Path) -> None:
         load_network(saved)
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+@each("value", [float("nan"), float("inf"), -float("inf")])
 def test_weights_that_are_no_numbers_are_refused(saved: Path, value: float) -> None:
     weights = load_file(saved)
     weights["head.weight"][1, 2, 0, 1] = value
@@ -308,7 +306,7 @@ def test_weights_that_are_no_numbers_are_refused(saved: Path, value: float) -> N
         load_network(saved)
 
 
-@pytest.mark.parametrize("dtype", [torch.complex64, torch.int8, torch.bool], ids=str)
+@each("dtype", [torch.complex64, torch.int8, torch.bool])
 def test_weights_of_another_kind_are_refused(saved: Path, dtype: torch.dtype) -> None:
     weights = load_file(saved)
     weights["head.weight"] = torch.zeros(weights["head.weight"].shape, dtype=dtype)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cases import each
 
 from ogm import Mount, OgmError, read_scan
 from ogm.deep import DeepISM, PillarNetwork
@@ -41,7 +42,7 @@ def by_torch(scan: Scan) -> np.ndarray:
     return DeepISM.load("lite", mount=MOUNT, engine="torch")(scan).mass
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@each("name", SHIPPED)
 def test_the_shipped_export_is_that_of_the_shipped_weights(name: str) -> None:
     """Else `ogm export lite --out ogm/data/lite.onnx` was forgotten."""
     wanted = {"lite": FORMAT, "radar": RADAR_FORMAT}[name]
@@ -112,7 +113,7 @@ def test_loading_loads_nothing_that_it_does_not_need() -> None:
     assert not loaded & heavy
 
 
-@pytest.mark.parametrize("package", ["onnxruntime", "openvino"])
+@each("package", ["onnxruntime", "openvino"])
 def test_a_missing_runtime_is_answered_with_the_pip_command(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     extra = {"onnxruntime": "deep"}.get(package, package)
@@ -153,8 +154,8 @@ def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch
         assert default_threads() >= 1
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
+@each(
+    "options, message",
     [
         ({"engine": "tensorflow"}, "the engine is onnxruntime, openvino, torch"),
         ({"engine": "onnxruntime", "device": "cuda"}, "device and compile are torch's"),
@@ -166,7 +167,6 @@ def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch
         ({"threads": 0}, "at least 1"),
         ({"device": "warp"}, "use cpu"),
     ],
-    ids=str,
 )
 def test_options_that_an_engine_lacks_are_refused(options: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):

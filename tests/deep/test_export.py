@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cases import each
 
 from ogm.deep.export import export_onnx
 from ogm.deep.export_parts import _Masses
@@ -180,7 +181,7 @@ def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("package", ["onnx", "onnxscript"])
+@each("package", ["onnx", "onnxscript"])
 def test_a_missing_package_is_answered_with_the_pip_command(
     package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@ import logging
 import numpy as np
 import pytest
 import torch
+from cases import each
 
 from ogm.deep import DeepISM, PillarNetwork
 from ogm.deep.checkpoint import save_network
@@ -104,7 +105,7 @@ def test_points_that_are_not_finite_are_left_out(network, cloud, caplog):
     assert "dropped 5 of" in caplog.text
 
 
-@pytest.mark.parametrize("count", [0, 1])
+@each("count", [0, 1])
 def test_scans_of_no_points_give_unknown_grids(network, cloud, count):
     seen = {"height": [1.7, 1.9], "points": [100, 9000], "intensity": [0.0, 1.0]}
     ism = DeepISM(network, mount=MOUNT, description={"seen": seen})
@@ -186,7 +187,7 @@ def test_a_number_is_no_mount(network):
         DeepISM(network, mount=1.8)
 
 
-@pytest.mark.parametrize("points", [np.zeros((3, 2), np.float32), np.zeros(4, np.float32)])
+@each("points", [np.zeros((3, 2), np.float32), np.zeros(4, np.float32)])
 def test_shapes_that_are_no_points_are_refused(network, points):
     with pytest.raises(ValueError, match="points must have shape"):
         DeepISM(network)(points)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -62,14 +63,14 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
         read_onnx(tmp_path / "no.onnx")
 
 
-@pytest.mark.parametrize("size", [0, 1, 100, 5000, 10**6, -1])
+@each("size", [0, 1, 100, 5000, 10**6, -1])
 def test_a_file_that_is_cut_off_is_refused(path: Path, shipped: bytes, size: int) -> None:
     path.write_bytes(shipped[:size])
     with pytest.raises(OgmError, match=r"some\.onnx"):
         read_onnx(path)
 
 
-@pytest.mark.parametrize("data", [b"not a model", b"\x80\x04K\x01.", b"\xff" * 100, b"\x08\x07", b"{}"], ids=str)
+@each("data", [b"not a model", b"\x80\x04K\x01.", b"\xff" * 100, b"\x08\x07", b"{}"])
 def test_other_files_are_refused(path: Path, data: bytes) -> None:
     path.write_bytes(data)
     with pytest.raises(OgmError, match="no whole ONNX file"):
@@ -105,9 +106,7 @@ def test_a_huge_file_is_refused_unread(path: Path) -> None:
         read_onnx(path)
 
 
-@pytest.mark.parametrize(
-    ("found", "way"), [("ogm.network.onnx/1", "export the weights again"), ("ogm.network.onnx/3", "update ogm")]
-)
+@each("found, way", [("ogm.network.onnx/1", "export the weights again"), ("ogm.network.onnx/3", "update ogm")])
 def test_another_version_says_what_to_do(path: Path, found: str, way: str) -> None:
     def how(model: Any) -> None:
         (entry,) = (one for one in model.metadata_props if one.key == "format")
@@ -124,7 +123,7 @@ def test_another_model_is_refused(path: Path) -> None:
         read_onnx(path)
 
 
-@pytest.mark.parametrize("name", ["Loop", "ConstantOfShape", "If", "Tile"])
+@each("name", ["Loop", "ConstantOfShape", "If", "Tile"])
 def test_operations_that_no_network_has_are_refused(path: Path, name: str) -> None:
     change(path, lambda model: setattr(model.graph.node[0], "op_type", name))
     with pytest.raises(OgmError, match=f"its operation .*{name}"):
@@ -179,8 +178,8 @@ def test_other_places_for_numbers_are_refused(path: Path, shipped: bytes) -> Non
             read_onnx(path)
 
 
-@pytest.mark.parametrize(
-    ("part", "value"),
+@each(
+    "part, value",
     [
         ("weight", [[1.0]]),
         ("weight", "much"),
@@ -198,7 +197,6 @@ def test_other_places_for_numbers_are_refused(path: Path, shipped: bytes) -> Non
         ("multiple", 0),
         ("multiple", "16"),
     ],
-    ids=lambda value: str(value)[:20],
 )
 @pytest.mark.filterwarnings("ignore:overflow encountered")
 def test_an_input_that_cannot_be_is_refused(path: Path, part: str, value: Any) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from cases import each
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -54,7 +55,7 @@ def test_the_kernel_is_its_reference(points: np.ndarray) -> None:
     same(pillarize(points, SPEC, Z, EGO), pillarize_torch(torch.from_numpy(points), SPEC, Z, EGO))
 
 
-@pytest.mark.parametrize("size", [1.0, 0.1, 0.001], ids=["sparse", "dense", "one pillar"])
+@each("size", [1.0, 0.1, 0.001])
 def test_the_kernel_is_its_reference_with_a_transform(size: float) -> None:
     points = scan(5000, size=size)
     T = np.eye(4)
@@ -74,8 +75,8 @@ def test_the_kernels_give_the_same_without_the_compiler(monkeypatch: pytest.Monk
     same(fast, pillarize(points, SPEC, Z, EGO))
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("n", [0, 1, 2000])
+@each("compiled", [True, False])
+@each("n", [0, 1, 2000])
 def test_the_feature_map_is_the_networks(n: int, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel of inference against the layers of training: linear, ReLU, the largest of each pillar."""
     if not compiled:
@@ -147,7 +148,7 @@ def test_a_transform_of_the_grid_moves_pillars_by_whole_cells() -> None:
     np.testing.assert_allclose(moved.features[:, 2:], there.features[:, 2:], atol=2e-6)
 
 
-@pytest.mark.parametrize("n", [0, 1])
+@each("n", [0, 1])
 def test_empty_and_one_point_scans(n: int) -> None:
     points = np.zeros((n, 4), np.float32)
     for pillars in (pillarize(points, SPEC), pillarize_torch(torch.from_numpy(points), SPEC)):
@@ -190,8 +191,8 @@ def test_float64_and_fortran_order_are_accepted() -> None:
     same(pillarize(np.asfortranarray(points), SPEC), wanted, atol=0)
 
 
-@pytest.mark.parametrize(
-    ("points", "error", "message"),
+@each(
+    "points, error, message",
     [
         ([[0.0, 0.0, 0.0, 0.0]], TypeError, "got list"),
         (None, TypeError, "got NoneType"),

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from cases import each
 from lightning.fabric import Fabric
 
 from ogm.deep.checkpoint import load_network
@@ -126,7 +127,7 @@ def test_a_full_disk_under_the_state_is_an_error_that_names_it(go, tmp_path):
     assert not (tmp_path / "full" / "state.pt").exists()
 
 
-@pytest.mark.parametrize("epoch", [1, 2])
+@each("epoch", [1, 2])
 def test_a_run_that_is_killed_between_the_record_and_the_state_of_an_epoch(go, tmp_path, monkeypatch, epoch):
     go("whole")
     save = TrainingRun.save
@@ -232,7 +233,7 @@ def test_the_error_for_too_little_memory_has_the_way_out(go, monkeypatch):
         go()
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+@each("loss", LOSSES)
 def test_every_loss_can_be_trained_with(go, recipe, loss, tmp_path):
     go(recipe=replace(recipe, epochs=1, loss=loss, uniform_kl=0.1))
     assert np.isfinite(curve(tmp_path / "run")[0]["loss"])
@@ -246,8 +247,8 @@ def test_the_published_recipe_runs(go, tmp_path):
     assert np.isfinite(curve(tmp_path / "run")[0]["loss"])
 
 
-@pytest.mark.parametrize(
-    ("change", "match"),
+@each(
+    "change, match",
     [
         ({"loss": "hinge"}, "loss must be one of"),
         ({"epochs": 0}, "epochs"),

@@ -118,7 +118,9 @@ def test_random_bytes(suffix, tmp_path):
     refused(put(tmp_path, f"cloud{suffix}", np.random.default_rng(0).bytes(400)))
 
 
-@each("name, content, message", [
+@each(
+    "name, content, message",
+    [
         ("a.bin", b"# .PCD v0.7\n", "PCD cloud.*name it .pcd"),
         ("a.pcd.bin", PCD.encode(), "PCD cloud.*name it .pcd"),
         ("a.pcd", PLY.encode(), "PLY cloud.*name it .ply"),
@@ -126,7 +128,8 @@ def test_random_bytes(suffix, tmp_path):
         ("a.pcd", lzma.compress(PCD.encode()), "packed by xz"),
         ("a.bin", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
         ("a.npy", b"PK\x03\x04" + bytes(40), "zip archive"),
-    ])
+    ],
+)
 def test_a_known_format_under_a_wrong_name(name, content, message, tmp_path):
     refused(put(tmp_path, name, content), message)
 
@@ -155,7 +158,9 @@ def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
 # ---- PCD headers
 
 
-@each("line, instead", [
+@each(
+    "line, instead",
+    [
         ("POINTS 10", "POINTS 11"),
         ("POINTS 10", "POINTS -10"),
         ("POINTS 10", "POINTS ten"),
@@ -182,7 +187,8 @@ def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
         ("DATA binary", "DATA binary_squeezed"),
         ("DATA binary\n", "DATA binary"),
         ("DATA binary\n", ""),
-    ])
+    ],
+)
 def test_a_pcd_header_that_cannot_be(line, instead, tmp_path):
     assert line in PCD
     refused(put(tmp_path, "a.pcd", PCD.replace(line, instead).encode() + bytes(120)))
@@ -249,7 +255,9 @@ def test_a_pcd_field_that_is_there_twice(names, encoding, tmp_path):
 # ---- PLY headers
 
 
-@each("line, instead", [
+@each(
+    "line, instead",
+    [
         ("vertex 10", "vertex 11"),
         ("vertex 10", "vertex 99999999999"),
         ("vertex 10", "vertex 99999999999999999999"),
@@ -270,7 +278,8 @@ def test_a_pcd_field_that_is_there_twice(names, encoding, tmp_path):
         ("format binary_little_endian 1.0\n", ""),
         ("end_header\n", ""),
         ("end_header\n", "end_header"),
-    ])
+    ],
+)
 def test_a_ply_header_that_cannot_be(line, instead, tmp_path):
     assert line in PLY
     refused(put(tmp_path, "a.ply", PLY.replace(line, instead).encode() + bytes(120)))
@@ -360,7 +369,9 @@ def test_a_feather_column_that_is_there_twice(tmp_path):
 # ---- numpy arrays
 
 
-@each("array", [
+@each(
+    "array",
+    [
         np.zeros(4),
         np.zeros((4, 2)),
         np.zeros((4, 6)),
@@ -371,7 +382,8 @@ def test_a_feather_column_that_is_there_twice(tmp_path):
         np.zeros((4, 3), bool),
         np.full((4, 3), "a"),
         np.zeros(4, [("x", "f4")]),
-    ])
+    ],
+)
 def test_an_array_that_is_no_cloud(array, tmp_path):
     np.save(tmp_path / "a.npy", array)
     refused(tmp_path / "a.npy", "wanted numbers of shape")
@@ -412,14 +424,17 @@ def test_an_archive_of_arrays(tmp_path):
 # ---- LAS headers
 
 
-@each("at, size, claim", [
+@each(
+    "at, size, claim",
+    [
         (96, 4, 2**32 - 1),  # where the points begin
         (100, 4, 2**32 - 1),  # records before them
         (107, 4, 2**32 - 1),  # points
         (107, 4, 61),
         (107, 4, 1_000_000),
         (105, 2, 2**16 - 1),  # bytes of a point
-    ])
+    ],
+)
 def test_a_las_header_that_promises_more_than_there_is(at, size, claim, cloud, tmp_path):
     laspy = pytest.importorskip("laspy")
     las = laspy.create(point_format=3)
@@ -532,11 +547,14 @@ def test_a_file_with_wrong_bytes_is_refused_or_read(whole):
 # ---- packages that are not there
 
 
-@each("name, module, content", [
+@each(
+    "name, module, content",
+    [
         ("a.las", "laspy", b"LASF"),
         ("a.feather", "pyarrow", b"ARROW1"),
         ("a.pcd", "lzf", PCD.replace("binary", "binary_compressed").encode() + struct.pack("<II", 8, 120) + bytes(8)),
-    ])
+    ],
+)
 def test_a_missing_package_is_named_with_its_cure(name, module, content, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ImportError, match=rf'{name}.*{module}.*pip install "ogm-toolkit\[io\]"'):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.io import read_calibration, read_points, read_scan
 from ogm.io.argoverse2 import read_argoverse2
@@ -55,8 +56,8 @@ def share_inside(points, boxes, least=50):
 GOOD = BoxRow([0, 0, 0.5], [1, 1, 1], 0.0, "a")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
+@each(
+    "change, message",
     [
         ({"yaw": np.nan}, r"a.txt: box 1 \(b\) must be finite"),
         ({"size": [0, 1, 1]}, "above 0 m"),
@@ -88,9 +89,7 @@ def test_labelled_points_must_fit():
 # --- KITTI ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("turn", "yaw"), [(-np.pi / 2, 0), (0, -np.pi / 2), (np.pi / 2, np.pi), (-np.pi / 2 - 0.3, 0.3)]
-)
+@each("turn, yaw", [(-np.pi / 2, 0), (0, -np.pi / 2), (np.pi / 2, np.pi), (-np.pi / 2 - 0.3, 0.3)])
 def test_kittis_boxes_turn_from_the_camera_to_the_lidar(tmp_path, turn, yaw):
     """A rotation_y of 0 points to the right: the camera's x."""
     path = tmp_path / "labels.txt"
@@ -118,8 +117,8 @@ def test_an_empty_file_of_labels_has_no_objects(tmp_path):
     assert read_kitti_tracks(tmp_path / "labels.txt", TO_CAMERA) == {}
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
+@each(
+    "content, message",
     [
         (f"{LINE} 0\n{LINE}\n", "line 2 of .* has 14 columns, wanted 15 .*cut short"),
         (f"{LINE} 0 1 2\n", "line 1 of .* has 17 columns"),
@@ -272,8 +271,8 @@ def test_a_range_image_is_read_with_its_axes(tmp_path):
         assert found.named().tolist() == ["road", "car", "none"]
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
+@each(
+    "content, message",
     [
         (np.zeros((4, 6)), r"shape \(4, 6\), wanted numbers of shape \(layers, azimuths, 6\)"),
         (np.zeros((2, 3, 4)), r"shape \(2, 3, 4\), wanted"),
@@ -300,8 +299,8 @@ def test_a_range_image_must_be_whole(tmp_path):
             read_range_image(tmp_path / "0.npy", NUSCENES_ELEVEN)
 
 
-@pytest.mark.parametrize(
-    ("name", "names", "axes", "scale", "height"),
+@each(
+    "name, names, axes, scale, height",
     [
         ("semantic_kitti/2.npy.xz", SEMANTIC_KITTI_TRAINING, "kitti", 1.0, 1.75),
         ("nuscenes/25612.npy.xz", NUSCENES_ELEVEN, "nuscenes", 255.0, 1.86),
@@ -455,8 +454,8 @@ def in_box(points, box):
     return upper_part(points, box + [0, 0, 0, 0, 0, -0.3, 0])
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
+@each(
+    "change, message",
     [
         (lambda t: t["instance"].clear(), "instance i0 of .* is in no table"),
         (lambda t: t["sample_annotation"][0].pop("size"), "has no 'size'"),
@@ -473,8 +472,8 @@ def test_damaged_annotations_are_named(tmp_path, change, message):
         content.boxes(0)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
+@each(
+    "change, message",
     [
         (lambda t: t["ego_pose"].clear(), "refers to ego_pose p, which ego_pose.json does not have"),
         (lambda t: t["sample_data"][0].pop("filename"), "has no 'filename'"),
@@ -519,7 +518,7 @@ def test_the_test_part_of_nuscenes_has_no_boxes(tmp_path):
     assert not read_nuscenes(write_tables(tmp_path / "without", tables)).annotated
 
 
-@pytest.mark.parametrize("name", ["../a.pcd.bin", "samples/../../a.pcd.bin", "/etc/hostname"])
+@each("name", ["../a.pcd.bin", "samples/../../a.pcd.bin", "/etc/hostname"])
 def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
     tables = tables_of(INFO)
     write_tables(tmp_path / "data", tables)
@@ -530,8 +529,8 @@ def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
         read_nuscenes(tmp_path / "data")
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
+@each(
+    "content, message",
     [
         ("[1, 2]", "holds a JSON list, wanted a dict: mmdetection3d's info"),
         ("{", "is no JSON"),
@@ -549,8 +548,8 @@ def test_json_of_another_kind_is_refused(tmp_path, content, message):
         read_mmdet3d(tmp_path / "info.json")
 
 
-@pytest.mark.parametrize(
-    ("note", "message"),
+@each(
+    "note, message",
     [("car", "an object of frame 0 of .* has no 'bbox_3d', only str"), ({"bbox_label_3d": 0}, "has no 'bbox_3d'")],
 )
 def test_damaged_objects_of_an_info_are_named(tmp_path, note, message):
@@ -560,7 +559,7 @@ def test_damaged_objects_of_an_info_are_named(tmp_path, note, message):
         read_mmdet3d(tmp_path / "info.json")
 
 
-@pytest.mark.parametrize("number", [None, [0], "0", 77])
+@each("number", [None, [0], "0", 77])
 def test_objects_of_no_known_category_are_other(tmp_path, number):
     note = INFO["frame"]["instances"][0] | {"bbox_label_3d": number}
     info = INFO | {"frame": INFO["frame"] | {"instances": [note]}}
@@ -646,8 +645,8 @@ def test_a_log_without_map_or_calibration(tmp_path):
     assert len(read_argoverse2(tmp_path).boxes(0)) == 0
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
+@each(
+    "changed, message",
     [
         ({"city": {"timestamp_ns": [8]}}, "has no pose for the sweep at 7"),
         ({"city": {"qw": None}}, "has no column qw, only"),
@@ -689,7 +688,7 @@ def write_map(folder, heights=None, place=None, areas=None):
     (folder / "map" / "a___img_Sim2_city.json").write_text(json.dumps(where))
 
 
-@pytest.mark.parametrize("content", [b"PK\x03\x04", b"\x93NUMPY", b"\x80\x04K\x01."])
+@each("content", [b"PK\x03\x04", b"\x93NUMPY", b"\x80\x04K\x01."])
 def test_a_raster_is_an_array_and_nothing_else(tmp_path, content):
     write_map(write_log(tmp_path))
     (tmp_path / "map" / "a_ground_height_surface_b.npy").write_bytes(content)
@@ -726,8 +725,8 @@ def test_a_raster_has_rows_along_y(tmp_path):
     assert plan.outlines(T)[0].tolist() == [[-10, -20], [-6, -20], [-6, -16], [-10, -16]]
 
 
-@pytest.mark.parametrize(
-    ("what", "message"),
+@each(
+    "what, message",
     [
         ({"heights": np.zeros(3)}, r"shape \(3,\), wanted heights"),
         ({"heights": np.empty((2, 2), object)}, "array of object and shape .*, wanted heights"),
@@ -773,8 +772,8 @@ def test_an_object_without_a_name_has_no_track(tmp_path):
     assert read_sustech(tmp_path / "0.json").track == ("", "0")
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
+@each(
+    "content, message",
     [
         ([note(psr={"scale": {"x": 1, "y": 1, "z": 10**400}})], "scale of object 0 .* must be numbers"),
         ({"frame": 1}, "holds a JSON dict, wanted a list"),

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -196,21 +197,21 @@ def test_limits_are_stated_and_refuse_what_is_none():
     assert current_limits() == MemoryLimits()
 
 
-@pytest.mark.parametrize(("text", "got"), [("file=4e9 json=10", (4 * 10**9, 10)), ("file=5,json=6", (5, 6))])
+@each("text, got", [("file=4e9 json=10", (4 * 10**9, 10)), ("file=5,json=6", (5, 6))])
 def test_the_environment_sets_limits(text, got):
     code = "from ogm.storage.limits import current_limits as c; print(c().file, c().json)"
     done = subprocess.run([sys.executable, "-c", code], env=os.environ | {"OGM_LIMITS": text}, capture_output=True)
     assert done.stdout.decode().split() == [str(one) for one in got]
 
 
-@pytest.mark.parametrize("text", ["file", "files=3", "file=many", "file=0", "file=1e400"])
+@each("text", ["file", "files=3", "file=many", "file=0", "file=1e400"])
 def test_an_environment_that_sets_no_limits_is_refused(text):
     code = "import ogm.storage.limits"
     done = subprocess.run([sys.executable, "-c", code], env=os.environ | {"OGM_LIMITS": text}, capture_output=True)
     assert b"OGM_LIMITS must be pairs such as file=4e9" in done.stderr
 
 
-@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
+@each("suffix, pack", [(".xz", lzma.compress), (".gz", gzip.compress)])
 def test_unpacking_stops_at_the_limit(suffix, pack, tmp_path):
     path = tmp_path / f"a.bin{suffix}"
     path.write_bytes(pack(bytes(64 * MB)))
@@ -224,7 +225,7 @@ def test_unpacking_stops_at_the_limit(suffix, pack, tmp_path):
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("check", [lzma.CHECK_CRC32, lzma.CHECK_NONE])
+@each("check", [lzma.CHECK_CRC32, lzma.CHECK_NONE])
 def test_streams_of_xz_that_follow_each_other_are_one_file(check, tmp_path):
     one, other = (lzma.compress(text, check=check) for text in (b"abc" * 9999, b"defg" * 99_999))
     path = tmp_path / "a.bin.xz"
@@ -275,7 +276,7 @@ def test_the_estimate_for_json_is_from_above(value, ascii_only):
             decode_json(data, Path("a.json"))
 
 
-@pytest.mark.parametrize("unit", [b"[],", b"{},", b'{"a":1},', b'"",', b"1e9,", b"[[[1]]],", b'"\xc3\xa4",'])
+@each("unit", [b"[],", b"{},", b'{"a":1},', b'"",', b"1e9,", b"[[[1]]],", b'"\xc3\xa4",'])
 def test_a_small_json_cannot_fill_the_memory(unit, tmp_path):
     path = tmp_path / "a.json.xz"
     path.write_bytes(lzma.compress(b"[" + unit * 2_000_000 + b"0]", preset=0))
@@ -310,7 +311,7 @@ def test_lines_are_those_of_python(text):
 # ---- Feather: what its buffers claim
 
 
-@pytest.mark.parametrize("packing", ["zstd", "lz4", "uncompressed"])
+@each("packing", ["zstd", "lz4", "uncompressed"])
 def test_the_claims_of_a_feather_file_are_the_sizes_of_its_columns(packing):
     sizes = unpacked_sizes(feather(points(70_000), packing))  # batches of 65,536
     assert [max(batch) for batch in sizes] == [4 * 65_536, 4 * (70_000 - 65_536)]
@@ -340,7 +341,7 @@ def test_the_sizes_of_a_damaged_feather_file_are_refused_or_numbers(data):
 # ---- LAZ: the sizes that its layers state
 
 
-@pytest.mark.parametrize("form", [6, 7, 8])
+@each("form", [6, 7, 8])
 def test_layers_of_laz_must_end_where_the_table_of_chunks_begins(form, tmp_path):
     laspy = pytest.importorskip("laspy")
     pytest.importorskip("lazrs")
@@ -378,7 +379,7 @@ def test_zstd_that_claims_much_takes_what_it_holds():
 # ---- images
 
 
-@pytest.mark.parametrize("form", ["EPS", "BMP", "JPEG", "TIFF", "WEBP", "PPM", "TGA", "GIF"])
+@each("form", ["EPS", "BMP", "JPEG", "TIFF", "WEBP", "PPM", "TGA", "GIF"])
 def test_only_a_png_is_read_under_its_name(form, tmp_path, monkeypatch):
     spec = GridSpec(1.0, (8, 6), (0.0, 0.0))
     path = tmp_path / "a.png"
@@ -409,9 +410,7 @@ def test_a_label_of_another_size_is_refused_before_it_is_decoded(tmp_path):
 # ---- arrays
 
 
-@pytest.mark.parametrize(
-    "content", [b"\x93NUMPY\x01\x00\x06\x00{'a':\n", b"\x93NUMPY\x01\x00\x02\x00((", b"PK\x03\x04"]
-)
+@each("content", [b"\x93NUMPY\x01\x00\x06\x00{'a':\n", b"\x93NUMPY\x01\x00\x02\x00((", b"PK\x03\x04"])
 def test_a_damaged_array_is_an_error_of_the_file(content, tmp_path):
     (tmp_path / "a.npy").write_bytes(content)
     with pytest.raises(OgmError, match=r"a\.npy has no readable numpy header"):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from radarscenes_files import MOUNTS, START, detections, odometry, write_sequence
 
 from ogm.datasets import open_dataset
@@ -89,7 +90,7 @@ def test_a_frame_goes_through_the_sensor_model(sequence: Path) -> None:
     assert grid.mass.max() > 0
 
 
-@pytest.mark.parametrize("storage", [{}, {"chunks": (7,)}, {"compression": "gzip", "shuffle": True, "fletcher32": True},
+@each("storage", [{}, {"chunks": (7,)}, {"compression": "gzip", "shuffle": True, "fletcher32": True},
                                      {"compression": "lzf"}])  # fmt: skip
 def test_storage_does_not_matter(storage: dict[str, Any], tmp_path: Path) -> None:
     scan = read_radarscenes(write_sequence(tmp_path, **storage)).scan(3)
@@ -169,7 +170,7 @@ _HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", _HOSTILE)
+@each("name", _HOSTILE)
 def test_damaged_and_hostile_tables_are_refused(name: str, sequence: Path) -> None:
     change, message = _HOSTILE[name]
     change(sequence / "radar_data.h5")
@@ -177,9 +178,7 @@ def test_damaged_and_hostile_tables_are_refused(name: str, sequence: Path) -> No
         [frame.scan for frame in open_dataset(sequence)]
 
 
-@pytest.mark.parametrize(
-    "storage", [{"maxshape": (None,), "chunks": (100,)}, {"chunks": (2**21,), "maxshape": (None,)}]
-)
+@each("storage", [{"maxshape": (None,), "chunks": (100,)}, {"chunks": (2**21,), "maxshape": (None,)}])
 def test_memory_is_bounded_before_it_is_taken(storage: dict[str, Any], sequence: Path) -> None:
     change = _replaced("odometry", shape=(2**40 if "100" in str(storage) else 2**21,), dtype=_PATH.dtype, data=None,
                        **storage)  # fmt: skip
@@ -206,8 +205,8 @@ def test_a_small_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path: Path) 
         set_limits(before)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
+@each(
+    "change, message",
     [
         (lambda scene: scene.update(radar_indices=[6, 3]), "first row and the one after"),
         (lambda scene: scene.update(radar_indices=[0.5, 3]), "first row and the one after"),

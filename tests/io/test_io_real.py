@@ -6,6 +6,7 @@ import lzma
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan, read_scan_file
 from ogm.io.no_returns import directions_without_return
@@ -36,7 +37,7 @@ SCANS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "axes", "number", "dropped", "height"), SCANS)
+@each("name, axes, number, dropped, height", SCANS)
 def test_every_recording_is_read(name, axes, number, dropped, height, real):
     scan, facts = read_scan_file(real(name), axes)
     assert scan.points.shape == (number, 4)
@@ -85,7 +86,7 @@ def test_nuscenes_boxes_hold_their_points(real):
     assert wrong < 0.05 * counted.sum()
 
 
-@pytest.mark.parametrize("frame", ["000965", "000970", "000975"])
+@each("frame", ["000965", "000970", "000975"])
 def test_sustech_boxes_hold_points(frame, real):
     path = real(f"sustechpoints/lidar/{frame}.pcd.xz")
     points = read_points(path, "sustech")
@@ -113,7 +114,7 @@ def test_argoverse2_boxes_hold_exactly_their_points(real):
         assert found == box["num_interior_pts"]
 
 
-@pytest.mark.parametrize("frame", ["000000", "000001", "000002"])
+@each("frame", ["000000", "000001", "000002"])
 def test_kitti_boxes_hold_points(frame, real):
     points = read_points(real(f"kitti_object/velodyne/{frame}.bin"), "kitti")
     lines = real(f"kitti_object/calib/{frame}.txt").read_text().split("\n")
@@ -129,9 +130,7 @@ def test_kitti_boxes_hold_points(frame, real):
             assert inside(points, centre[:3], [length, width, height], way).sum() >= 5
 
 
-@pytest.mark.parametrize(
-    ("name", "axes", "road"), [("nuscenes/25611", "nuscenes", 0), ("semantic_kitti/0", "kitti", 9)]
-)
+@each("name, axes, road", [("nuscenes/25611", "nuscenes", 0), ("semantic_kitti/0", "kitti", 9)])
 def test_the_labelled_road_lies_below(name, axes, road, real):
     path = real(f"labelled_range_images/{name}.npy.xz")
     image = unpacked(path)
@@ -148,7 +147,7 @@ def test_the_own_vehicle_is_kept(real):
     assert np.mean(np.hypot(points[:, 0], points[:, 1]) < 2.5) == pytest.approx(0.25, abs=0.01)
 
 
-@pytest.mark.parametrize("frame", range(5))
+@each("frame", range(5))
 def test_returns_far_below_the_ground_are_kept(frame, real):
     assert read_points(real(f"labelled_range_images/semantic_kitti/{frame}.npy.xz"))[:, 2].min() < -24
 
@@ -214,8 +213,8 @@ def test_stamps_follow_each_other(real):
     np.testing.assert_allclose(np.diff(stamps), 0.5, atol=0.01)
 
 
-@pytest.mark.parametrize(
-    ("name", "stamp"),
+@each(
+    "name, stamp",
     [
         (NUSCENES, 1532402927.647951),
         (AV2, 315973157.959879),
@@ -228,9 +227,7 @@ def test_stamps_are_those_of_the_names(name, stamp, real):
     assert read_scan(real(name), "nuscenes").stamp == (None if stamp is None else pytest.approx(stamp, abs=1e-6))
 
 
-@pytest.mark.parametrize(
-    ("name", "lasers"), [(NUSCENES, 32), (AV2, 64), ("argoverse1/*.ply", 32), ("nebula_apache2/vlp16/*.pcd", 15)]
-)
+@each("name, lasers", [(NUSCENES, 32), (AV2, 64), ("argoverse1/*.ply", 32), ("nebula_apache2/vlp16/*.pcd", 15)])
 def test_lasers_are_counted(name, lasers, real):
     assert len(set(read_scan(real(name), "nuscenes").ring)) == lasers
 
@@ -245,8 +242,8 @@ def test_zeros_of_an_organised_cloud_are_beams_without_a_return(real):
     assert np.median(elevation) > 8  # nearly all point to the sky
 
 
-@pytest.mark.parametrize(
-    ("name", "axes", "within"),
+@each(
+    "name, axes, within",
     [
         ("autoware_apache2/test.pcd.xz", "flu", 0.4),
         ("labelled_range_images/semantic_kitti/0.npy.xz", "kitti", 0.3),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,7 +50,7 @@ def test_kitti_and_kitti_360_and_full_matrices_hold_the_same(tmp_path: Path) -> 
     assert (kitti.format, kitti360.format, matrices.format) == ("KITTI", "KITTI-360", "KITTI-360 4x4")
 
 
-@pytest.mark.parametrize("ending", [".csv", ".txt", ".tum"])
+@each("ending", [".csv", ".txt", ".tum"])
 def test_what_is_written_is_read_again_to_the_last_bit(ending: str, tmp_path: Path) -> None:
     trajectory, path = drive(), tmp_path / f"poses{ending}"
     write_poses(path, trajectory)
@@ -136,8 +137,8 @@ IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 CSV = "stamp,x,y,z,qx,qy,qz,qw\n"
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
+@each(
+    "name, content, message",
     [
         ("a.txt", "", "is empty"),
         ("a.txt", "# nothing\n\n", "holds no pose"),
@@ -198,8 +199,8 @@ def test_our_own_files_need_no_calibration(tmp_path: Path) -> None:
         read_poses(tmp_path / "poses.csv", T_camera_sensor=T_CAMERA_SENSOR)
 
 
-@pytest.mark.parametrize(
-    ("name", "numbers", "message"),
+@each(
+    "name, numbers, message",
     [
         ("poses.json", None, "name it .csv"),
         ("poses.txt", np.arange(12), "no frame numbers"),
@@ -231,8 +232,8 @@ def test_calibrations_of_all_recordings_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_calibration(path), T)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
+@each(
+    "text, message",
     [
         ("P0: 1 2 3\n", "no entry Tr, Tr_velo_to_cam"),
         ("Tr: 1 2 3\n", r"entry Tr of .* numbers of shape \(12,\), got \['1', '2', '3'\]"),
@@ -247,8 +248,8 @@ def test_damaged_calibrations_are_named(text: str, message: str, tmp_path: Path)
         read_calibration(path)
 
 
-@pytest.mark.parametrize(
-    ("folder", "numbers", "path_length"),
+@each(
+    "folder, numbers, path_length",
     [
         ("kitti_odometry_00", range(6), 3.58),
         ("kitti_raw_0005", range(60, 84), 9.0),
@@ -294,8 +295,8 @@ def test_flat_g2o_lies_in_the_plane(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.poses, [pose(1.5, -2.0, yaw=0.75), pose(yaw=-3.0)], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("line", "wanted"),
+@each(
+    "line, wanted",
     [
         ("VERTEX_SE2 1 2 3", "line 2 of .* and 3 finite numbers"),
         ("VERTEX_SE2 1 2 3 nan", "finite"),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -160,7 +161,7 @@ def test_a_live_buffer_forgets():
     assert first == pytest.approx(8.9)
 
 
-@pytest.mark.parametrize(
+@each(
     "wrong",
     [
         StampedTransform("", "b", 0.0, np.eye(4)),

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import shapely
+from cases import each
 
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.recipe import Country
@@ -96,7 +97,7 @@ def test_shares_of_land_use_sum_to_one() -> None:
     assert {"ploughed", "wood", "meadow"} <= set(USES)
 
 
-@pytest.mark.parametrize("plant", ["grass", "crop"])
+@each("plant", ["grass", "crop"])
 def test_high_plants_stand_on_their_ground_in_their_field(plant: str) -> None:
     rng = np.random.default_rng(1)
     mesh = high_grass(FIELD, plane, rng, density=2.0) if plant == "grass" else crops(FIELD, plane, rng, tall=0.8)

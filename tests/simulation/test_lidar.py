@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import read_scan
 from ogm.pose import pose
@@ -107,7 +108,7 @@ def test_elevations_of_the_vls_128_agree_with_a_real_one(real) -> None:
     assert len(np.unique(nearest)) >= 126
 
 
-@pytest.mark.parametrize("name", LIDARS)
+@each("name", LIDARS)
 def test_every_lidar_is_sane(name: str) -> None:
     spec = LIDARS[name]
     assert spec.name == name
@@ -152,8 +153,8 @@ def test_the_hd_lidar_has_the_same_field_of_view() -> None:
         hd_directions(VLP, 1)
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
+@each(
+    "change, reason",
     [
         ({"elevations": VLP.elevations[::-1]}, "ascend"),
         ({"elevations": (), "azimuth_offsets": ()}, "empty"),

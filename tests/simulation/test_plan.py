@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.simulation.plan import MOUNTS, SPLITS, DatasetPlan, LidarMount, draw_mount, moment, only, sample_rng
 
@@ -93,8 +94,8 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
         PLAN.grown(replace(PLAN, mounts=only("hdl-32e")))
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
+@each(
+    "wrong, message",
     [
         ({"samples": -1}, "samples must be a whole number"),
         ({"seed": 1.5}, "seed must be a whole number"),
@@ -117,8 +118,8 @@ def test_impossible_plans_are_reported(wrong: dict, message: str) -> None:
         DatasetPlan(**wrong)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
+@each(
+    "wrong, message",
     [
         ({"share": 0.0}, "share of vlp-32c"),
         ({"height": (2.0, 1.0)}, "height of vlp-32c must be two numbers, rising"),
@@ -153,7 +154,7 @@ def test_drives_take_turns_through_several_towns_and_never_the_tests() -> None:
         DatasetPlan(towns=0)
 
 
-@pytest.mark.parametrize("towns", [1, 2, 3, 4, 5, 10])
+@each("towns", [1, 2, 3, 4, 5, 10])
 def test_every_town_is_driven_both_ways(towns: int) -> None:
     plan = DatasetPlan(towns=towns)
     drives = {moment(plan, "training", 10 * run)[:3] for run in range(10)}

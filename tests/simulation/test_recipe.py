@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 
-from ogm.datasets.simulated import SimulatedRecording
 from ogm.simulation import dataset, moments
 from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
 from ogm.simulation.dataset import beams_of, make_sample
@@ -90,8 +90,8 @@ def test_sequences_stay_in_one_town_with_one_sensor() -> None:
     assert len({draw_mount(PLAN, "sequences", i) for i in range(100)}) == 1
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
+@each(
+    "wrong, message",
     [
         ({"mounts": (LidarMount("vlp-16"),)}, "gen2 sets mounts itself, got 1 x vlp-16"),
         ({"towns": 3}, "gen2 sets towns itself, got 3"),
@@ -121,7 +121,7 @@ def test_lidars_have_fair_shares() -> None:
         assert drawn.count(name) / 4800 == pytest.approx(share, abs=4 * np.sqrt(share / 4800)), name
 
 
-@pytest.mark.parametrize("name", LIDARS)
+@each("name", LIDARS)
 def test_calibration_errors_are_bounded_and_belong_to_the_unit(name: str) -> None:
     size, layers = GEN2.calibration_of(name), LIDARS[name].layers
     units = [layer_errors(GEN2, name, layers, unit) for unit in range(200)]
@@ -290,9 +290,9 @@ def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: DataRecipe, tmp
         np.testing.assert_array_equal(one.points, made.points)
         np.testing.assert_array_equal(one.no_returns, made.no_returns)
         assert one.weather == made.weather
-    layout = simulated(tmp_path / "data", "training")
-    assert layout.facts["towns"] == 1
-    scan = layout.read(2).scan
+    made = open_dataset(tmp_path / "data", split="training")
+    assert made.facts["towns"] == 1
+    scan = made[2].scan
     np.testing.assert_array_equal(scan.no_returns, one.no_returns)
 
 

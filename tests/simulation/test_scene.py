@@ -3,6 +3,7 @@
 import numpy as np
 import open3d
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -105,7 +106,7 @@ def random_world(rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh], Mesh
     return static, moving, own
 
 
-@pytest.mark.parametrize("seed", range(8))
+@each("seed", range(8))
 def test_moving_and_static_things_apart_are_hit_as_if_they_were_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
     static, moving, own = random_world(rng)
@@ -244,8 +245,8 @@ def test_a_cylinder_between_a_point_and_itself_is_refused() -> None:
         cylinder([1, 2, 3], [1, 2, 3], 0.1, Material.METAL_POLE)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
+@each(
+    "change, message",
     [
         ({"vertices": PLANE.vertices.astype(np.float64)}, "vertices must be float32"),
         ({"vertices": PLANE.vertices[:, :2]}, r"vertices .* \(N, 3\)"),

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.simulation import store as store_module
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
@@ -254,7 +255,7 @@ LIDAR = {
 }
 
 
-@pytest.mark.parametrize(
+@each(
     "nonsense",
     [
         {"splits": {"../data/training": 13}},

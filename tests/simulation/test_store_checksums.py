@@ -12,6 +12,7 @@ from typing import Any
 
 import google_crc32c
 import pytest
+from cases import each
 from damage import check_flips
 
 from ogm.simulation.plan import DatasetPlan, LidarMount
@@ -61,7 +62,7 @@ def test_flipped_bits_are_found(store: Store) -> None:
     assert found["refused"] > 60
 
 
-@pytest.mark.parametrize(("at", "size"), [(4, 2**31), (8, 0), (8, 2**30), (12, 2**31), (12, 1), (0, 0)])
+@each("at, size", [(4, 2**31), (8, 0), (8, 2**30), (12, 2**31), (12, 1), (0, 0)])
 def test_blosc_never_unpacks_a_chunk_whose_sizes_are_wrong(store: Store, at: int, size: int) -> None:
     """Checksums are right; ``at`` 0 stands for a chunk that ends within its header."""
     file = next(one for one in (store.path / "training/steps/c").rglob("0") if one.is_file())
@@ -84,7 +85,7 @@ def sum_of(data: bytes | bytearray) -> bytes:
     return struct.pack("<I", google_crc32c.value(bytes(data)))
 
 
-@pytest.mark.parametrize("array", ["steps", "intensities", "truth", "heights", "objects", "facts"])
+@each("array", ["steps", "intensities", "truth", "heights", "objects", "facts"])
 def test_an_exchanged_file_is_found_by_reading_and_by_resuming(
     store: Store, array: str, tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make
 ) -> None:

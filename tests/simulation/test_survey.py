@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import GridSpec
 from ogm.pose import pose
@@ -111,7 +112,7 @@ def kerb(rise: float, turn: float) -> tuple[Mesh, Mesh]:
     return merge([road, walk]).moved(T), face.moved(T)
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.3, np.pi / 4, 2.0])
+@each("turn", [0.0, 0.3, np.pi / 4, 2.0])
 def test_a_kerb_is_one_unbroken_line(turn: float) -> None:
     ground, face = kerb(0.12, turn)
     far = np.cos(turn) * x + np.sin(turn) * y - 5.03  # [m] beyond the kerb's line
@@ -322,13 +323,13 @@ def test_no_ray_leaves_the_field_of_view() -> None:
         assert sine.max() <= np.sin(VIEW[1]) + 1e-6
 
 
-@pytest.mark.parametrize("T", [np.eye(3), 2 * np.eye(4), np.full((4, 4), np.nan)])
+@each("T", [np.eye(3), 2 * np.eye(4), np.full((4, 4), np.nan)])
 def test_a_pose_that_is_none_is_refused(T: np.ndarray) -> None:
     with pytest.raises(ValueError, match="T_world_sensor"):
         measure_ground(View().scene, T, SPEC)
 
 
-@pytest.mark.parametrize("view", [(0.3, -0.3), (-2.0, 0.2), (float("nan"), 0.2)])
+@each("view", [(0.3, -0.3), (-2.0, 0.2), (float("nan"), 0.2)])
 def test_an_impossible_field_of_view_is_refused(view: tuple) -> None:
     scene = View()
     with pytest.raises(ValueError, match="elevations"):

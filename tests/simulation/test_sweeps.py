@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import open_dataset
 from ogm.pose import inverse, pose
@@ -76,7 +77,7 @@ def test_a_plan_with_radars_survives_json_and_does_not_become_another() -> None:
         plan.grown(DatasetPlan())
 
 
-@pytest.mark.parametrize("rate", [13.0, 20.0, 7.3])
+@each("rate", [13.0, 20.0, 7.3])
 def test_every_sweep_of_a_drive_belongs_to_one_sample(rate: float) -> None:
     pytest.importorskip("open3d")
     from ogm.simulation.sweeps import sweep_times
@@ -107,7 +108,7 @@ def test_sweeps_come_back_as_they_were_written(store: Store, make_sample: Any) -
                 np.testing.assert_array_equal(column, other)
 
 
-@pytest.mark.parametrize("array", ["sweeps", "detections"])
+@each("array", ["sweeps", "detections"])
 def test_damaged_sweeps_are_found(store: Store, array: str) -> None:
     file = next(one for one in (store.path / "validation" / array / "c").rglob("*") if one.is_file())
     data = bytearray(file.read_bytes())

@@ -5,6 +5,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 import shapely
+from cases import each
 from numpy.testing import assert_array_equal
 from shapely import Polygon
 
@@ -79,7 +80,7 @@ def sound(mesh: Mesh):
 # All things
 
 
-@pytest.mark.parametrize("make", [*PIECES.values(), *PLANTS.values()], ids=[*PIECES, *PLANTS])
+@each("make", [*PIECES.values(), *PLANTS.values()])
 def test_same_generator_same_thing_other_generator_another(make):
     first, again = make(np.random.default_rng(5)), make(np.random.default_rng(5))
     for a, b in zip(first, again, strict=True):
@@ -89,14 +90,14 @@ def test_same_generator_same_thing_other_generator_another(make):
         assert any(v.shape != first.vertices.shape or not np.array_equal(v, first.vertices) for v in others)
 
 
-@pytest.mark.parametrize("style", STYLES)
+@each("style", STYLES)
 def test_same_generator_same_house(style):
     for (_, a), (_, b) in zip(houses(style), houses(style), strict=True):
         assert_array_equal(a.vertices, b.vertices)
         assert_array_equal(a.material, b.material)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_global_random_state_is_not_used(seed):
     with pytest.raises(TypeError):
         plants.tree()
@@ -109,7 +110,7 @@ def test_global_random_state_is_not_used(seed):
 # Houses
 
 
-@pytest.mark.parametrize("style", STYLES)
+@each("style", STYLES)
 def test_houses_stand_in_the_ground_on_their_footprint(style):
     for footprint, mesh in houses(style):
         sound(mesh)
@@ -121,7 +122,7 @@ def test_houses_stand_in_the_ground_on_their_footprint(style):
         assert away.max() < 2.2  # steps at most
 
 
-@pytest.mark.parametrize("style", STYLES)
+@each("style", STYLES)
 def test_houses_stay_within_their_budget(style):
     small = [0]
     for footprint, mesh in houses(style, count=8):
@@ -130,7 +131,7 @@ def test_houses_stay_within_their_budget(style):
     assert np.median(small) <= 700
 
 
-@pytest.mark.parametrize("style", STYLES)
+@each("style", STYLES)
 def test_walls_stop_rays_at_eye_level(style):
     for footprint, mesh in houses(style, height_at=level):
         if M.METAL_SHEET in mesh.material and mesh.vertices[:, 2].min() > 1 or footprint.area < 60:
@@ -181,7 +182,7 @@ def test_passages_are_open_below_three_metres():
     assert 4 <= found <= 30
 
 
-@pytest.mark.parametrize("style", ["centre", "suburb", "arterial"])
+@each("style", ["centre", "suburb", "arterial"])
 def test_what_stands_out_hangs_above_two_and_a_half_metres(style):
     balconies = 0
     for seed in range(25):
@@ -198,7 +199,7 @@ def test_what_stands_out_hangs_above_two_and_a_half_metres(style):
     assert balconies > 3
 
 
-@pytest.mark.parametrize("style", STYLES)
+@each("style", STYLES)
 def test_courtyards_slopes_and_odd_outlines_are_built(style):
     court = Polygon([(0, 0), (40, 0), (40, 35), (0, 35)], [[(12, 12), (28, 12), (28, 24), (12, 24)]])
     outlines = [
@@ -222,8 +223,8 @@ def test_courtyards_slopes_and_odd_outlines_are_built(style):
     assert np.isinf(distance).all()  # the courtyard is open to the sky
 
 
-@pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("angle", [0.0, 130.0])
+@each("style", STYLES)
+@each("angle", [0.0, 130.0])
 def test_footprints_lie_in_the_lot_apart_and_face_the_street(style, angle):
     lot = Polygon([(0, 0), (90, 0), (86, 37), (30, 45), (2, 30)])
     lot = shapely.affinity.rotate(lot, angle, origin=(0, 0))
@@ -301,7 +302,7 @@ def test_trees_are_rooted_within_budget_and_of_many_sizes():
     assert max(heights) > 10
 
 
-@pytest.mark.parametrize("clearance", [0.0, 2.5, 4.5])
+@each("clearance", [0.0, 2.5, 4.5])
 def test_no_leaf_hangs_below_the_clearance(clearance):
     for seed in range(20):
         tree = plants.tree(np.random.default_rng(seed), clearance=clearance)
@@ -359,7 +360,7 @@ def test_grass_grows_in_its_polygon_on_its_ground():
 # Furniture
 
 
-@pytest.mark.parametrize("name", ON_A_POINT)
+@each("name", ON_A_POINT)
 def test_furniture_stands_on_its_foot(name):
     for seed in range(12):
         mesh = PIECES[name](np.random.default_rng(seed))
@@ -371,7 +372,7 @@ def test_furniture_stands_on_its_foot(name):
         assert not set(mesh.material.tolist()) & {M.ASPHALT, M.PAVING, M.GRASS, M.EGO_VEHICLE}
 
 
-@pytest.mark.parametrize("name", ["lamp", "traffic_light", "sign"])
+@each("name", ["lamp", "traffic_light", "sign"])
 def test_poles_are_thin(name):
     for seed in range(15):
         mesh = PIECES[name](np.random.default_rng(seed))
@@ -382,7 +383,7 @@ def test_poles_are_thin(name):
         assert 0.04 < blocked < 0.2
 
 
-@pytest.mark.parametrize("name", ["lamp", "traffic_light", "gantry", "bridge"])
+@each("name", ["lamp", "traffic_light", "gantry", "bridge"])
 def test_what_reaches_over_the_road_is_higher_than_four_and_a_half_metres(name):
     for seed in range(20):
         mesh = PIECES[name](np.random.default_rng(seed))
@@ -402,7 +403,7 @@ def test_lamps_and_mast_arms_reach_to_the_road_on_their_right():
         assert max(y.max() for y in reach) < 0.7
 
 
-@pytest.mark.parametrize("name", ["sign", "gantry", "shelter", "barrier"])
+@each("name", ["sign", "gantry", "shelter", "barrier"])
 def test_signs_are_retroreflective_on_the_front_only(name):
     seen = 0
     for seed in range(20):

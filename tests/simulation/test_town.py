@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import open3d
 import pytest
+from cases import each
 from open3d import core
 
 from ogm.simulation.materials import GROUND, Material
@@ -178,7 +179,7 @@ def test_lanes_of_one_phase_do_not_cross(town: Town) -> None:
             assert np.linalg.norm(lane.points[0] - other.points[0]) < 12
 
 
-@pytest.mark.parametrize("name", ["loop", "counter_loop"])
+@each("name", ["loop", "counter_loop"])
 def test_round_trips_close(town: Town, name: str) -> None:
     trip = getattr(town, name)
     for k, following in zip(trip, [*trip[1:], trip[0]], strict=True):
@@ -296,13 +297,13 @@ def test_every_lane_is_50_m_from_the_end_of_the_ground(town: Town) -> None:
     assert end - abs(points).max() > 50
 
 
-@pytest.mark.parametrize("size", [0.0, -10.0, 239.0, 5000.0, np.nan, np.inf])
+@each("size", [0.0, -10.0, 239.0, 5000.0, np.nan, np.inf])
 def test_impossible_sizes_are_refused(size: float) -> None:
     with pytest.raises(ValueError, match="size must be"):
         build_town(1, size)
 
 
-@pytest.mark.parametrize("seed", [-1, 1.5, True, "a"])
+@each("seed", [-1, 1.5, True, "a"])
 def test_impossible_seeds_are_refused(seed: object) -> None:
     with pytest.raises(ValueError, match="seed must be"):
         build_town(seed)  # type: ignore[arg-type]

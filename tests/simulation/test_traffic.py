@@ -2,6 +2,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.simulation.materials import Material
 from ogm.simulation.town import Lane
@@ -136,7 +137,7 @@ def through(body, origin, direction):
         return np.flatnonzero((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0))
 
 
-@pytest.mark.parametrize("body", bodies(), ids=lambda body: body.label)
+@each("body", bodies())
 def test_bodies_have_plausible_exact_centred_bounds(body):
     low, high = body.mesh.vertices.min(axis=0), body.mesh.vertices.max(axis=0)
     np.testing.assert_allclose(high - low, body.size, atol=1e-6)
@@ -148,7 +149,7 @@ def test_bodies_have_plausible_exact_centred_bounds(body):
     assert body.mesh.triangles.max() < len(body.mesh.vertices)
 
 
-@pytest.mark.parametrize("shape", [*CARS.values(), *VANS.values()])
+@each("shape", [*CARS.values(), *VANS.values()])
 def test_cars_stand_on_four_wheels_with_a_gap_below_and_glass_above(shape):
     body = car(shape, M.PAINT_LIGHT)
     used = {Material(m) for m in body.mesh.material}
@@ -210,7 +211,7 @@ def test_seeds_and_directions_differ(village, traffic):
     assert not np.allclose(traffic.at(9.0).ego, back.at(9.0).ego)
 
 
-@pytest.mark.parametrize("clockwise", [True, False])
+@each("clockwise", [True, False])
 def test_the_yaw_rate_is_the_turn_to_the_left(village, clockwise):
     traffic, dt = Traffic(village, 7, clockwise=clockwise), 0.05
     rates = []
@@ -223,7 +224,7 @@ def test_the_yaw_rate_is_the_turn_to_the_left(village, clockwise):
     assert told.mean() * (-1 if clockwise else 1) > 0.02
 
 
-@pytest.mark.parametrize("clockwise", [True, False])
+@each("clockwise", [True, False])
 def test_the_ego_vehicle_drives_round_the_right_way(village, clockwise):
     traffic = Traffic(village, 7, clockwise=clockwise)
     places = np.array([traffic.at(t).ego[:2, 3] for t in np.arange(0, 300, 1.0)])
@@ -331,13 +332,13 @@ def test_parked_vehicles_keep_off_the_lanes(village, traffic):
         assert gap > 1.5
 
 
-@pytest.mark.parametrize("time", [-0.1, 1200.5, np.nan, np.inf])
+@each("time", [-0.1, 1200.5, np.nan, np.inf])
 def test_times_outside_the_scenario_are_refused(traffic, time):
     with pytest.raises(ValueError, match="time must lie"):
         traffic.at(time)
 
 
-@pytest.mark.parametrize("seed", [-1, 1.5, True, "x"])
+@each("seed", [-1, 1.5, True, "x"])
 def test_bad_seeds_are_refused(village, seed):
     with pytest.raises(ValueError, match="seed must be"):
         Traffic(village, seed, clockwise=True)

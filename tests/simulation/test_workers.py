@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from cases import each
 from stand_in import stand_in
 
 from ogm.simulation import workers
@@ -165,7 +166,7 @@ def test_what_will_not_fit_is_not_begun(
         run(tmp_path / "data", beams, make_sample)
 
 
-@pytest.mark.parametrize("workers", [0, -1, 10**6])
+@each("workers", [0, -1, 10**6])
 def test_impossible_numbers_of_workers_are_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, workers: int
 ) -> None:

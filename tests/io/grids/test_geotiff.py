@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -44,7 +45,7 @@ def test_it_comes_back_exactly(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5, math.pi / 2])
+@each("yaw", [0.0, 0.7, -2.5, math.pi / 2])
 def test_gdal_finds_corner_size_bands_system_and_every_value(tmp_path: Path, yaw: float) -> None:
     T = pose(367_000.25, 5_600_000.5, 80.0, yaw=yaw)
     placed, path = PlacedGrid(grid(), T, "utm", 1_700_000_000.25, "EPSG:25832"), tmp_path / "map.tif"
@@ -111,8 +112,8 @@ def test_any_place_comes_back(
     assert np.array_equal(again.grid.mass, mass)
 
 
-@pytest.mark.parametrize(
-    ("crs", "message"),
+@each(
+    "crs, message",
     [
         ("EPSG:4326", "not in metres on a plane"),
         ("EPSG:2263", "not in metres on a plane"),

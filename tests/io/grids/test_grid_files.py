@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from moving import street
 
 from ogm.dynamic_grid import DynamicGrid
@@ -135,9 +136,7 @@ def test_missing_folders_and_wrong_kinds_of_paths(tmp_path: Path, ending: str) -
 
 
 @EVERY
-@pytest.mark.parametrize(
-    "content", [b"", b"x", b"\x00" * 5000, b"\x89HDF\r\n\x1a\n" + bytes(200), b"II*\x00\xff\xff\xff\xff"]
-)
+@each("content", [b"", b"x", b"\x00" * 5000, b"\x89HDF\r\n\x1a\n" + bytes(200), b"II*\x00\xff\xff\xff\xff"])
 def test_what_is_no_grid_is_refused_by_its_name(tmp_path: Path, ending: str, content: bytes) -> None:
     path = tmp_path / f"m{ending}"
     if ending == ".zarr":
@@ -150,7 +149,7 @@ def test_what_is_no_grid_is_refused_by_its_name(tmp_path: Path, ending: str, con
     assert str(caught.value).count(path.name) == 1
 
 
-@pytest.mark.parametrize("name", ["pipe.yaml", "pipe.tif", "pipe.bag"])
+@each("name", ["pipe.yaml", "pipe.tif", "pipe.bag"])
 def test_pipes_are_not_read(tmp_path: Path, name: str) -> None:
     os.mkfifo(tmp_path / name)
     with pytest.raises(OgmError, match="device"):
@@ -218,7 +217,7 @@ def test_damage_is_an_error_of_ours_or_no_harm(tmp_path: Path, ending: str) -> N
 HOLDS_LAYERS = [(ending, None) for ending in EXACT] + [(".mcap", "grid-map"), (".mcap", "foxglove-grid")]
 
 
-@pytest.mark.parametrize(("ending", "message"), [*HOLDS_LAYERS, (".db3", "grid-map"), (".bag", "grid-map")])
+@each("ending, message", [*HOLDS_LAYERS, (".db3", "grid-map"), (".bag", "grid-map")])
 def test_all_of_a_dynamic_grid_comes_back_where_a_format_has_layers(
     tmp_path: Path, ending: str, message: GridMessage | None
 ) -> None:
@@ -233,7 +232,7 @@ def test_all_of_a_dynamic_grid_comes_back_where_a_format_has_layers(
     assert np.array_equal(DynamicGrid.load(again).velocity, dynamic.velocity, equal_nan=True)
 
 
-@pytest.mark.parametrize("ending", [".yaml", ".png", ".mcap", ".bag"])
+@each("ending", [".yaml", ".png", ".mcap", ".bag"])
 def test_a_dynamic_grid_is_an_occupancy_grid_where_a_format_has_no_layers(tmp_path: Path, ending: str) -> None:
     dynamic = street()
     write_grid(tmp_path / f"a{ending}", dynamic)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
@@ -66,8 +67,8 @@ def by_ros2(path: Path) -> dict[str, list[Any]]:
     return found
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
-@pytest.mark.parametrize("message", ["occupancy-grid", "grid-map", "foxglove-grid"])
+@each("ending", ENDINGS)
+@each("message", ["occupancy-grid", "grid-map", "foxglove-grid"])
 def test_a_grid_comes_back(tmp_path: Path, ending: str, message: str) -> None:
     path, placed = tmp_path / f"map{ending}", PlacedGrid(l_shape(), pose(z=0.5), "odom", 12.5)
     if message == "foxglove-grid":
@@ -88,7 +89,7 @@ def test_a_grid_comes_back(tmp_path: Path, ending: str, message: str) -> None:
     assert [one.name for one in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("ending", [".mcap", ".db3"])
+@each("ending", [".mcap", ".db3"])
 def test_ros_2_finds_every_cell_where_it_is(tmp_path: Path, ending: str) -> None:
     path, placed = tmp_path / f"map{ending}", PlacedGrid(l_shape(), T, "odom", 1_700_000_000.25)
     with GridLog(path) as log:
@@ -222,7 +223,7 @@ def test_a_cut_log_gives_the_last_whole_map(tmp_path: Path, caplog: pytest.LogCa
     assert "cut.mcap" in caplog.text
 
 
-@pytest.mark.parametrize("damage", ["cut", "huge", "wire", "empty", "name", "float"])
+@each("damage", ["cut", "huge", "wire", "empty", "name", "float"])
 def test_a_damaged_foxglove_grid_is_refused(tmp_path: Path, damage: str) -> None:
     writer = pytest.importorskip("mcap.writer")
     foxglove = pytest.importorskip("foxglove")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 from nav2_loader import load_map
@@ -34,7 +35,7 @@ def l_shape() -> EvidentialGrid:
     return EvidentialGrid(SPEC, mass)
 
 
-@pytest.mark.parametrize("mode", MODES)
+@each("mode", MODES)
 def test_the_loader_of_nav2_finds_every_cell_where_it_is(tmp_path: Path, mode: str) -> None:
     grid = l_shape()
     write_grid(tmp_path / "map.yaml", grid, mode=mode)
@@ -53,7 +54,7 @@ def test_the_loader_of_nav2_finds_every_cell_where_it_is(tmp_path: Path, mode: s
             assert loaded.at(x, y) == value
 
 
-@pytest.mark.parametrize("mode", MODES)
+@each("mode", MODES)
 def test_a_turned_map_lies_where_its_pose_has_it(tmp_path: Path, mode: str) -> None:
     T = pose(12.3, -4.5, 0.8, yaw=2.1)
     placed = PlacedGrid(l_shape(), T)
@@ -67,7 +68,7 @@ def test_a_turned_map_lies_where_its_pose_has_it(tmp_path: Path, mode: str) -> N
         assert loaded.at(x, y) == wanted
 
 
-@pytest.mark.parametrize("mode", ["scale", "raw"])
+@each("mode", ["scale", "raw"])
 def test_all_values_come_back(tmp_path: Path, mode: str) -> None:
     occupied = np.arange(101, dtype=np.float32) / 100
     mass = np.stack([np.append(1 - occupied, 0), np.append(occupied, 0)], axis=-1)[:, None]
@@ -120,9 +121,9 @@ def by_hand(folder: Path, image: Image.Image, name: str = "m.png", **changes: ob
     return folder / "m.yaml"
 
 
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("negate", [0, 1])
-@pytest.mark.parametrize("colours", ["L", "LA", "RGB", "RGBA", "P", "1"])
+@each("mode", MODES)
+@each("negate", [0, 1])
+@each("colours", ["L", "LA", "RGB", "RGBA", "P", "1"])
 def test_maps_of_others_are_read_as_the_loader_reads_them(tmp_path: Path, mode: str, negate: int, colours: str) -> None:
     rng = np.random.default_rng(5)
     pixels = rng.integers(0, 256, (8, 5, 4), np.uint8)
@@ -135,7 +136,7 @@ def test_maps_of_others_are_read_as_the_loader_reads_them(tmp_path: Path, mode: 
     assert (values >= 0).any()
 
 
-@pytest.mark.parametrize("name", ["m.pgm", "m.png", "m.bmp"])
+@each("name", ["m.pgm", "m.png", "m.bmp"])
 def test_images_of_all_formats(tmp_path: Path, name: str) -> None:
     path = by_hand(tmp_path, Image.fromarray(np.array([[0, 205, 254]], np.uint8)), name)
     state = predict_state(read_grid(path).mass)[:, 0]
@@ -158,9 +159,7 @@ def test_numbers_as_map_server_takes_them(tmp_path: Path) -> None:
     assert read_grid(tmp_path / "m.yaml").spec.shape == (2, 1)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+@each("changes, message", [
         ({"resolution": -0.1}, "resolution must be above 0"),
         ({"resolution": "0"}, "resolution must be above 0"),
         ({"resolution": ".nan"}, "resolution must be a finite number"),
@@ -183,8 +182,7 @@ def test_numbers_as_map_server_takes_them(tmp_path: Path) -> None:
         ({"image": '""'}, "image must be the name"),
         ({"image": "{a: b}"}, "image must be the name of a file, got dict"),
         ({"image": '"a\\0b"'}, "image must be the name"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_what_is_no_map_is_refused(tmp_path: Path, changes: dict, message: str) -> None:
     folder = tmp_path / "maps"
     folder.mkdir()
@@ -201,14 +199,10 @@ def test_what_is_no_map_is_refused(tmp_path: Path, changes: dict, message: str) 
 LAUGHS = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}\n" for k in range(1, 40))
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
+@each("text", [
         "", "- 1", "image", "image: [", "\x00", "a: &a [*a]", "[" * 9000, "x: !!python/object/apply:os.system [ls]",
         "image: m.png\n" * 9000, LAUGHS, "? [a]\n: b", "mode: &a [*a, *a]", "image: &b {? *b : 1}",
-    ],
-    ids=range(13),
-)  # fmt: skip
+    ])  # fmt: skip
 def test_yaml_that_is_no_header_is_refused_quickly(tmp_path: Path, text: str) -> None:
     (tmp_path / "m.yaml").write_text(text)
     with pytest.raises(OgmError, match=r"m\.yaml"):
@@ -225,7 +219,7 @@ def test_an_image_that_promises_more_than_a_grid_has_is_not_unpacked(tmp_path: P
         read_grid(path)
 
 
-@pytest.mark.parametrize("stage", [1, 2])
+@each("stage", [1, 2])
 def test_what_a_crash_leaves_is_the_old_map_or_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: int
 ) -> None:

@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from cases import each
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader
@@ -45,7 +46,7 @@ def whole_before(data: bytes) -> int:
     return count
 
 
-@pytest.mark.parametrize(("name", "compression"), KINDS)
+@each("name, compression", KINDS)
 def test_a_log_that_is_cut_at_60_percent_is_read_up_to_there(
     write: Callable[..., Path], name: str, compression: str
 ) -> None:
@@ -122,7 +123,7 @@ def chunks(path: Path) -> list[tuple[int, int]]:
     return found
 
 
-@pytest.mark.parametrize("compression", ["", "zstd"])
+@each("compression", ["", "zstd"])
 def test_of_a_damaged_chunk_alone_messages_are_lost(write: Callable[..., Path], compression: str) -> None:
     path = write("a.mcap", compression, points=100_000)  # a scan is larger than a chunk
     all_chunks = chunks(path)
@@ -154,7 +155,7 @@ def test_a_checksum_that_does_not_fit_is_noticed(write: Callable[..., Path]) -> 
         list(StreamReader(io.BytesIO(bytes(content)), validate_crcs=True).records)
 
 
-@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+@each("name", ["a.mcap", "a.db3", "a.bag"])
 def test_the_first_bytes_decide_whatever_the_name(write: Callable[..., Path], name: str) -> None:
     path = write(name, points=10)
     for other in (".mcap", ".db3", ".bag"):
@@ -162,8 +163,8 @@ def test_the_first_bytes_decide_whatever_the_name(write: Callable[..., Path], na
         path = path.with_suffix(other)
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
+@each(
+    "content, reason",
     [
         (b"", "holds 0 bytes"),
         (b"stamp,x,y,z\n1,2,3,4\n", "is no log: it begins with b'stamp"),
@@ -173,7 +174,7 @@ def test_the_first_bytes_decide_whatever_the_name(write: Callable[..., Path], na
         (b"#ROSBAG V1.2\n" + bytes(100), "begins with b'#ROSBAG V1.2"),
     ],
 )
-@pytest.mark.parametrize("ending", [".mcap", ".db3", ".bag"])
+@each("ending", [".mcap", ".db3", ".bag"])
 def test_what_is_no_log_is_refused(tmp_path: Path, content: bytes, reason: str, ending: str) -> None:
     path = tmp_path / f"a{ending}"
     path.write_bytes(content)

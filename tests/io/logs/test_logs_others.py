@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -46,7 +47,7 @@ def check(path: Path, kinds: dict[str, str] | None = None) -> None:
 # --- Other readers -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "compression"), OURS)
+@each("name, compression", OURS)
 def test_rosbags_reads_ours(write: Callable[..., Path], name: str, compression: str) -> None:
     sent = sorted(drive(), key=lambda row: row[3])
     with AnyReader([write(name, compression)]) as reader:
@@ -57,7 +58,7 @@ def test_rosbags_reads_ours(write: Callable[..., Path], name: str, compression: 
     assert [plain(one[3]) for one in got] == [plain(row[2]) for row in sent]
 
 
-@pytest.mark.parametrize("compression", ["", "zstd"])
+@each("compression", ["", "zstd"])
 def test_mcap_ros2_support_reads_ours(write: Callable[..., Path], compression: str) -> None:
     with open(write("a.mcap", compression), "rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -123,7 +124,7 @@ for topic, message, time in rosbag.Bag(sys.argv[1]).read_messages():
 # --- Other writers -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("packing", ["none", "bz2", "lz4"])
+@each("packing", ["none", "bz2", "lz4"])
 def test_bags_of_ros1_are_read(write: Callable[..., Path], tmp_path: Path, packing: str) -> None:
     code = """
 import sys, rosbag
@@ -135,7 +136,7 @@ with rosbag.Bag(sys.argv[2], "w", compression=sys.argv[3], chunk_threshold=10000
     check(tmp_path / "b.bag")
 
 
-@pytest.mark.parametrize("packing", ["", "BZ2", "LZ4"])
+@each("packing", ["", "BZ2", "LZ4"])
 def test_bags_of_rosbags_are_read(tmp_path: Path, packing: str) -> None:
     store = message_types(1)
     from ogm.io.logs.writer import _for_ros1
@@ -153,11 +154,10 @@ def test_bags_of_rosbags_are_read(tmp_path: Path, packing: str) -> None:
     check(tmp_path / "a.bag")
 
 
-@pytest.mark.parametrize(
-    ("plugin", "packing", "version"),
-    [("MCAP", "", 9), ("MCAP", "STORAGE", 8), ("SQLITE3", "", 8), ("SQLITE3", "MESSAGE", 9)],
+@each(
+    "plugin, packing, version", [("MCAP", "", 9), ("MCAP", "STORAGE", 8), ("SQLITE3", "", 8), ("SQLITE3", "MESSAGE", 9)]
 )
-@pytest.mark.parametrize("alone", [False, True])
+@each("alone", [False, True])
 def test_ros2_bags_of_rosbags_are_read(tmp_path: Path, plugin: str, packing: str, version: int, alone: bool) -> None:
     """In their folder or without it; big-endian too."""
     store = message_types(2)
@@ -180,9 +180,9 @@ def test_ros2_bags_of_rosbags_are_read(tmp_path: Path, plugin: str, packing: str
         assert [log.head(ref).stamp for ref in log.refs(["/points"])] == [START + k / 8 for k in range(SCANS)]
 
 
-@pytest.mark.parametrize("packing", list(CompressionType))
-@pytest.mark.parametrize("form", ["whole", "without index", "without chunks", "without summary"])
-@pytest.mark.parametrize("ros", [1, 2])
+@each("packing", list(CompressionType))
+@each("form", ["whole", "without index", "without chunks", "without summary"])
+@each("ros", [1, 2])
 def test_mcaps_of_any_form_are_read(tmp_path: Path, packing: CompressionType, form: str, ros: int) -> None:
     """In the profiles of ROS 1 and ROS 2."""
     from ogm.io.logs.writer import _for_ros1
@@ -257,8 +257,8 @@ def test_foxglove_messages_go_into_mcap(tmp_path: Path) -> None:
 # --- Types -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "md5"),
+@each(
+    "name, md5",
     [
         ("tf2_msgs/msg/TFMessage", "94810edda583a504dfda3829e70d7eec"),
         ("tf/msg/tfMessage", "94810edda583a504dfda3829e70d7eec"),

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from small_drive import CLOUD, SCANS, START, TF, drive, plain
 
 from ogm.io.logs import LogWriter, open_log
@@ -16,7 +17,7 @@ from ogm.storage.files import OgmError
 KINDS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]
 
 
-@pytest.mark.parametrize(("name", "compression"), KINDS)
+@each("name, compression", KINDS)
 def test_what_is_written_is_read_in_the_order_of_log_times(
     write: Callable[..., Path], name: str, compression: str
 ) -> None:
@@ -38,7 +39,7 @@ def test_what_is_written_is_read_in_the_order_of_log_times(
             assert plain(one.decode()) == plain(message)
 
 
-@pytest.mark.parametrize(("name", "compression"), KINDS)
+@each("name, compression", KINDS)
 def test_topics_and_start_choose_messages(write: Callable[..., Path], name: str, compression: str) -> None:
     with open_log(write(name, compression)) as log:
         times = [one.log_time for one in log.messages(["/points"], start=START + 1.0)]
@@ -47,7 +48,7 @@ def test_topics_and_start_choose_messages(write: Callable[..., Path], name: str,
             next(log.messages(["/nope"]))
 
 
-@pytest.mark.parametrize(("name", "compression"), KINDS)
+@each("name, compression", KINDS)
 def test_headers_are_read_without_the_rest(write: Callable[..., Path], name: str, compression: str) -> None:
     with open_log(write(name, compression)) as log:
         heads = [log.head(ref) for ref in log.refs(["/points"])]
@@ -79,7 +80,7 @@ def test_parts_in_a_folder_are_one_log(tmp_path: Path) -> None:
         open_log(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+@each("name", ["a.mcap", "a.db3", "a.bag"])
 def test_an_error_leaves_the_file_that_was_there(write: Callable[..., Path], name: str) -> None:
     path = write(name, points=10)
     before = path.read_bytes()
@@ -89,7 +90,7 @@ def test_an_error_leaves_the_file_that_was_there(write: Callable[..., Path], nam
     assert [one.name for one in path.parent.iterdir()] == [name]
 
 
-@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+@each("name", ["a.mcap", "a.db3", "a.bag"])
 def test_messages_that_do_not_fit_their_type_are_refused(tmp_path: Path, name: str) -> None:
     with LogWriter(tmp_path / name) as log:
         with pytest.raises(OgmError, match=r"/a \(no_msgs/msg/None\) cannot be written: its type is not known"):

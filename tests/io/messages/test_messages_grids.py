@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -46,7 +47,7 @@ def corners(T):
     return (np.stack([x, y, 0 * x, 1 + 0 * x], -1) @ T.T)[..., :2]
 
 
-@pytest.mark.parametrize("T", [np.eye(4), TURNED])
+@each("T", [np.eye(4), TURNED])
 def test_occupancy_grid_by_every_reader(T, sent, by_mcap, ros1_class, stores):
     grid = ell()
     plain = occupancy_grid(grid, frame_id="map", stamp=3.5, T_frame_grid=T)
@@ -179,7 +180,7 @@ def decoded_by_protobuf(grid):
     return message
 
 
-@pytest.mark.parametrize("T", [np.eye(4), TURNED])
+@each("T", [np.eye(4), TURNED])
 def test_foxglove_grid(T):
     pytest.importorskip("foxglove")
     grid = ell()
@@ -232,17 +233,14 @@ def broken_occupancy(**changes):
     return message
 
 
-@pytest.mark.parametrize(
-    ("changes", "error"),
-    [
+@each("changes, error", [
         ({"width": 8}, "54 values of int8, wanted int8 for 8 x 6 cells"),
         ({"width": 0, "height": 0, "data": np.zeros(0, np.int8)}, "0 x 0 cells"),
         ({"data": np.zeros(54)}, "float64"),
         ({"resolution": 0.0}, "has no cells: resolution must be positive"),
         ({"origin": SimpleNamespace(position=SimpleNamespace(x=np.nan, y=0.0, z=0.0),
                                     orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0))}, "finite position"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_occupancy_grids_that_are_none(changes, error):
     with pytest.raises(OgmError, match=error):
         grid_from_occupancy_grid(broken_occupancy(**changes))

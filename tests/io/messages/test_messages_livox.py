@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,8 +32,8 @@ def custom(stores, number, frame="livox_frame", stamp=(T0, 500_000_000), timebas
                            rsvd=np.zeros(3, np.uint8), points=points)  # fmt: skip
 
 
-@pytest.mark.parametrize("number", [0, 1, 2, 501])
-@pytest.mark.parametrize("frame", ["", "a", "ab", "abc", "livox_frame", "livox_frame_"])  # all ways to be aligned
+@each("number", [0, 1, 2, 501])
+@each("frame", ["", "a", "ab", "abc", "livox_frame", "livox_frame_"])  # all ways to be aligned
 def test_bytes_and_objects_are_the_same_scan(number, frame, stores):
     message = custom(stores, number, frame)
     cdr = bytes(stores[2].serialize_cdr(message, KIND))

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -91,7 +92,7 @@ def test_any_layout_gives_the_same_scan(order, real, whole, clock, big, gap, row
     assert not np.shares_memory(scan.time, laid.data)
 
 
-@pytest.mark.parametrize("ros", [1, 2])
+@each("ros", [1, 2])
 def test_rosbags_carries_scans_there_and_back(ros, sent):
     rng = np.random.default_rng(0)
     scan = Scan(
@@ -170,10 +171,8 @@ def sweep(unit, kind, base=0.0, number=64):
     return seconds, ((base + seconds) / unit).astype(kind)
 
 
-@pytest.mark.parametrize("name", ["time", "t", "timestamp", "offset_time", "time_offset", "Time"])
-@pytest.mark.parametrize(
-    ("unit", "kind", "base", "given", "late", "tolerance"),
-    [
+@each("name", ["time", "t", "timestamp", "offset_time", "time_offset", "Time"])
+@each("unit, kind, base, given, late, tolerance", [
         (1.0, "f4", 0.0, None, 0.0, 1e-7),  # Velodyne, since the stamp
         (1e-9, "u4", 0.0, None, 0.0, 1e-9),  # Ouster, Livox
         (1e-6, "u4", 0.0, 1e-6, 0.0, 1e-6),
@@ -184,8 +183,7 @@ def sweep(unit, kind, base=0.0, number=64):
         (1.0, "f8", T0 - 0.1, None, -0.1, 1e-6),
         (1e-9, "f8", T0, None, 0.0, 1e-6),  # livox_ros_driver2
         (1e-3, "f8", T0 + 0.05, None, 0.05, 1e-6),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_times_under_all_their_names_and_units(name, unit, kind, base, given, late, tolerance):
     seconds, raw = sweep(unit, kind, base)
     scan = scan_from_point_cloud2(message(columns(64) | {name: raw}), time_unit=given)
@@ -203,7 +201,7 @@ def test_times_of_another_clock_count_from_the_earliest():
     np.testing.assert_allclose(unset.time, seconds, atol=1e-9)
 
 
-@pytest.mark.parametrize("start", [0.0, 0.25, 5.0, 9.5, 123.0])
+@each("start", [0.0, 0.25, 5.0, 9.5, 123.0])
 def test_simulated_time_that_begins_at_zero(start):
     seconds, raw = sweep(1.0, "f8", start)
     scan = scan_from_point_cloud2(message(columns(64) | {"timestamp": raw}, header=stamped(start)))
@@ -246,7 +244,7 @@ def raster(rows=16, width=128):
     return way.astype("f4"), returned
 
 
-@pytest.mark.parametrize("nothing", [0.0, np.nan])
+@each("nothing", [0.0, np.nan])
 def test_beams_without_echo_of_organised_clouds(nothing):
     way, returned = raster()
     xyz = np.where(returned[..., None], 7 * way, nothing).astype("f4").reshape(-1, 3)
@@ -280,9 +278,7 @@ def wrong(**changes):
     return broken
 
 
-@pytest.mark.parametrize(
-    ("broken", "error"),
-    [
+@each("broken, error", [
         (wrong(width=61), r"720 bytes, wanted 1 rows of 61 points of 12 bytes"),
         (wrong(width=59, row_step=708), r"720 bytes, wanted 1 rows of 59 points"),
         (wrong(data=np.zeros(719, np.uint8)), "719 bytes"),
@@ -302,8 +298,7 @@ def wrong(**changes):
         (message(columns(ring=np.full(60, 0.5, "f4"))), "rings"),
         (wrong(header=SimpleNamespace(stamp=3.0, frame_id="a")), "a stamp must have sec and nanosec"),
         (SimpleNamespace(), "PointCloud2 must have a header with stamp and frame_id, got SimpleNamespace"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_wrong_messages_are_refused_in_words(broken, error):
     with pytest.raises(OgmError, match=error) as caught:
         scan_from_point_cloud2(broken)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from scipy.spatial import cKDTree
 
 from ogm.io import read_scan
@@ -40,7 +41,7 @@ def recorded(real, stores):
     return read
 
 
-@pytest.mark.parametrize(("folder", "which", "number", "model", "tolerance"), RECORDED)
+@each("folder, which, number, model, tolerance", RECORDED)
 def test_packets_give_the_cloud_of_the_other_driver(folder, which, number, model, tolerance, recorded):
     messages, cloud = recorded(folder)
     scan = scan_from_velodyne_scan(messages[which])
@@ -150,7 +151,7 @@ def test_calibrations(recorded, tmp_path):
     assert 0.01 < np.abs(given.points - plain.points).max() < 0.012  # the lasers' heights in the sensor, 11.2 mm
 
 
-@pytest.mark.parametrize(("name", "model", "turns"), [("hdl32", "HDL32E", 2), ("vlp16_gps", "VLP16", 3)])
+@each("name, model, turns", [("hdl32", "HDL32E", 2), ("vlp16_gps", "VLP16", 3)])
 def test_captures(name, model, turns, real):
     import velodyne_decoder
 
