@@ -17,8 +17,8 @@ def each(names: str, cases: Iterable[Any]) -> Callable[[Callable[..., None]], Ca
         Parameters of the test that a case sets, separated by commas: ``"rows, message"``.
     cases
         Values of these parameters: tuples, or single values where there is one name. Each case has an empty folder as
-        `tmp_path` and a `monkeypatch` of its own; other fixtures are shared by all cases. A case that is skipped skips
-        the item after the other cases have run.
+        `tmp_path`, a `monkeypatch` of its own, and an empty `caplog`, `capsys` or `capfd`; other fixtures are shared by
+        all cases. A case that is skipped skips the item after the other cases have run.
     """
     keys, table = [name.strip() for name in names.split(",")], list(cases)
 
@@ -48,6 +48,10 @@ def each(names: str, cases: Iterable[Any]) -> Callable[[Callable[..., None]], Ca
 
 
 def _run_case(test: Callable[..., None], number: int, arguments: dict[str, Any]) -> None:
+    if "caplog" in arguments:
+        arguments["caplog"].clear()
+    for name in {"capsys", "capfd"} & {*arguments}:
+        arguments[name].readouterr()
     if "tmp_path" in arguments:
         arguments["tmp_path"] = arguments["tmp_path"] / f"case{number}"
         arguments["tmp_path"].mkdir()

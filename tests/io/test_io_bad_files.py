@@ -6,7 +6,6 @@ import struct
 import subprocess
 import sys
 import tracemalloc
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,9 +25,6 @@ from ogm.storage.limits import current_limits
 
 SUFFIXES = [".bin", ".pcd.bin", ".pcd", ".ply", ".feather", ".las", ".laz", ".npy"]
 ALL = SUFFIXES + [suffix + packing for suffix in SUFFIXES for packing in (".xz", ".gz")]
-PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 4
-TEXT = b"x y z intensity\n" + b"1.25 -7.50 0.75 0.10\n" * 100
-
 PCD = """# .PCD v0.7 - Point Cloud Data file format
 VERSION 0.7
 FIELDS x y z
@@ -81,41 +77,23 @@ def put(folder: Path, name: str, content: bytes) -> Path:
 
 
 @each("suffix", ALL)
-def test_a_file_that_is_not_there(suffix, tmp_path):
+def test_no_file_a_folder_and_zero_bytes(suffix, tmp_path):
+    path = tmp_path / f"cloud{suffix}"
     with pytest.raises(FileNotFoundError, match="there is no file .*cloud"):
-        read_scan(tmp_path / f"cloud{suffix}")
-
-
-@each("suffix", ALL)
-def test_a_folder(suffix, tmp_path):
-    (tmp_path / f"cloud{suffix}").mkdir()
-    refused(tmp_path / f"cloud{suffix}", "is a folder")
-
-
-@each("suffix", ALL)
-def test_zero_bytes(suffix, tmp_path):
-    refused(put(tmp_path, f"cloud{suffix}", b""), "0 bytes|cut short")
-
-
-@each("pack", [lzma.compress, gzip.compress])
-def test_zero_bytes_packed(pack, tmp_path):
-    suffix = ".xz" if pack is lzma.compress else ".gz"
-    refused(put(tmp_path, f"cloud.pcd{suffix}", pack(b"")), "0 bytes")
+        read_scan(path)
+    refused(put(tmp_path, path.name, b""), "0 bytes|cut short")
+    packing = {".xz": lzma.compress, ".gz": gzip.compress}.get(path.suffix, bytes)
+    refused(put(tmp_path, path.name, packing(b"")), "0 bytes|cut short")
+    path.unlink()
+    path.mkdir()
+    refused(path, "is a folder")
 
 
 @each("suffix", SUFFIXES)
-def test_a_picture(suffix, tmp_path):
-    refused(put(tmp_path, f"cloud{suffix}", PNG), "is a PNG picture")
-
-
-@each("suffix", SUFFIXES)
-def test_a_text(suffix, tmp_path):
-    refused(put(tmp_path, f"cloud{suffix}", TEXT))
-
-
-@each("suffix", SUFFIXES)
-def test_random_bytes(suffix, tmp_path):
-    refused(put(tmp_path, f"cloud{suffix}", np.random.default_rng(0).bytes(400)))
+def test_bytes_of_another_kind(suffix, tmp_path):
+    refused(put(tmp_path, f"a{suffix}", b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 4), "is a PNG picture")
+    refused(put(tmp_path, f"a{suffix}", b"x y z intensity\n" + b"1.25 -7.50 0.75 0.10\n" * 100))
+    refused(put(tmp_path, f"a{suffix}", np.random.default_rng(0).bytes(400)))
 
 
 @each(
@@ -159,39 +137,22 @@ def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
 
 
 @each(
-    "line, instead",
+    "line, damaged",
     [
-        ("POINTS 10", "POINTS 11"),
-        ("POINTS 10", "POINTS -10"),
-        ("POINTS 10", "POINTS ten"),
-        ("POINTS 10", "POINTS 10 10"),
-        ("POINTS 10", "POINTS 99999999999999999999"),
-        ("POINTS 10", "POINTS ²"),
-        ("WIDTH 10", "WIDTH 5"),
-        ("WIDTH 10", "WIDTH"),
-        ("HEIGHT 1", "HEIGHT 0"),
-        ("COUNT 1 1 1", "COUNT 1 1"),
-        ("COUNT 1 1 1", "COUNT 1 1 0"),
-        ("COUNT 1 1 1", "COUNT 1 1 -1"),
-        ("COUNT 1 1 1", "COUNT 1 1 999999999999"),
-        ("SIZE 4 4 4", "SIZE 4 4 3"),
-        ("SIZE 4 4 4", "SIZE 4 4"),
-        ("SIZE 4 4 4", "SIZE 4 4 999999999999"),
-        ("TYPE F F F", "TYPE F F X"),
-        ("TYPE F F F", "TYPE F F F F"),
-        ("FIELDS x y z", "FIELDS x y"),
-        ("FIELDS x y z", "FIELDS x y range"),
-        ("FIELDS x y z", "FIELDS _ _ _"),
-        ("FIELDS x y z", ""),
-        ("DATA binary", "DATA"),
-        ("DATA binary", "DATA binary_squeezed"),
-        ("DATA binary\n", "DATA binary"),
-        ("DATA binary\n", ""),
+        ("POINTS 10", ["POINTS " + text for text in ("11", "-10", "ten", "10 10", "99999999999999999999", "²")]),
+        ("WIDTH 10", ["WIDTH 5", "WIDTH"]),
+        ("HEIGHT 1", ["HEIGHT 0"]),
+        ("COUNT 1 1 1", ["COUNT 1 1", "COUNT 1 1 0", "COUNT 1 1 -1", "COUNT 1 1 999999999999"]),
+        ("SIZE 4 4 4", ["SIZE 4 4 3", "SIZE 4 4", "SIZE 4 4 999999999999"]),
+        ("TYPE F F F", ["TYPE F F X", "TYPE F F F F"]),
+        ("FIELDS x y z", ["FIELDS x y", "FIELDS x y range", "FIELDS _ _ _", ""]),
+        ("DATA binary\n", ["DATA\n", "DATA binary_squeezed\n", "DATA binary", ""]),
     ],
 )
-def test_a_pcd_header_that_cannot_be(line, instead, tmp_path):
-    assert line in PCD
-    refused(put(tmp_path, "a.pcd", PCD.replace(line, instead).encode() + bytes(120)))
+def test_a_pcd_header_that_cannot_be(line, damaged, tmp_path):
+    for instead in damaged:
+        assert line in PCD
+        refused(put(tmp_path, "a.pcd", PCD.replace(line, instead).encode() + bytes(120)))
 
 
 @each("encoding", ["ascii", "binary", "binary_compressed"])
@@ -255,34 +216,25 @@ def test_a_pcd_field_that_is_there_twice(names, encoding, tmp_path):
 # ---- PLY headers
 
 
+FACES = "element face 10\nproperty list uchar int v\n"
+CAMERAS = "element camera 99999999999\nproperty float f\n"
+
+
 @each(
-    "line, instead",
+    "line, damaged",
     [
-        ("vertex 10", "vertex 11"),
-        ("vertex 10", "vertex 99999999999"),
-        ("vertex 10", "vertex 99999999999999999999"),
-        ("vertex 10", "vertex -1"),
-        ("vertex 10", "vertex"),
-        ("vertex", "point"),
-        ("float z", "float32 w"),
-        ("float z", "quad z"),
-        ("float z", "float z\nproperty float z"),
-        ("end_header\n", "comment end_header\n"),
-        ("end_header\n", "end_header of it\n"),
-        ("property float z", "property list uchar float z"),
-        ("property float z", "property list uchar"),
-        ("element vertex 10", "element face 10\nproperty list uchar int v\nelement vertex 10"),
-        ("element vertex 10", "element camera 99999999999\nproperty float f\nelement vertex 10"),
-        ("element vertex 10\n", ""),
-        ("binary_little_endian", "binary_middle_endian"),
-        ("format binary_little_endian 1.0\n", ""),
-        ("end_header\n", ""),
-        ("end_header\n", "end_header"),
+        (" 10", [" 11", " 99999999999", " 99999999999999999999", " -1", ""]),
+        ("vertex", ["point"]),
+        ("float z", ["float32 w", "quad z", "float z\nproperty float z", "list uchar float z", "list uchar"]),
+        ("element vertex 10\n", [FACES + "element vertex 10\n", CAMERAS + "element vertex 10\n", ""]),
+        ("format binary_little_endian 1.0\n", ["format binary_middle_endian 1.0\n", ""]),
+        ("end_header\n", ["comment end_header\n", "end_header of it\n", "end_header", ""]),
     ],
 )
-def test_a_ply_header_that_cannot_be(line, instead, tmp_path):
-    assert line in PLY
-    refused(put(tmp_path, "a.ply", PLY.replace(line, instead).encode() + bytes(120)))
+def test_a_ply_header_that_cannot_be(line, damaged, tmp_path):
+    for instead in damaged:
+        assert line in PLY
+        refused(put(tmp_path, "a.ply", PLY.replace(line, instead).encode() + bytes(120)))
 
 
 @each("name, double", [("x", "x"), ("w", "w"), ("x", "scalar_X")])
@@ -369,23 +321,15 @@ def test_a_feather_column_that_is_there_twice(tmp_path):
 # ---- numpy arrays
 
 
-@each(
-    "array",
-    [
-        np.zeros(4),
-        np.zeros((4, 2)),
-        np.zeros((4, 6)),
-        np.zeros((4, 4, 2)),
-        np.zeros((2, 2, 2, 3)),
-        np.array(1.0),
-        np.zeros((4, 3), complex),
-        np.zeros((4, 3), bool),
-        np.full((4, 3), "a"),
-        np.zeros(4, [("x", "f4")]),
-    ],
-)
-def test_an_array_that_is_no_cloud(array, tmp_path):
-    np.save(tmp_path / "a.npy", array)
+@each("shape", [4, (4, 2), (4, 6), (4, 4, 2), (2, 2, 2, 3), ()])
+def test_an_array_of_another_shape_is_no_cloud(shape, tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros(shape))
+    refused(tmp_path / "a.npy", "wanted numbers of shape")
+
+
+@each("dtype", [complex, bool, "U1", [("x", "f4")]])
+def test_an_array_of_no_numbers_is_no_cloud(dtype, tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((4, 3), dtype))
     refused(tmp_path / "a.npy", "wanted numbers of shape")
 
 
@@ -415,42 +359,35 @@ def test_an_array_header_that_promises_more_than_there_is(rows, tmp_path):
     refused(put(tmp_path, "b.npy", claim + content[128:]))
 
 
-def test_an_archive_of_arrays(tmp_path):
-    with zipfile.ZipFile(tmp_path / "a.npy", "w") as archive:
-        archive.writestr("points.npy", b"")
-    refused(tmp_path / "a.npy", "zip archive")
-
-
 # ---- LAS headers
 
 
-@each(
-    "at, size, claim",
-    [
-        (96, 4, 2**32 - 1),  # where the points begin
-        (100, 4, 2**32 - 1),  # records before them
-        (107, 4, 2**32 - 1),  # points
-        (107, 4, 61),
-        (107, 4, 1_000_000),
-        (105, 2, 2**16 - 1),  # bytes of a point
-    ],
-)
-def test_a_las_header_that_promises_more_than_there_is(at, size, claim, cloud, tmp_path):
-    laspy = pytest.importorskip("laspy")
-    las = laspy.create(point_format=3)
+POINTS_AT, RECORDS, POINTS, POINT_BYTES = 96, 100, 107, 105  # places in the header
+
+
+def las_bytes(cloud, path):
+    las = pytest.importorskip("laspy").create(point_format=3)
     las.x = cloud[:, 0].astype(np.float64)
-    las.write(tmp_path / "a.las")
-    content = bytearray((tmp_path / "a.las").read_bytes())
-    content[at : at + size] = claim.to_bytes(size, "little")
+    las.write(path)
+    return bytearray(path.read_bytes())
+
+
+@each("at", [POINTS_AT, RECORDS, POINTS, POINT_BYTES])
+@each("claim", [2**16 - 1, 2**32 - 1])
+def test_a_las_header_that_promises_more_than_there_is(at, claim, cloud, tmp_path):
+    content, size = las_bytes(cloud, tmp_path / "a.las"), 2 if at == POINT_BYTES else 4
+    content[at : at + size] = min(claim, 2 ** (8 * size) - 1).to_bytes(size, "little")
+    refused(put(tmp_path, "b.las", bytes(content)))
+
+
+def test_a_las_header_that_promises_one_point_more(cloud, tmp_path):
+    content = las_bytes(cloud, tmp_path / "a.las")
+    content[POINTS : POINTS + 4] = (61).to_bytes(4, "little")
     refused(put(tmp_path, "b.las", bytes(content)))
 
 
 def test_a_laz_file_that_promises_more_chunks_than_there_are(cloud, tmp_path):
-    laspy = pytest.importorskip("laspy")
-    las = laspy.create(point_format=3)
-    las.x = cloud[:, 0].astype(np.float64)
-    las.write(tmp_path / "a.laz")
-    content = bytearray((tmp_path / "a.laz").read_bytes())
+    content = las_bytes(cloud, tmp_path / "a.laz")
     start = int.from_bytes(content[96:100], "little")
     table = int.from_bytes(content[start : start + 8], "little")
     assert int.from_bytes(content[table + 4 : table + 8], "little") == 1
@@ -459,14 +396,6 @@ def test_a_laz_file_that_promises_more_chunks_than_there_are(cloud, tmp_path):
 
 
 # ---- packed files
-
-
-@each("suffix, pack", [(".xz", lzma.compress), (".gz", gzip.compress)])
-def test_a_small_file_cannot_fill_the_memory(suffix, pack, tmp_path, monkeypatch):
-    limited(monkeypatch, file=3_000_000)
-    path = put(tmp_path, f"a.bin{suffix}", pack(bytes(20_000_000)))
-    assert path.stat().st_size < 100_000
-    refused(path, "more than 3000000 bytes")
 
 
 @each("suffix, pack", [(".xz", lzma.compress), (".gz", gzip.compress)])
@@ -489,10 +418,8 @@ NAMES = [
 ]  # fmt: skip
 
 
-@pytest.fixture
-def whole(request, cloud, tmp_path) -> Path:
-    """Write one small file of each format."""
-    path = tmp_path / request.param
+def whole(path: Path, cloud: np.ndarray) -> Path:
+    """Write a small file of a format."""
     match path.suffixes:
         case [".bin"]:
             path.write_bytes(cloud.tobytes())
@@ -519,29 +446,30 @@ def whole(request, cloud, tmp_path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("whole", [*NAMES, "a.laz"], indirect=True)
-def test_a_file_cut_short_anywhere_is_refused_or_shorter(whole):
-    content = whole.read_bytes()
+@each("name", [*NAMES, "a.laz"])
+def test_a_file_cut_short_anywhere_is_refused_or_shorter(name, cloud, tmp_path):
+    path = whole(tmp_path / name, cloud)
+    content = path.read_bytes()
     for end in range(0, len(content), max(1, len(content) // 70)):
-        whole.write_bytes(content[:end])
-        scan, message = read_or_refuse(whole)
+        path.write_bytes(content[:end])
+        scan, message = read_or_refuse(path)
         if scan is None:
-            assert whole.name in message
+            assert name in message
         else:  # KITTI and nuScenes files do not hold their length; a text may lack its last digits
-            assert len(scan.points) < 60 or (whole.name in ("ascii.pcd", "text.ply") and end > len(content) - 20)
+            assert len(scan.points) < 60 or (name in ("ascii.pcd", "text.ply") and end > len(content) - 20)
 
 
-@pytest.mark.parametrize("whole", NAMES, indirect=True)  # lazrs takes the sizes in a LAZ file on trust
-def test_a_file_with_wrong_bytes_is_refused_or_read(whole):
-    content = whole.read_bytes()
-    rng = np.random.default_rng(12)
+@each("name", NAMES)  # lazrs takes the sizes in a LAZ file on trust
+def test_a_file_with_wrong_bytes_is_refused_or_read(name, cloud, tmp_path):
+    path = whole(tmp_path / name, cloud)
+    content, rng = path.read_bytes(), np.random.default_rng(12)
     for _ in range(60):
         damaged = np.frombuffer(content, np.uint8).copy()
         at = rng.integers(0, min(len(content), 500), 3)
         damaged[at] = rng.integers(0, 256, 3)
-        whole.write_bytes(damaged.tobytes())
-        scan, message = read_or_refuse(whole)
-        assert whole.name in message if scan is None else np.isfinite(scan.points).all()
+        path.write_bytes(damaged.tobytes())
+        scan, message = read_or_refuse(path)
+        assert name in message if scan is None else np.isfinite(scan.points).all()
 
 
 # ---- packages that are not there
@@ -559,16 +487,6 @@ def test_a_missing_package_is_named_with_its_cure(name, module, content, tmp_pat
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ImportError, match=rf'{name}.*{module}.*pip install "ogm-toolkit\[io\]"'):
         read_scan(put(tmp_path, name, content))
-
-
-def test_a_missing_decoder_of_laz_is_named_with_its_cure(cloud, tmp_path, monkeypatch):
-    laspy = pytest.importorskip("laspy")
-    las = laspy.create(point_format=3)
-    las.x = cloud[:, 0].astype(np.float64)
-    las.write(tmp_path / "a.laz")
-    monkeypatch.setitem(sys.modules, "lazrs", None)
-    with pytest.raises(ImportError, match=r'a.laz.*lazrs.*pip install "ogm-toolkit\[io\]"'):
-        read_scan(tmp_path / "a.laz")
 
 
 def test_reading_needs_no_package_but_numpy():

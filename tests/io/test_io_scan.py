@@ -105,12 +105,6 @@ def test_origin_brings_map_coordinates_home(tmp_path):
         read_points(path)
 
 
-@each("origin", [(0, 0), (0, 0, np.nan)])
-def test_an_origin_is_three_numbers(origin, cloud, save):
-    with pytest.raises(ValueError, match="origin must be"):
-        read_points(save(cloud), origin=origin)
-
-
 # ---- rows without a point
 
 
@@ -262,13 +256,16 @@ def test_intensity_just_above_the_scale_is_refused(high, tmp_path):
         read_points(path)
 
 
-@each("wrong", [0, -1, np.nan, np.inf])
-def test_intensity_max_must_be_a_positive_number(wrong, save):
-    with pytest.raises(ValueError, match="intensity_max must be above 0"):
-        read_points(save(np.ones((1, 3))), intensity_max=wrong)
-
-
 # ---- ring and time
+
+
+@each("option", ["intensity_max", "time_unit", "origin"])
+@each("wrong", [0, -1e-9, np.nan, np.inf])
+def test_options_are_positive_numbers_and_an_origin_three(option, wrong, save):
+    path = save(np.ones((1, 3)))
+    for value in [(0, 0), (0, 0, wrong or np.nan)] if option == "origin" else [wrong]:
+        with pytest.raises(ValueError, match=f"{option} must be {'' if option == 'origin' else 'above 0'}"):
+            read_points(path, **{option: value})
 
 
 @each("ring", [-1.0, 0.5, 70_000.0])
@@ -343,18 +340,18 @@ def test_a_long_recording_is_read_if_its_unit_is_given(tmp_path):
     np.testing.assert_array_equal(scan.time, [3, 60, 600])
 
 
-@each("wrong", [0, -1e-9, np.nan, np.inf])
-def test_a_time_unit_is_a_positive_number(wrong, save):
-    with pytest.raises(ValueError, match="time_unit must be above 0"):
-        read_points(save(np.ones((1, 3))), time_unit=wrong)
-
-
 # ---- names of fields
 
 
-@each("place", ["xyz", "XYZ"])
-@each("intensity", ["Intensity", "scalar_Intensity", "Reflectivity", "INTENSITY"])
-@each("ring, time", [("Ring", "Timestamp"), ("scalar_ring", "scalar_GpsTime")])
+@each(
+    "place, intensity, ring, time",
+    [
+        ("xyz", "Intensity", "Ring", "Timestamp"),
+        ("XYZ", "INTENSITY", "scalar_ring", "scalar_GpsTime"),
+        ("xyz", "Reflectivity", "Ring", "scalar_GpsTime"),
+        ("XYZ", "scalar_Intensity", "scalar_ring", "Timestamp"),
+    ],
+)
 def test_fields_are_known_in_any_capitals(place, intensity, ring, time, tmp_path):
     x, y, z = place
     columns = {x: ONES, y: 2 * ONES, z: 3 * ONES, intensity: ONES / 2, ring: np.uint8([4, 5, 6]), time: ONES}
@@ -440,13 +437,10 @@ def test_height_is_unknown_without_a_road():
     assert estimate_sensor_height(stairs) is None
 
 
-@each("height", [0.5, 1.73, 5.0])
-def test_a_plausible_height_is_returned(height):
-    assert plausible_sensor_height(height) == height
-
-
-@each("height", [0.37, 0.49, 5.1, -1.0, np.nan])
-def test_a_height_of_no_sensor_is_refused_with_the_way_out(height):
-    message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give sensor_position"
-    with pytest.raises(OgmError, match=message):
-        plausible_sensor_height(height, "a.feather")
+def test_a_height_of_no_sensor_is_refused_with_the_way_out():
+    for height in (0.5, 1.73, 5.0):
+        assert plausible_sensor_height(height) == height
+    for height in (0.37, 0.49, 5.1, -1.0, np.nan):
+        message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give sensor_position"
+        with pytest.raises(OgmError, match=message):
+            plausible_sensor_height(height, "a.feather")

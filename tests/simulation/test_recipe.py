@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from cases import each
 
+from ogm.datasets import open_dataset
 from ogm.simulation import dataset, moments
 from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
 from ogm.simulation.dataset import beams_of, make_sample
