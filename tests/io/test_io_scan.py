@@ -259,13 +259,18 @@ def test_intensity_just_above_the_scale_is_refused(high, tmp_path):
 # ---- ring and time
 
 
-@each("option", ["intensity_max", "time_unit", "origin"])
 @each("wrong", [0, -1e-9, np.nan, np.inf])
-def test_options_are_positive_numbers_and_an_origin_three(option, wrong, save):
+def test_a_scale_and_a_unit_are_positive_numbers(wrong, save):
     path = save(np.ones((1, 3)))
-    for value in [(0, 0), (0, 0, wrong or np.nan)] if option == "origin" else [wrong]:
-        with pytest.raises(ValueError, match=f"{option} must be {'' if option == 'origin' else 'above 0'}"):
-            read_points(path, **{option: value})
+    for option in ("intensity_max", "time_unit"):
+        with pytest.raises(ValueError, match=f"{option} must be above 0"):
+            read_points(path, **{option: wrong})
+
+
+@each("origin", [(0, 0), (0, 0, np.nan)])
+def test_an_origin_is_three_numbers(origin, save):
+    with pytest.raises(ValueError, match="origin must be"):
+        read_points(save(np.ones((1, 3))), origin=origin)
 
 
 @each("ring", [-1.0, 0.5, 70_000.0])

@@ -2,19 +2,16 @@
 
 import math
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cases import each
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from nav2_loader import load_map
 from PIL import Image
-from typer.testing import CliRunner
 
-from ogm.cli import app
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.io.messages.occupancy import occupancy_values
@@ -45,12 +42,10 @@ def test_the_loader_of_nav2_finds_every_cell_where_it_is(tmp_path: Path, mode: s
     xs, ys = (one.ravel() for one in SPEC.cell_centers)
     for x in xs:
         for y in ys:
-            free, occupied, unknown = grid.at(x, y).free, grid.at(x, y).occupied, grid.at(x, y).unknown
-            value = {"free": 0, "occupied": 100, "unknown": -1}[
-                max(("free", free), ("occupied", occupied), ("unknown", unknown), key=lambda pair: pair[1])[0]
-            ]
+            cell = grid.at(x, y)
+            value = max((cell.free, 0), (cell.occupied, 100), (cell.unknown, -1))[1]
             if mode != "trinary" and value >= 0:
-                value = round(100 * (occupied + unknown / 2))
+                value = round(100 * (cell.occupied + cell.unknown / 2))
             assert loaded.at(x, y) == value
 
 
@@ -90,6 +85,7 @@ def test_unknown_stays_unknown_as_the_default(tmp_path: Path) -> None:
     assert set((tmp_path / "map.pgm").read_bytes()[-12:]) == {205}
 
 
+@settings(max_examples=30)
 @given(
     st.integers(1, 7), st.integers(1, 7), st.integers(0, 2**32 - 1), st.sampled_from(MODES),
     st.floats(1e-3, 1e3), st.floats(-1e6, 1e6), st.floats(-3.1, 3.1),
@@ -187,10 +183,8 @@ def test_what_is_no_map_is_refused(tmp_path: Path, changes: dict, message: str) 
     folder = tmp_path / "maps"
     folder.mkdir()
     Image.new("L", (2, 2)).save(tmp_path / "m.png")
-    path = by_hand(folder, Image.new("L", (2, 2)), **changes) if "image" not in changes else None
-    if path is None:
-        path = by_hand(folder, Image.new("L", (2, 2)))
-        path.write_text(path.read_text().replace("image: m.png", f"image: {changes['image']}"))
+    path = by_hand(folder, Image.new("L", (2, 2)), **{k: v for k, v in changes.items() if k != "image"})
+    path.write_text(path.read_text().replace("image: m.png", f"image: {changes.get('image', 'm.png')}"))
     with pytest.raises(OgmError, match=message) as caught:
         read_grid(path)
     assert str(caught.value).count("m.yaml") == 1
@@ -244,41 +238,8 @@ def test_what_a_crash_leaves_is_the_old_map_or_none(
     assert sorted(one.name for one in tmp_path.iterdir()) == ["map.pgm"]
 
 
-def test_an_error_while_writing_leaves_the_old_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    old = l_shape()
-    write_grid(tmp_path / "map.yaml", old)
-    before = read_grid(tmp_path / "map.yaml")
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Image.Image, "save", full)
-    with pytest.raises(OSError, match="No space"):
-        write_grid(tmp_path / "map.yaml", EvidentialGrid.vacuous(GridSpec(1.0, (2, 2), (5, 5))))
-    assert read_grid(tmp_path / "map.yaml") == before
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["map.pgm", "map.yaml"]
-
-
 def test_a_tilted_grid_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="tilted by 5.73 degrees"):
         write_grid(tmp_path / "map.yaml", PlacedGrid(l_shape(), pose(pitch=0.1)))
     write_grid(tmp_path / "map.yaml", PlacedGrid(l_shape(), pose(pitch=1e-4, z=3)))
     assert math.isclose(read_placed_grid(tmp_path / "map.yaml").corner.x, SPEC.origin[0], rel_tol=1e-6)
-
-
-def test_the_map_of_six_real_scans_loads_by_the_rules_of_map_server(
-    real: Callable[[str], Path], tmp_path: Path
-) -> None:
-    folder = real("kitti_odometry_00")
-    words = ("--sensor-height", 1.78, "--length", 48, "--width", 32, "--resolution", 0.32)
-    poses = folder / "derived" / "poses_lidar_gicp.txt"
-    for name in ("m.npz", "m.yaml", "m.bag"):
-        given = ("fuse", folder, "--poses", poses, "--out", tmp_path / name, *words)
-        result = CliRunner().invoke(app, [str(one) for one in given])
-        assert result.exit_code == 0, result.output
-    wanted, loaded = read_grid(tmp_path / "m.npz"), load_map(tmp_path / "m.yaml")
-    values = np.reshape(loaded.data, (loaded.height, loaded.width)).T
-    assert (loaded.resolution, loaded.origin[:2]) == (wanted.spec.resolution, wanted.spec.origin)
-    assert np.array_equal(np.array([-1, 0, 100])[predict_state(wanted.mass)], values)
-    assert np.array_equal(occupancy_values(read_grid(tmp_path / "m.bag")), occupancy_values(wanted))
-    assert loaded.at(10.0, 0.0) == 0  # the road ahead

@@ -20,7 +20,7 @@ xarray = pytest.importorskip("xarray")
 netCDF4 = pytest.importorskip("netCDF4")
 
 SPEC = GridSpec(1 / 3, (9, 5), (-1.7, 2.3))
-BOTH = pytest.mark.parametrize("ending", [".nc", ".zarr"])
+BOTH = each("ending", [".nc", ".zarr"])
 
 
 def grid() -> EvidentialGrid:

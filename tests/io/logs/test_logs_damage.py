@@ -14,12 +14,10 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
-from small_drive import SCANS, drive
+from small_drive import KINDS, SCANS, drive
 
 from ogm.io.logs import LogWriter, open_log
 from ogm.storage.files import OgmError
-
-KINDS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]
 
 
 def sent() -> list[tuple[str, float]]:
@@ -66,7 +64,7 @@ def test_a_log_that_is_cut_at_60_percent_is_read_up_to_there(
     assert not isinstance(other.value, OgmError)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0, 1), kind=st.sampled_from(KINDS))
 def test_cut_anywhere_the_beginning_is_read(
     tmp_path_factory: pytest.TempPathFactory, share: float, kind: tuple[str, str]
@@ -90,7 +88,7 @@ def test_cut_anywhere_the_beginning_is_read(
         assert len(messages) >= whole_before(cut)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(kind=st.sampled_from(KINDS), data=st.data())
 def test_bytes_overwritten_anywhere_raise_nothing_else(
     tmp_path_factory: pytest.TempPathFactory, kind: tuple[str, str], data: st.DataObject

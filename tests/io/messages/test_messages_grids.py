@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io import PlacedGrid
 from ogm.io.messages import (
     foxglove_grid,
     grid_from_foxglove_grid,
@@ -211,6 +212,7 @@ def test_foxglove_grid(T):
         np.testing.assert_allclose([x, y], corners(T)[i, j], atol=1e-9)
     back, T_back = grid_from_foxglove_grid(message)
     np.testing.assert_array_equal(back.mass, grid.mass)
+    assert PlacedGrid(back, T_back).corner == pytest.approx(PlacedGrid(grid, T).corner, abs=1e-9)
     if T is not TURNED:
         assert back.spec == SPEC
         assert np.array_equal(T_back, np.eye(4))
@@ -252,29 +254,20 @@ def test_an_origin_whose_rotation_was_not_set():
     assert grid_from_occupancy_grid(message)[0].spec == SPEC
 
 
-def test_grid_maps_that_are_none():
+@each("change, error", [
+        (lambda m: m.layers.__setitem__(0, "elevation"),
+         "GridMap of map at 0.000000 s has no layer free, only elevation, occupied, unknown"),
+        (lambda m: m.data.pop(), "3 names for 2 layers"),
+        (lambda m: setattr(m.data[1], "data", m.data[1].data[:-1]),
+         "layer occupied of GridMap .* has 53 values, wanted 9 x 6"),
+        (lambda m: setattr(m.data[1], "data", m.data[1].data + 1), "layers that are no masses"),
+        (lambda m: setattr(m.info, "resolution", 0.0), "1.44 x 0.96 m in cells of 0 m"),
+    ])  # fmt: skip
+def test_grid_maps_that_are_none(change, error):
     message = grid_map(ell(), frame_id="map")
-    message.layers[0] = "elevation"
-    with pytest.raises(
-        OgmError, match="GridMap of map at 0.000000 s has no layer free, only elevation, occupied, unknown"
-    ):
+    change(message)
+    with pytest.raises(OgmError, match=error):
         grid_from_grid_map(message)
-    message = grid_map(ell(), frame_id="map")
-    message.data.pop()
-    with pytest.raises(OgmError, match="3 names for 2 layers"):
-        layers_from_grid_map(message)
-    message = grid_map(ell(), frame_id="map")
-    message.data[1].data = message.data[1].data[:-1]
-    with pytest.raises(OgmError, match="layer occupied of GridMap .* has 53 values, wanted 9 x 6"):
-        grid_from_grid_map(message)
-    message = grid_map(ell(), frame_id="map")
-    message.data[1].data = message.data[1].data + 1
-    with pytest.raises(OgmError, match="layers that are no masses"):
-        grid_from_grid_map(message)
-    message = grid_map(ell(), frame_id="map")
-    message.info.resolution = 0.0
-    with pytest.raises(OgmError, match="1.44 x 0.96 m in cells of 0 m"):
-        layers_from_grid_map(message)
 
 
 def plain_foxglove(**changes):
