@@ -253,6 +253,7 @@ def test_training_learns_and_states_where_the_weights_come_from(run: Path) -> No
     assert description["data"] == "made up"
 
 
+@pytest.mark.slow
 def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from ogm.deep.training_run import TrainingRun
 

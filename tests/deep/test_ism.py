@@ -214,19 +214,3 @@ def test_the_shipped_weights_read_a_real_scan(caplog):
     assert grid.at(10, 9.2).occupied > 0.5  # its left border
     assert grid.at(-1.0, 15.0).unknown > 0.7  # behind that border
     assert deep(scan.select(slice(0))).unknown.min() == 1
-
-
-def test_the_map_command_knows_the_shipped_weights(tmp_path):
-    from importlib.resources import as_file, files
-
-    from typer.testing import CliRunner
-
-    from ogm.cli import app
-
-    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
-        words = ["map", str(path), "--axes", "+y,-x,+z", "--ism", "lite", "--sensor-height", "1.98"]
-        result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "o.npz")])
-    assert result.exit_code == 0, result.output
-    assert EvidentialGrid.load(tmp_path / "o.npz").at(20, 5).free > 0.7
-    result = CliRunner().invoke(app, ["map", "scan.pcd", "--ism", "lightning"])
-    assert result.exit_code == 2
