@@ -204,6 +204,7 @@ def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, t
     assert isinstance(load_engine(exported), OnnxEngine)
 
 
+@pytest.mark.slow
 def test_a_network_that_takes_rays_is_the_same_exported(tiny, small, frames, tmp_path: Path) -> None:
     engines = [name for name in ("onnxruntime", "openvino") if find_spec(name)]
     assert engines

@@ -61,7 +61,7 @@ def metadata_of(path: Path) -> dict[str, str]:
     return {entry.key: entry.value for entry in onnx.load(path).metadata_props}
 
 
-@pytest.fixture(scope="module", params=NETWORKS)
+@pytest.fixture(scope="module", params=["small", pytest.param("paper", marks=pytest.mark.slow)])
 def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[PillarNetwork, Path]:
     network = trained(NETWORKS[request.param])
     path = tmp_path_factory.mktemp("onnx") / f"{request.param}.onnx"
@@ -143,6 +143,7 @@ def test_the_file_names_no_folder_of_the_machine(exported: tuple[PillarNetwork, 
     assert b".py" not in data
 
 
+@pytest.mark.slow
 def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
     network = PillarNetwork(NetworkConfig(2, ((2, 1),), join="concatenate", up=2), SPEC).eval()
     for name in ("one.onnx", "other.onnx"):

@@ -35,7 +35,7 @@ def released(evidence: Tensor, target: Tensor) -> Tensor:
 LOSSES = [reverse_kl, paper, released, log_loss, digamma_loss, uniform_kl]
 KNOWN_AND_UNKNOWN = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], dtype=torch.float64)
 
-every_loss = pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.__name__)
+every_loss = each("loss", LOSSES)
 
 
 def cells(n: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor]:
@@ -63,12 +63,9 @@ def optimum(
         value.backward()
         return value.item(), e.grad.numpy()
 
-    starts = [(0.1, 0.1), (5.0, 5.0)]
     tight = {"ftol": 1e-15, "gtol": 1e-10, "maxiter": 1000}
-    found = [
-        optimize.minimize(expected, np.array(start), jac=True, bounds=[(0, None)] * 2, options=tight)
-        for start in starts
-    ]
+    options = {"jac": True, "bounds": [(0, None)] * 2, "options": tight}
+    found = [optimize.minimize(expected, np.array(start), **options) for start in ((0.1, 0.1), (5.0, 5.0))]
     return min(found, key=lambda one: one.fun).x
 
 
@@ -223,20 +220,15 @@ def test_half_precision_is_computed_in_single(loss: Callable[[Tensor, Tensor], T
 
 
 @every_loss
-def test_losses_under_autocast_are_those_without(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
+def test_losses_under_autocast_and_of_empty_batches(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
     evidence, target = cells(200, seed=5, dtype=torch.float32)
     with torch.autocast("cpu", torch.bfloat16):
         found = loss(evidence, target)
     torch.testing.assert_close(found, loss(evidence, target), rtol=0, atol=0)
-
-
-@every_loss
-def test_an_empty_batch_has_an_empty_loss(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
     evidence = torch.zeros(0, 4, 2, requires_grad=True)
     value = loss(evidence, torch.zeros(0, 4, 2))
     value.sum().backward()
-    assert value.shape == (0, 4)
-    assert evidence.grad.shape == (0, 4, 2)
+    assert (value.shape, evidence.grad.shape) == ((0, 4), (0, 4, 2))
 
 
 # --- expectations over the density ---
@@ -254,8 +246,8 @@ def assert_mean(samples: Tensor, expected: Tensor) -> None:
     assert abs(samples.mean() - expected) < 5 * error
 
 
-@each("target", [(1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (0.3, 0.5)])
-@each("evidence", [(0.0, 0.0), (2.5, 0.4), (9.0, 3.0)])
+@each("evidence, target", [((0.0, 0.0), (1.0, 0.0)), ((2.5, 0.4), (0.0, 1.0)), ((9.0, 3.0), (0.0, 0.0)),
+                           ((2.5, 0.4), (0.3, 0.5))])  # fmt: skip
 def test_losses_are_the_dirichlet_expectations(evidence: tuple, target: tuple) -> None:
     e, y = torch.tensor(evidence).double(), torch.tensor(target).double()
     p = sample(torch.distributions.Dirichlet(1 + e))
@@ -333,7 +325,7 @@ TABLE = [
 ]
 
 
-@pytest.mark.parametrize(("chances", "weight", "masses"), TABLE)
+@each("chances, weight, masses", TABLE)
 def test_optima_of_cells_whose_state_varies(chances: tuple, weight: float, masses: list) -> None:
     literature = [with_uniform(loss, 1.0) for loss in (paper, released, digamma_loss)]
     for loss, expected in zip([*literature, reverse_kl], masses, strict=True):
@@ -357,8 +349,7 @@ def test_reverse_kl_of_a_batch_is_least_at_the_evidence_of_its_frequencies(stren
             assert masked_mean(reverse_kl(moved.expand(5000, 2), target, strength), valid) > mean
 
 
-@each("weight", [1, 100, 0.5])
-@each("chances", [(0.6, 0.1, 0.3), (0.05, 0.9, 0.05), (0.2, 0.01, 0.79), (0.5, 0.5, 0)])
+@each("weight, chances", [(1, (0.6, 0.1, 0.3)), (100, (0.2, 0.01, 0.79)), (0.5, (0.05, 0.9, 0.05))])
 def test_the_optimum_under_class_weights(weight: float, chances: tuple) -> None:
     weights = (1, weight, 1)
     weighted = torch.from_numpy(optimum(reverse_kl, chances, weights))
@@ -426,14 +417,10 @@ def test_nan_in_ignored_cells_reaches_neither_mean_nor_gradient(loss: Callable[[
 
 
 @every_loss
-def test_nan_in_a_valid_cell_is_seen(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
+def test_nan_in_a_valid_cell_is_seen_and_no_valid_cell_costs_nothing(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
     evidence = torch.ones(4, 2)
     evidence[2, 0] = math.nan
     assert torch.isnan(masked_mean(loss(evidence, torch.eye(2).repeat(2, 1)), torch.ones(4, dtype=torch.bool)))
-
-
-@every_loss
-def test_a_batch_without_valid_cells_costs_nothing(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
     evidence = torch.ones(5, 2, requires_grad=True)
     mean = masked_mean(loss(evidence, torch.zeros(5, 2)), torch.zeros(5, dtype=torch.bool))
     mean.backward()

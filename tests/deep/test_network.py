@@ -19,7 +19,7 @@ SMALL = [
     replace(LITE, blocks=((8, 1), (12, 2), (16, 1))),
     replace(PAPER, pillar=16, blocks=((8, 1), (16, 2), (16, 1)), up=8),
 ]
-both = pytest.mark.parametrize("config", SMALL, ids=lambda config: config.join)
+both = each("config", SMALL)
 
 
 def made(config: NetworkConfig, spec: GridSpec = SPEC) -> PillarNetwork:
@@ -113,17 +113,9 @@ def test_the_fused_network_is_the_network(config: NetworkConfig) -> None:
         assert torch.equal(value, before[name])
 
 
-def test_lite_is_small() -> None:
+def test_lite_is_small_and_paper_as_large_as_the_documentation_states() -> None:
     assert count(LITE) <= 1_500_000
-
-
-def test_paper_has_the_parameters_that_the_documentation_states() -> None:
     assert count(PAPER) == 4_834_760
-
-
-def test_paper_gives_evidence_for_every_cell() -> None:
-    with torch.inference_mode():
-        assert PillarNetwork(PAPER, SPEC).eval()(pillars(100)).shape == (1, 64, 32, 2)
 
 
 @each("shape, better", [((60, 32), "(64, 32)"), ((64, 33), "(64, 40)")])
