@@ -7,20 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import each
+from commands import ogm
 from moving import street
-from typer.testing import CliRunner
 
 from ogm import EvidentialGrid
-from ogm.cli import app
 from ogm.cli.console import distinct
-
-
-def ogm(*words: object) -> "subprocess.CompletedProcess":
-    """Run a command in this process."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
 
 
 @pytest.fixture
@@ -209,14 +200,6 @@ def test_odd_file_names(scan: Path, tmp_path: Path, name: str) -> None:
     assert name[:8].split(".")[0] in result.output
 
 
-def test_a_grid_folder_and_a_picture_file(scan: Path, tmp_path: Path) -> None:
-    (tmp_path / "grids").mkdir()
-    result = ogm("map", scan, "--out", tmp_path / "grids", "--picture", tmp_path / "p.png", *SMALL)
-    assert result.exit_code == 0, result.output
-    assert (tmp_path / "p.png").is_file()
-    assert (tmp_path / "grids" / "wall.npz").is_file()
-
-
 def test_a_failure_leaves_the_old_output_whole(scan: Path, tmp_path: Path) -> None:
     ogm("map", scan, "--out", tmp_path / "o.npz", *SMALL)
     before = (tmp_path / "o.npz").read_bytes()
@@ -226,10 +209,22 @@ def test_a_failure_leaves_the_old_output_whole(scan: Path, tmp_path: Path) -> No
 
 
 def test_every_command_has_help_with_an_example() -> None:
-    for command in ("demo", "map", "info"):
+    for command in (
+        "demo",
+        "map",
+        "info",
+        "fuse",
+        "evaluate",
+        "simulate",
+        "serve",
+        "train",
+        "export",
+        "view",
+        "convert",
+    ):
         result = ogm(command, "--help")
         assert result.exit_code == 0
-        assert f"Example:  ogm {command}" in result.output
+        assert f"Example:  ogm {command}" in result.output, command
 
 
 def test_the_installed_script_runs() -> None:

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cases import each
+from commands import ogm
 from PIL import Image
-from test_cli_fuse import HEIGHT, WALL, kitti, ogm, scan_at
+from test_cli_fuse import HEIGHT, WALL, kitti, scan_at
 
 from ogm import Boxes, DynamicGrid, EvidentialGrid, plot
 from ogm.fusion import DynamicMapper

@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import each
+from commands import ogm
 from PIL import Image
-from typer.testing import CliRunner
 
-from ogm.cli import app
 from ogm.simulation import studio
 from ogm.simulation.recipe import RECIPES
 from ogm.simulation.store import FORMAT, GAPS, Store
@@ -25,14 +24,6 @@ from ogm.storage.locks import locked
 
 pytestmark = pytest.mark.usefixtures("kept_towns")
 TINY = ("--samples", 1, "--validation", 1, "--town-size", 240, "--lidar", "hdl-32e")
-
-
-def ogm(*words: object) -> "subprocess.CompletedProcess":
-    """Run a command in this process."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -210,8 +201,3 @@ def test_preview_draws_a_sample_and_its_town(tmp_path: Path, monkeypatch: pytest
     assert town.shape[0] < 2 * 200 + 150  # two views below each other, and their titles
     for view in (town[60:180], town[-180:-60]):
         assert len(np.unique(view.reshape(-1, 3), axis=0)) > 500
-
-
-def test_help_has_an_example() -> None:
-    result = ogm("simulate", "--help")
-    assert "Example:  ogm simulate data/ --samples 20 --seed 1" in result.output
