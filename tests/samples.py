@@ -27,9 +27,7 @@ def flat_steps(beams: Beams = BEAMS, height: float = 1.9, wall: float = np.inf, 
     return np.where(distance < reach, distance / RANGE_STEP, 0).astype(np.uint16)
 
 
-def flat_sample(
-    split: str, index: int, steps: np.ndarray, state: Any = 0, **facts: Any
-) -> SimulatedSample:
+def flat_sample(split: str, index: int, steps: np.ndarray, state: Any = 0, **facts: Any) -> SimulatedSample:
     """Return a sample with these ranges and cell states, by default without objects, at the origin and at rest."""
     states = np.ascontiguousarray(np.broadcast_to(np.asarray(state, np.uint8), TRUTH_SPEC.shape))
     facts = {

@@ -125,21 +125,34 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
 def test_train_and_export_a_network_of_radars(splits: Path, tmp_path: Path) -> None:
     pytest.importorskip("lightning")
     trained, file = tmp_path / "run", tmp_path / "radar.onnx"
-    words = ["train", splits, "--model", "radar", "--out", run, "--batch", 4, "--accelerator", "cpu", "--workers", 0]
-    run(*words, "--epochs", 2)
-    assert {path.name for path in run.iterdir()} == {"best.json", "best.safetensors", "log.csv", "state.pt"}
-    with open(run / "log.csv") as rows:
+    words = [
+        "train",
+        splits,
+        "--model",
+        "radar",
+        "--out",
+        trained,
+        "--batch",
+        4,
+        "--accelerator",
+        "cpu",
+        "--workers",
+        0,
+    ]
+    run(*words, "--workers", 0, "--epochs", 2)
+    assert {path.name for path in trained.iterdir()} == {"best.json", "best.safetensors", "log.csv", "state.pt"}
+    with open(trained / "log.csv") as rows:
         assert [row["epoch"] for row in csv.DictReader(rows)] == ["1", "2"]
-    description = json.loads((run / "best.json").read_text())
+    description = json.loads((trained / "best.json").read_text())
     assert {name: part["frames"] for name, part in description["data"].items()} == {"training": 8, "validation": 2}
     assert description["data"]["training"]["radars"] == {"ars548-front": "ars548"}
-    before = (run / "state.pt").read_bytes()
-    run(*words, "--epochs", 2, "--resume")  # nothing is left to do
-    assert (run / "state.pt").read_bytes() == before
+    before = (trained / "state.pt").read_bytes()
+    run(*words, "--workers", 0, "--epochs", 2, "--resume")  # nothing is left to do
+    assert (trained / "state.pt").read_bytes() == before
 
-    assert "(2, 144, 160) float32" in run("export", run, "--out", file)
+    assert "(2, 144, 160) float32" in run("export", trained, "--out", file)
     scan = open_dataset(splits, split="val", sensors=["radar"])[0].scan
-    by_torch, exported = (DeepRadarISM.load(path, noise=radar_noise(scan.sensor)) for path in (run, file))
+    by_torch, exported = (DeepRadarISM.load(path, noise=radar_noise(scan.sensor)) for path in (trained, file))
     np.testing.assert_allclose(exported(scan).mass, by_torch(scan).mass, atol=1e-5)
     assert by_torch(scan).mass.any()
 

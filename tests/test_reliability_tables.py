@@ -79,7 +79,10 @@ def test_records_become_tables_whose_last_row_is_of_all(results: Path) -> None:
         ("faults", {"full disk": {"failures": ["a.npz is cut"]}}, "full disk: a.npz is cut"),
     ],
 )
-def test_what_must_be_0_and_is_not_is_found(results: Path, name: str, change: dict, found: str) -> None:
+def test_what_must_be_0_and_is_not_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, change: dict, found: str
+) -> None:
+    monkeypatch.setattr(record_tables, "RESULTS", tmp_path)
     record = {"fuzz": FUZZ, "faults": FAULTS}[name] | change
-    (results / f"{name}.json").write_text(json.dumps(record))
+    (tmp_path / f"{name}.json").write_text(json.dumps(record))
     assert tables.failed() == [found]

@@ -384,11 +384,11 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 def fresh(tmp_path: Path) -> Callable[[str], Path]:
     """Return a folder of the street that a test may damage."""
 
-    def make(name: str) -> Path:
-        WRITERS[name](tmp_path / "day" / "data")
-        return tmp_path / "day" / "data"
+    def make(name: str, folder: Path = tmp_path) -> Path:
+        (folder / "day").mkdir()
+        WRITERS[name](folder / "day" / "data")
+        return folder / "day" / "data"
 
-    (tmp_path / "day").mkdir()
     return make
 
 

@@ -288,8 +288,8 @@ def remove(folder, name):
         ("nuscenes", "samples/LIDAR_TOP/*", r"names no key frame of LIDAR_TOP whose points are under"),
     ],
 )
-def test_a_part_is_missing(fresh, name, without, message):
-    folder = fresh(name)
+def test_a_part_is_missing(fresh, tmp_path, name, without, message):
+    folder = fresh(name, tmp_path)
     remove(folder, without)
     with pytest.raises((ValueError, FileNotFoundError), match=message):
         open_dataset(folder)

@@ -337,7 +337,7 @@ def test_several_lidars_need_base_link(log: Callable[..., Path]) -> None:
         open_dataset(log(rows), topic=["/front/points", "/rear/points"])
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
+@each("ending", [".mcap", ".db3", ".bag"])
 def test_a_radar_is_fused_beside_a_lidar_or_alone(log: Callable[..., Path], ending: str) -> None:
     """A detection every 4 m along the wall and one of a car that comes; the radar looks to the front, 3 m before."""
     T_base_radar = pose(3.0, 0.0, 0.1)
