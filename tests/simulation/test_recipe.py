@@ -236,6 +236,7 @@ def test_a_sector_sample_has_nothing_outside_its_sector(sector: SimulatedSample)
     assert (state[~beyond] == CellState.FREE).sum() > 1000
 
 
+@pytest.mark.slow
 def test_dead_layers_have_no_points_and_no_beams_without_echo(sector: SimulatedSample) -> None:
     assert sector.measured is not None
     dead = ~sector.measured.any(axis=1)
@@ -246,6 +247,7 @@ def test_dead_layers_have_no_points_and_no_beams_without_echo(sector: SimulatedS
     assert not dead[near].any()
 
 
+@pytest.mark.slow
 def test_half_of_the_scans_have_no_intensities(recipe: DataRecipe) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5)
     found = []
@@ -258,6 +260,7 @@ def test_half_of_the_scans_have_no_intensities(recipe: DataRecipe) -> None:
     assert {*found} == {True, False}
 
 
+@pytest.mark.slow
 def test_a_sample_depends_on_plan_and_number_alone(recipe: DataRecipe) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5)
     first = make_sample(plan, "training", 7, threads=1)
@@ -270,6 +273,7 @@ def test_a_sample_depends_on_plan_and_number_alone(recipe: DataRecipe) -> None:
     np.testing.assert_array_equal(first.truth.height_cm, again.truth.height_cm)
 
 
+@pytest.mark.slow
 def test_both_truths_belong_to_the_same_scan(recipe: DataRecipe) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5, hd_layers=300)
     aimed, hd = (make_sample(replace(plan, truth=truth), "training", 7) for truth in ("aimed", "hd"))
