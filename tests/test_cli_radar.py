@@ -126,19 +126,8 @@ def test_train_and_export_a_network_of_radars(splits: Path, tmp_path: Path) -> N
     pytest.importorskip("lightning")
     trained, file = tmp_path / "run", tmp_path / "radar.onnx"
     words = [
-        "train",
-        splits,
-        "--model",
-        "radar",
-        "--out",
-        trained,
-        "--batch",
-        4,
-        "--accelerator",
-        "cpu",
-        "--workers",
-        0,
-    ]
+        "train", splits, "--model", "radar", "--out", trained, "--batch", 4, "--accelerator", "cpu", "--workers", 0,
+    ]  # fmt: skip
     run(*words, "--workers", 0, "--epochs", 2)
     assert {path.name for path in trained.iterdir()} == {"best.json", "best.safetensors", "log.csv", "state.pt"}
     with open(trained / "log.csv") as rows:

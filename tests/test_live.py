@@ -298,13 +298,9 @@ def test_a_new_sequence_or_a_clock_put_back_begin_anew() -> None:
     assert time.monotonic() - start < 5
     errors: list[str] = []
     report = serve(
-        [*later, frame(0, sequence="b"), frame(1, sequence="b")],
-        LShape(),
-        mapper(),
-        ignore,
-        rate=1.0,
+        [*later, frame(0, sequence="b"), frame(1, sequence="b")], LShape(), mapper(), ignore, rate=1.0,
         on_error=lambda _, error: errors.append(str(error)),
-    )
+    )  # fmt: skip
     assert (report.mapped, report.dropped, report.failed) == (3, 0, 2)  # by the mapper's rules
     assert "older than the map" in errors[0]
 

@@ -77,22 +77,9 @@ def modules() -> list[str]:
 
 def test_every_public_name_is_documented() -> None:
     packages = (
-        "evidence",
-        "pose",
-        "storage.files",
-        "grid",
-        "state",
-        "scan",
-        "io",
-        "truth",
-        "geometric",
-        "plot",
-        "plot.movie",
-        "metrics",
-        "models",
-        "calibration",
-        "workflows",
-    )
+        "evidence", "pose", "storage.files", "grid", "state", "scan", "io", "truth", "geometric", "plot",
+        "plot.movie", "metrics", "models", "calibration", "workflows",
+    )  # fmt: skip
     for package in (*packages, "deep", "fusion", "live", "datasets", "evaluation"):
         module = importlib.import_module(f"ogm.{package}")
         for name in module.__all__:

@@ -23,22 +23,12 @@ DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md")])
 INTERNAL = {  # modules with __all__ that are not for users
     *(
-        "archive",
-        "cli",
-        "extras",
-        "jit",
-        "locks",
-        "notebook",
-        "pool",
-        "remote",
-        "rotation",
-        "view_layers",
-        "geometric.reference",
-        "io.formats",
+        "archive", "cli", "extras", "jit", "locks", "notebook", "pool", "remote", "rotation", "view_layers",
+        "geometric.reference", "io.formats",
     ),
     "io.grids",  # its names are in ogm.io
     *("simulation.town", "simulation.traffic"),
-}
+}  # fmt: skip
 
 
 def load(file: Path) -> ModuleType:

@@ -39,18 +39,9 @@ from worker import HANG, LIMIT, PEAK, Maker, Source, Watch, changed_files, kept_
 STILL, START = 300.0, 1200.0  # [s] on the clock: of an input, and until the first one; busy machines stand still
 BATCH = 20_000  # inputs of one process
 PACKAGES = (
-    "laspy",
-    "pyarrow.feather",
-    "rosbags.highlevel",
-    "zarr",
-    "rasterio",
-    "xarray",
-    "netCDF4",
-    "PIL.Image",
-    "h5py",
-    "dask.array",
-    "scipy.linalg",
-)
+    "laspy", "pyarrow.feather", "rosbags.highlevel", "zarr", "rasterio", "xarray", "netCDF4", "PIL.Image", "h5py",
+    "dask.array", "scipy.linalg",
+)  # fmt: skip
 Found = Callable[[int, str, str], None]
 
 

@@ -382,14 +382,11 @@ def tables_of(info):
         tables["instance"].append({"token": f"i{n}", "category_token": f"c{one['bbox_label_3d']}"})
         tables["sample_annotation"].append(
             {
-                "token": f"a{n}",
-                "sample_token": "k",
-                "instance_token": f"i{n}",
-                "translation": there[:3, 3].tolist(),
-                "size": [width, length, height],
+                "token": f"a{n}", "sample_token": "k", "instance_token": f"i{n}",
+                "translation": there[:3, 3].tolist(), "size": [width, length, height],
                 "rotation": quaternion(there[:3, :3]),
             }
-        )
+        )  # fmt: skip
     return tables
 
 

@@ -65,20 +65,13 @@ def test_any_rotation_will_do(cloud, save):
 @each(
     "axes, message",
     [
-        ("nuscene", "not known"),
-        (("x", "+y", "+z"), "not three of"),
-        (("+x", "+x", "+z"), "right angles"),
-        (("+x", "+y"), "right angles"),
-        (("+x", "-y", "+z"), "reflection"),
-        (np.eye(2), "right angles"),
-        (None, "axes must be a name.*got None.*give flu"),
-        (3, "axes must be a name.*got 3"),
-        (("+x", 1, 2), "no .* matrix of numbers"),
-        ([[1, 0, 0], [0, 1]], "no .* matrix of numbers"),
-        (np.eye(3) * 2, "right angles"),
-        (np.diag([1.0, 1.0, -1.0]), "reflection"),
+        ("nuscene", "not known"), (("x", "+y", "+z"), "not three of"), (("+x", "+x", "+z"), "right angles"),
+        (("+x", "+y"), "right angles"), (("+x", "-y", "+z"), "reflection"), (np.eye(2), "right angles"),
+        (None, "axes must be a name.*got None.*give flu"), (3, "axes must be a name.*got 3"),
+        (("+x", 1, 2), "no .* matrix of numbers"), ([[1, 0, 0], [0, 1]], "no .* matrix of numbers"),
+        (np.eye(3) * 2, "right angles"), (np.diag([1.0, 1.0, -1.0]), "reflection"),
     ],
-)
+)  # fmt: skip
 def test_axes_that_are_no_rotation_are_refused(axes, message, cloud, save):
     with pytest.raises(ValueError, match=message):
         read_points(save(cloud), axes)

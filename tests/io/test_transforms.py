@@ -164,14 +164,11 @@ def test_a_live_buffer_forgets():
 @each(
     "wrong",
     [
-        StampedTransform("", "b", 0.0, np.eye(4)),
-        StampedTransform("a", "", 0.0, np.eye(4)),
-        StampedTransform("a", "a", 0.0, np.eye(4)),
-        StampedTransform("a", "b", np.nan, np.eye(4)),
-        StampedTransform("a", "b", 0.0, 2 * np.eye(4)),
-        StampedTransform("a", "b", 0.0, np.eye(3)),
+        StampedTransform("", "b", 0.0, np.eye(4)), StampedTransform("a", "", 0.0, np.eye(4)),
+        StampedTransform("a", "a", 0.0, np.eye(4)), StampedTransform("a", "b", np.nan, np.eye(4)),
+        StampedTransform("a", "b", 0.0, 2 * np.eye(4)), StampedTransform("a", "b", 0.0, np.eye(3)),
     ],
-)
+)  # fmt: skip
 def test_transforms_that_are_none_are_refused(wrong):
     buffer = TransformBuffer()
     with pytest.raises(OgmError, match="the transform from"):

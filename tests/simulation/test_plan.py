@@ -195,10 +195,7 @@ def test_the_moments_of_the_default_are_those_of_older_data_sets() -> None:
     """The data sets in use were made from these towns and this traffic."""
     found = [moment(DatasetPlan(), split, 57) for split in SPLITS]
     assert [one[:2] for one in found] == [
-        (917752063, 1086352446),
-        (917752063, 242265286),
-        (594516694, 1743390123),
-        (917752063, 1911094848),
-    ]
+        (917752063, 1086352446), (917752063, 242265286), (594516694, 1743390123), (917752063, 1911094848),
+    ]  # fmt: skip
     later = moment(DatasetPlan(seed=2, towns=4), "test", 10_015)
     assert later == (153813223, 1263981984, False, 11, 25.0)
