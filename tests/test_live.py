@@ -3,12 +3,10 @@
 import json
 import math
 import os
-import platform
 import re
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import threading
 import time
@@ -27,17 +25,7 @@ from scipy.spatial.transform import Rotation
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, OgmError, Scan
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, rolling_window
 from ogm.geometric import RayISM
-from ogm.live import (
-    FoxglovePublisher,
-    LiveReport,
-    NewestFrames,
-    frame_bytes,
-    receive_frames,
-    return_large_blocks,
-    serve,
-    stream,
-    warm_up,
-)
+from ogm.live import FoxglovePublisher, LiveReport, NewestFrames, frame_bytes, receive_frames, serve, stream, warm_up
 from ogm.pose import inverse, pose
 from ogm.scan import LazyFrame
 
@@ -170,6 +158,7 @@ def test_what_nobody_subscribed_to_is_not_made(monkeypatch: pytest.MonkeyPatch) 
         assert client.receive().topic == "/tf"
 
 
+@pytest.mark.slow
 def test_a_viewer_that_reads_nothing_holds_up_nothing() -> None:
     """The SDK's own backlog of 1024 messages would take gigabytes."""
     wide = EvidentialMapper(GridSpec.centered(160, 160, 0.25))  # 6.6 MB a message
@@ -388,7 +377,7 @@ def test_an_error_of_the_driver_is_raised_after_what_came_was_mapped() -> None:
     assert taken == ["0"]
 
 
-@pytest.mark.parametrize("rate", [None, 0.001])
+@pytest.mark.parametrize("rate", [None, pytest.param(0.001, marks=pytest.mark.slow)])
 def test_a_duration_an_event_and_ctrl_c_end_it(rate: float | None) -> None:
     frames = endless() if rate is None else [frame(k) for k in range(3)]
     report = serve(frames, LShape(), mapper(), ignore, rate=rate, duration=0.5)
@@ -600,6 +589,7 @@ print(resident() - before)
 """
 
 
+@pytest.mark.slow
 def test_large_blocks_go_back_to_the_system_though_small_ones_lie_between_them() -> None:
     if not sys.platform.startswith("linux") or platform.libc_ver()[0] != "glibc":
         pytest.skip("of glibc")

@@ -30,12 +30,6 @@ def test_ten_drives_of_a_thousand_seconds_half_of_them_clockwise() -> None:
     assert set(within) == {1.0}
 
 
-def test_a_longer_data_set_goes_on_with_new_drives() -> None:
-    later = moment(PLAN, "training", 10_000)
-    assert later.scenario == 10
-    assert later.traffic not in {moment(PLAN, "training", 10 * k).traffic for k in range(10)}
-
-
 def test_validation_is_the_same_town_and_test_another() -> None:
     train, valid, test = (moment(PLAN, split, 0) for split in SPLITS[:3])
     assert train.town == valid.town != test.town
@@ -184,7 +178,7 @@ def test_a_test_of_many_drives_goes_through_towns_that_no_training_uses() -> Non
 
 
 def test_drives_end_before_the_traffic_does() -> None:
-    for spacing in (0.1, 0.3, 1.0, 7.0, 100.0):
+    for spacing in (0.1, 100.0):
         plan = DatasetPlan(drives=2, spacing=spacing)
         times = [one.time for one in (moment(plan, "training", i) for i in range(21_000)) if one.scenario == 0]
         assert len(times) >= 10

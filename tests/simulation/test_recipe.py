@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import asdict, replace
-from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -177,14 +176,6 @@ def test_sectors_are_60_to_270_degrees_wide() -> None:
     assert 250 < max(widths) < 271
 
 
-def test_a_lidar_that_does_not_turn_fires_its_view_only() -> None:
-    azimuth = azimuths(beams_of(LIDARS["at128"]))
-    for i in range(40):
-        measured = draw(i, "at128", view=radians(120)).measured
-        assert np.abs(azimuth[measured]).max() <= radians(60) + 1e-6
-    assert all(mount.view == radians(120) for mount in GEN2.mounts if mount.lidar == "at128")
-
-
 def test_blocked_views_are_left_out_or_without_echo() -> None:
     only = replace(GEN2, faults=replace(GEN2.faults, sector=0.0, blocked=1.0, lost=0.0, dead=0.0))
     draws = [draw(i, recipe=only) for i in range(400)]
@@ -271,18 +262,6 @@ def test_a_sample_depends_on_plan_and_number_alone(recipe: DataRecipe) -> None:
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name), err_msg=name)
     np.testing.assert_array_equal(first.truth.state, again.truth.state)
     np.testing.assert_array_equal(first.truth.height_cm, again.truth.height_cm)
-
-
-@pytest.mark.slow
-def test_both_truths_belong_to_the_same_scan(recipe: DataRecipe) -> None:
-    plan = DatasetPlan.of_recipe("gen2", seed=5, hd_layers=300)
-    aimed, hd = (make_sample(replace(plan, truth=truth), "training", 7) for truth in ("aimed", "hd"))
-    np.testing.assert_array_equal(aimed.steps, hd.steps)
-    np.testing.assert_array_equal(aimed.measured, hd.measured)
-    a, b = aimed.truth.state, hd.truth.state
-    known = (a != CellState.UNKNOWN) & (b != CellState.UNKNOWN)
-    assert known.sum() > 10_000
-    assert np.mean(a[known] == b[known]) > 0.95
 
 
 def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: DataRecipe, tmp_path: Path) -> None:
