@@ -127,15 +127,12 @@ def test_folders_of_outputs_are_made_before_the_work(scan: Path, tmp_path: Path)
     assert (tmp_path / "new").is_dir()
 
 
-@each(
-    "names, short",
-    [
+@each("names, short", [
         (["a", "b"], ["a", "b"]),
         ([f"{'n' * 60}_{k}" for k in "12"], ["…nnn_1", "…nnn_2"]),
         (["x" * 60], [f"{'x' * 17}…{'x' * 17}"]),
         ([], []),
-    ],
-)
+    ])  # fmt: skip
 def test_short_names_keep_the_part_that_differs(names: list[str], short: list[str]) -> None:
     assert distinct(names) == short
 
@@ -160,9 +157,7 @@ def test_info_on_dynamic_and_layered_grids(tmp_path: Path) -> None:
     assert "velocity_x -6 ... 8" in found[1]
 
 
-@each(
-    "words, text",
-    [
+@each("words, text", [
         (("map", "none.pcd"), "none.pcd"),
         (("info", "none.npz"), "none.npz"),
         (("map", "{scan}", "--length", "10.0"), "use 9.92 m or 10.08 m"),
@@ -176,8 +171,7 @@ def test_info_on_dynamic_and_layered_grids(tmp_path: Path) -> None:
         (("map", "{empty}"), "empty.bin"),
         (("map", "{nothing}"), "--sensor-height"),
         (("demo", "--out", "{scan}"), "wall.bin"),
-    ],
-)
+    ])  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, text: str) -> None:
     empty, nothing = scan.with_name("empty.bin"), scan.with_name("nothing.bin")
     empty.write_bytes(b"")

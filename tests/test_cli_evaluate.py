@@ -489,9 +489,7 @@ def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, mo
 # --- Errors -----------------------------------------------------------------------------------------
 
 
-@each(
-    "words, text",
-    [
+@each("words, text", [
         (("{nothing}",), "there is no"),
         (("{file}",), "file"),
         (("{data}", "--split", "sequences"), "has no split 'sequences'; it has training, validation, test"),
@@ -514,8 +512,7 @@ def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, mo
         (("{data}", "--truth", "hearsay"), "--truth takes boxes"),
         (("{data}", "--grids", "{nothing}"), "there is no folder"),
         (("{data}", "--grids", "{data}"), "holds no grids"),
-    ],
-)
+    ])  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, text: str) -> None:
     file = tmp_path / "file"
     file.write_text("x")

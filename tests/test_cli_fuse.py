@@ -266,9 +266,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
     assert np.allclose(used.poses[:, 0, 3], [0, 0.4, 0.8])
 
 
-@each(
-    "words, message",
-    [
+@each("words, message", [
         (("{scans}",), "--odometry kiss-icp"),
         (("{scans}", "--poses", "{poses}", "--odometry", "kiss-icp"), "exclude each other"),
         (("{scans}", "--poses", "{short}"), "has 3 poses for 8 scans"),
@@ -302,8 +300,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{data}", "--poses", "{poses}"), "knows its poses"),
         (("{data}", "--sensor-height", "2"), "leave out sensor_height (--sensor-height)"),
         (("{data}", "--deskew"), "not (or not all) distorted"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2_before_the_work(
     scans: Path, data: Path, tmp_path: Path, words: tuple[str, ...], message: str
 ) -> None:
@@ -413,14 +410,11 @@ def test_each_drive_has_the_files_that_it_has_alone(sequences: Path, tmp_path: P
     assert "by other options" in result.output
 
 
-@each(
-    "words, message",
-    [
+@each("words, message", [
         (("--workers", 2), "are for --each-drive"),
         (("--each-drive", "--sequence", "00"), "are of one drive"),
         (("--each-drive", "--out", "a/m.npz", "--picture", "b/p.png"), "lie in one folder, got a, b"),
-    ],
-)
+    ])  # fmt: skip
 def test_options_of_many_drives_that_exclude_others(
     scans: Path, tmp_path: Path, words: tuple[object, ...], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

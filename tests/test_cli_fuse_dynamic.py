@@ -95,15 +95,12 @@ def test_nuss_is_a_rule_of_dynamic_maps(drive: tuple[object, ...], tmp_path: Pat
     assert not DynamicGrid.load(tmp_path / "m.npz").static.any()
 
 
-@each(
-    "words, message",
-    [
+@each("words, message", [
         (("--dynamic", "--rule", "yager"), "has a filter of its own, dynamic or nuss: leave out --rule yager"),
         (("--particles", "100"), "--particles belongs to --dynamic, which is missing"),
         (("--dynamic", "--particles", "0"), "particles must be a whole number from 1"),
         (("--dynamic", "--half-life", "0"), "half_life"),
-    ],
-)
+    ])  # fmt: skip
 def test_options_that_make_no_sense_are_refused(
     drive: tuple[object, ...], tmp_path: Path, words: tuple[str, ...], message: str
 ) -> None:

@@ -93,23 +93,16 @@ def test_pictures_need_their_extent(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.mass, grid().mass, atol=1 / 255)
 
 
-@each(
-    "words, message",
-    [
-        (("m.npz", "x.txt"), "a grid is written as .npz, .yaml"),
-        (("m.npz", "m.npz"), "would take the place of"),
-        (("m.yaml", "m.png"), "would take the place of"),
-        (("none.npz", "x.tif"), "there is no file"),
-        (("m.txt", "x.tif"), "no grid that can be read"),
-        (("m.npz", "x.tif", "--mode", "raw"), "mode must be"),
+@each("words, message", [
+        (("m.npz", "x.txt"), "a grid is written as .npz, .yaml"), (("m.npz", "m.npz"), "would take the place of"),
+        (("m.yaml", "m.png"), "would take the place of"), (("none.npz", "x.tif"), "there is no file"),
+        (("m.txt", "x.tif"), "no grid that can be read"), (("m.npz", "x.tif", "--mode", "raw"), "mode must be"),
         (("m.npz", "x.yaml", "--mode", "grey"), "mode must be"),
         (("m.npz", "x.tif", "--message", "grid-map"), "message is for"),
         (("m.npz", "x.tif", "--topic", "/map"), "topic is for"),
         (("m.npz", "x.tif", "--crs", "EPSG:4326"), "not in metres on a plane"),
-        (("m.npz", "."), "a grid is written as"),
-        (("m.npz", "m.yaml/x.tif"), "m.yaml"),
-    ],
-)
+        (("m.npz", "."), "a grid is written as"), (("m.npz", "m.yaml/x.tif"), "m.yaml"),
+    ])  # fmt: skip
 def test_wrong_words_are_one_line_and_exit_code_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], message: str
 ) -> None:

@@ -83,9 +83,7 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
     assert contents(data) == before
 
 
-@each(
-    "words, description",
-    [
+@each("words, description", [
         ((), "give a folder for the data set, or --preview"),
         (("--resume",), "want the data set's folder"),
         (("--export", "x", "--preview", "x.png"), "want the data set's folder"),
@@ -115,8 +113,7 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
         (("--preview", "{new}.png", "--lidar", "vlp-99"), "there is no lidar 'vlp-99'"),
         (("--preview", "{new}/x.png"), "there is no folder"),
         (("{new}", "--samples", 1, "--export", "{file}"), "is a file"),
-    ],
-)
+    ])  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, description: str) -> None:
     other, file = tmp_path / "other", tmp_path / "file"
     other.mkdir()

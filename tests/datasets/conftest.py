@@ -205,14 +205,10 @@ def write_nuscenes(folder: Path, version: str = "v1.0-mini") -> None:
         for sensor, key_frame in (("lidar", True), ("camera", True), ("lidar", False)):
             name = f"samples/LIDAR_TOP/n__LIDAR_TOP__{10**15 + 100_000 * k}.pcd.bin"
             row = {
-                "token": f"{k} {sensor} {key_frame}",
-                "sample_token": sample,
-                "ego_pose_token": pose,
-                "calibrated_sensor_token": sensor,
-                "timestamp": 10**15 + 100_000 * k,
-                "is_key_frame": key_frame,
+                "token": f"{k} {sensor} {key_frame}", "sample_token": sample, "ego_pose_token": pose,
+                "calibrated_sensor_token": sensor, "timestamp": 10**15 + 100_000 * k, "is_key_frame": key_frame,
                 "filename": name if sensor == "lidar" else "samples/CAM_FRONT/x.jpg",
-            }
+            }  # fmt: skip
             tables["sample_data"].append(row)
         write_nuscenes_points(folder / name, k)
         for name, box in zip(("parked", "driving"), boxes(k), strict=True):

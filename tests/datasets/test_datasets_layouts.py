@@ -275,9 +275,7 @@ def remove(folder, name):
         path.unlink()
 
 
-@each(
-    "name, without, message",
-    [
+@each("name, without, message", [
         ("kitti object", "label_2/000001.txt", r"scan 000001.bin has no label .*000001.txt: add it"),
         ("kitti object", "calib/000001.txt", r"scan 000001.bin has no calibration"),
         ("semantic kitti", "sequences/07/labels/000002.label", r"has no label .*000002.label: add it"),
@@ -286,8 +284,7 @@ def remove(folder, name):
         ("argoverse 2", "city_SE3_egovehicle.feather", r"no file .*city_SE3"),
         ("nuscenes", "v1.0-mini/instance.json", r"no file .*instance.json"),
         ("nuscenes", "samples/LIDAR_TOP/*", r"names no key frame of LIDAR_TOP whose points are under"),
-    ],
-)
+    ])  # fmt: skip
 def test_a_part_is_missing(fresh, tmp_path, name, without, message):
     folder = fresh(name, tmp_path)
     remove(folder, without)

@@ -197,9 +197,7 @@ def test_odometry_serves_where_transforms_do_not(log: Callable[..., Path]) -> No
     assert open_dataset(log(both), frame="odom").facts["frame"] == "odom"
 
 
-@each(
-    "rows, missing",
-    [
+@each("rows, missing", [
         ([], "no transforms (/tf, /tf_static) and no odometry"),
         ([fixed("base_link", "lidar", np.eye(4))], "one from a fixed frame (map, odom, world) to base_link is missing"),
         (
@@ -208,8 +206,7 @@ def test_odometry_serves_where_transforms_do_not(log: Callable[..., Path]) -> No
         ),
         ([moved("map", "base_link", START, np.eye(4))], "no transform leads to lidar, the frame of /points; there are"),
         ([odometry(START, np.eye(4))], "no transform leads to lidar, the frame of /points; there are odom, base_link"),
-    ],
-)
+    ])  # fmt: skip
 def test_without_poses_the_missing_transform_is_named(
     log: Callable[..., Path], rows: list[Row], missing: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -81,14 +81,11 @@ def test_samples_belong_to_their_drives_so_that_statistics_can_group_them(store:
     assert open_dataset(store, split="train").sequences == {"drive 0": [*range(5)], "drive 1": [*range(5, 10)]}
 
 
-@each(
-    "split, message",
-    [
+@each("split, message", [
         ("val", "has no sample of validation; go on with `ogm simulate"),
         ("test", "has no sample of test$"),
         ("lanes", "has no split 'lanes'; it has training, validation, test, sequences$"),
-    ],
-)
+    ])  # fmt: skip
 def test_splits_without_samples_are_refused(store: Path, split: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         open_dataset(store, split=split)

@@ -227,16 +227,13 @@ def test_weights_of_another_network_are_refused(saved: Path, tmp_path: Path) -> 
         load_network(saved)
 
 
-@each(
-    "name, value, message",
-    [
+@each("name, value, message", [
         ("head.bias", None, r"1 names differ, such as head\."),
         ("head.more", torch.zeros(3), r"1 names differ, such as head\."),
         *[("head.weight", one, "NaN or infinite, in head.weight") for one in (np.nan, np.inf, -np.inf)],
         *[("head.weight", one, r"head\.weight") for one in (torch.int8, torch.bool)],
         ("pillar.norm.running_var", -1.0, r"pillar\.norm\.running_var"),
-    ],
-)
+    ])  # fmt: skip
 def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str, value: Any, message: str) -> None:
     saved = save(tmp_path)
     weights = load_file(saved)

@@ -52,15 +52,12 @@ def test_the_shipped_export_is_that_of_the_shipped_weights(name: str) -> None:
         assert metadata["weights"] == weights_sum(path)
 
 
-@each(
-    "engine, precision, bound",
-    [
+@each("engine, precision, bound", [
         ("onnxruntime", "float32", BOUND),
         ("openvino", "float32", BOUND),
         ("openvino", "bfloat16", BF16_BOUND),
         ("torch", "bfloat16", BF16_BOUND),
-    ],
-)
+    ])  # fmt: skip
 def test_every_engine_gives_the_same_grid(
     engine: str, precision: str, bound: float, scan: Scan, by_torch: np.ndarray
 ) -> None:
@@ -145,9 +142,7 @@ def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch
         assert default_threads() >= 1
 
 
-@each(
-    "options, message",
-    [
+@each("options, message", [
         ({"engine": "tensorflow"}, "the engine is onnxruntime, openvino, torch"),
         ({"engine": "onnxruntime", "device": "cuda"}, "device and compile are torch's"),
         ({"engine": "onnxruntime", "compile": True}, "device and compile are torch's"),
@@ -157,8 +152,7 @@ def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch
         ({"engine": "torch", "precision": "int8"}, "float32 or bfloat16"),
         ({"threads": 0}, "at least 1"),
         ({"device": "warp"}, "use cpu"),
-    ],
-)
+    ])  # fmt: skip
 def test_options_that_an_engine_lacks_are_refused(options: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         load_engine("lite", **options)

@@ -176,15 +176,12 @@ def test_other_places_for_numbers_are_refused(path: Path, shipped: bytes) -> Non
             read_onnx(path)
 
 
-@each(
-    "part, value",
-    [
+@each("part, value", [
         ("weight", [[1.0]]), ("weight", "much"), ("weight", [[float("nan")] * 16] * 9), ("bias", [1.0] * 3),
         ("bias", [[1.0]] * 16), ("bias", 1.0), ("bias", [1e39] * 16), ("weight", [[1.0] * 5000] * 9), ("rays", 1),
         ("rays", None), ("z_range", [1.0]), ("z_range", [2.0, 1.0]), ("z_range", [float("nan"), 1.0]),
         ("multiple", 0), ("multiple", "16"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 @pytest.mark.filterwarnings("ignore:overflow encountered")
 def test_an_input_that_cannot_be_is_refused(tmp_path: Path, shipped: bytes, part: str, value: Any) -> None:
     path = written(tmp_path, shipped)

@@ -191,20 +191,14 @@ def test_float64_and_fortran_order_are_accepted() -> None:
     same(pillarize(np.asfortranarray(points), SPEC), wanted, atol=0)
 
 
-@each(
-    "points, error, message",
-    [
-        ([[0.0, 0.0, 0.0, 0.0]], TypeError, "got list"),
-        (None, TypeError, "got NoneType"),
+@each("points, error, message", [
+        ([[0.0, 0.0, 0.0, 0.0]], TypeError, "got list"), (None, TypeError, "got NoneType"),
         (np.zeros((5, 4), int), TypeError, "got dtype int64"),
         (np.zeros((5, 4), complex), TypeError, "got dtype complex128"),
-        (np.zeros((5, 4), object), TypeError, "got dtype object"),
-        (np.zeros((5, 2)), ValueError, r"got \(5, 2\)"),
-        (np.zeros((5, 8)), ValueError, r"points\[:, :4\]"),
-        (np.zeros(4), ValueError, r"got \(4,\)"),
+        (np.zeros((5, 4), object), TypeError, "got dtype object"), (np.zeros((5, 2)), ValueError, r"got \(5, 2\)"),
+        (np.zeros((5, 8)), ValueError, r"points\[:, :4\]"), (np.zeros(4), ValueError, r"got \(4,\)"),
         (np.zeros((1, 5, 4)), ValueError, r"got \(1, 5, 4\)"),
-    ],
-)
+    ])  # fmt: skip
 def test_arrays_that_are_no_points_are_refused(points: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         pillarize(points, SPEC)

@@ -235,15 +235,12 @@ def test_every_loss_and_the_published_recipe_can_be_trained_with(go, recipe, tmp
         assert np.isfinite(curve(tmp_path / name)[0]["loss"]), name
 
 
-@each(
-    "change, match",
-    [
+@each("change, match", [
         ({"loss": "hinge"}, "loss must be one of"),
         ({"epochs": 0}, "epochs"),
         ({"learning_rate": 0.0}, "learning_rate"),
         ({"batch": 9}, "fewer than one batch"),
-    ],
-)
+    ])  # fmt: skip
 def test_recipes_out_of_range_are_refused(go, recipe, change, match):
     with pytest.raises(ValueError, match=match):
         go(recipe=replace(recipe, **change))

@@ -87,13 +87,9 @@ def run_batch(make: Maker, source: Source, row: Row, numbers: range, end: float,
         code = 1
         try:
             work(
-                make,
-                source,
-                numbers,
-                end,
-                watch,
+                make, source, numbers, end, watch,
                 lambda one: os.write(write, json.dumps(one).encode() + b"\n") and None,
-            )
+            )  # fmt: skip
             code = 0
         except BaseException:  # noqa: BLE001
             tell(write, [-1, "broken", traceback.format_exc()])

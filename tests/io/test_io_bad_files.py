@@ -96,9 +96,7 @@ def test_bytes_of_another_kind(suffix, tmp_path):
     refused(put(tmp_path, f"a{suffix}", np.random.default_rng(0).bytes(400)))
 
 
-@each(
-    "name, content, message",
-    [
+@each("name, content, message", [
         ("a.bin", b"# .PCD v0.7\n", "PCD cloud.*name it .pcd"),
         ("a.pcd.bin", PCD.encode(), "PCD cloud.*name it .pcd"),
         ("a.pcd", PLY.encode(), "PLY cloud.*name it .ply"),
@@ -106,8 +104,7 @@ def test_bytes_of_another_kind(suffix, tmp_path):
         ("a.pcd", lzma.compress(PCD.encode()), "packed by xz"),
         ("a.bin", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
         ("a.npy", b"PK\x03\x04" + bytes(40), "zip archive"),
-    ],
-)
+    ])  # fmt: skip
 def test_a_known_format_under_a_wrong_name(name, content, message, tmp_path):
     refused(put(tmp_path, name, content), message)
 
@@ -136,9 +133,7 @@ def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
 # ---- PCD headers
 
 
-@each(
-    "line, damaged",
-    [
+@each("line, damaged", [
         ("POINTS 10", ["POINTS " + text for text in ("11", "-10", "ten", "10 10", "99999999999999999999", "²")]),
         ("WIDTH 10", ["WIDTH 5", "WIDTH"]),
         ("HEIGHT 1", ["HEIGHT 0"]),
@@ -147,8 +142,7 @@ def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
         ("TYPE F F F", ["TYPE F F X", "TYPE F F F F"]),
         ("FIELDS x y z", ["FIELDS x y", "FIELDS x y range", "FIELDS _ _ _", ""]),
         ("DATA binary\n", ["DATA\n", "DATA binary_squeezed\n", "DATA binary", ""]),
-    ],
-)
+    ])  # fmt: skip
 def test_a_pcd_header_that_cannot_be(line, damaged, tmp_path):
     for instead in damaged:
         assert line in PCD
@@ -220,17 +214,14 @@ FACES = "element face 10\nproperty list uchar int v\n"
 CAMERAS = "element camera 99999999999\nproperty float f\n"
 
 
-@each(
-    "line, damaged",
-    [
+@each("line, damaged", [
         (" 10", [" 11", " 99999999999", " 99999999999999999999", " -1", ""]),
         ("vertex", ["point"]),
         ("float z", ["float32 w", "quad z", "float z\nproperty float z", "list uchar float z", "list uchar"]),
         ("element vertex 10\n", [FACES + "element vertex 10\n", CAMERAS + "element vertex 10\n", ""]),
         ("format binary_little_endian 1.0\n", ["format binary_middle_endian 1.0\n", ""]),
         ("end_header\n", ["comment end_header\n", "end_header of it\n", "end_header", ""]),
-    ],
-)
+    ])  # fmt: skip
 def test_a_ply_header_that_cannot_be(line, damaged, tmp_path):
     for instead in damaged:
         assert line in PLY
@@ -475,14 +466,11 @@ def test_a_file_with_wrong_bytes_is_refused_or_read(name, cloud, tmp_path):
 # ---- packages that are not there
 
 
-@each(
-    "name, module, content",
-    [
+@each("name, module, content", [
         ("a.las", "laspy", b"LASF"),
         ("a.feather", "pyarrow", b"ARROW1"),
         ("a.pcd", "lzf", PCD.replace("binary", "binary_compressed").encode() + struct.pack("<II", 8, 120) + bytes(8)),
-    ],
-)
+    ])  # fmt: skip
 def test_a_missing_package_is_named_with_its_cure(name, module, content, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ImportError, match=rf'{name}.*{module}.*pip install "ogm-toolkit\[io\]"'):

@@ -111,16 +111,11 @@ def feather(cloud: np.ndarray, packing: str = "zstd") -> bytes:
 
 
 SCANS: dict[str, Callable[[np.ndarray], bytes]] = {
-    "a.bin": lambda cloud: cloud.tobytes(),
-    "a.bin.gz": lambda cloud: gzip.compress(cloud.tobytes(), 1),
-    "a.bin.xz": lambda cloud: lzma.compress(cloud.tobytes(), preset=0),
-    "a.pcd": pcd,
-    "organised.pcd": lambda cloud: pcd(cloud, 1000),
-    "a.npy": npy,
-    "a.las": lambda cloud: las(cloud, ".las"),
-    "a.laz": lambda cloud: las(cloud, ".laz"),
-    "a.feather": feather,
-}
+    "a.bin": lambda cloud: cloud.tobytes(), "a.bin.gz": lambda cloud: gzip.compress(cloud.tobytes(), 1),
+    "a.bin.xz": lambda cloud: lzma.compress(cloud.tobytes(), preset=0), "a.pcd": pcd,
+    "organised.pcd": lambda cloud: pcd(cloud, 1000), "a.npy": npy, "a.las": lambda cloud: las(cloud, ".las"),
+    "a.laz": lambda cloud: las(cloud, ".laz"), "a.feather": feather,
+}  # fmt: skip
 
 
 def every_run(names, nightly):

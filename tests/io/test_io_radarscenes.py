@@ -205,15 +205,12 @@ def test_a_small_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path: Path, 
         read_radarscenes(sequence)
 
 
-@each(
-    "change, message",
-    [
+@each("change, message", [
         (lambda scene: scene.update(radar_indices=[6, 3]), "first row and the one after"),
         (lambda scene: scene.update(radar_indices=[0.5, 3]), "first row and the one after"),
         (lambda scene: scene.update(sensor_id=7), "radar_7, which is not in sensors.json"),
         (lambda scene: scene.pop("radar_indices"), "no 'radar_indices'"),
-    ],
-)
+    ])  # fmt: skip
 def test_scenes_that_are_none_are_refused(
     change: Callable[[dict[str, Any]], Any], message: str, tmp_path: Path
 ) -> None:

@@ -130,13 +130,10 @@ def test_stamps_follow_each_other(real):
     np.testing.assert_allclose(np.diff(stamps), 0.5, atol=0.01)
 
 
-@each(
-    "name, stamp",
-    [
+@each("name, stamp", [
         (NUSCENES, 1532402927.647951), (AV2, 315973157.959879), ("argoverse1/*.ply", 315971347.819783),
         ("nebula_apache2/vls128/*.pcd", 1585897255.376374), ("kitti_raw_0005/0000000060.pcd.xz", None),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_stamps_are_those_of_the_names(name, stamp, real):
     assert read_scan(real(name), "nuscenes").stamp == (None if stamp is None else pytest.approx(stamp, abs=1e-6))
 

@@ -62,16 +62,13 @@ def test_any_rotation_will_do(cloud, save):
     np.testing.assert_allclose(read_points(save(cloud), rotation)[:, :3], expected, atol=1e-4)
 
 
-@each(
-    "axes, message",
-    [
+@each("axes, message", [
         ("nuscene", "not known"), (("x", "+y", "+z"), "not three of"), (("+x", "+x", "+z"), "right angles"),
         (("+x", "+y"), "right angles"), (("+x", "-y", "+z"), "reflection"), (np.eye(2), "right angles"),
         (None, "axes must be a name.*got None.*give flu"), (3, "axes must be a name.*got 3"),
         (("+x", 1, 2), "no .* matrix of numbers"), ([[1, 0, 0], [0, 1]], "no .* matrix of numbers"),
         (np.eye(3) * 2, "right angles"), (np.diag([1.0, 1.0, -1.0]), "reflection"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_axes_that_are_no_rotation_are_refused(axes, message, cloud, save):
     with pytest.raises(ValueError, match=message):
         read_points(save(cloud), axes)
@@ -192,16 +189,13 @@ def test_the_ego_vehicle_and_what_is_below_ground_are_kept(save):
 # ---- intensity
 
 
-@each(
-    "raw, expected, scale",
-    [
+@each("raw, expected, scale", [
         (np.uint8([0, 51, 255]), [0, 0.2, 1], 255),
         (np.uint16([0, 13107, 65535]), [0, 0.2, 1], 65535),
         (np.float32([0, 0.2, 1]), [0, 0.2, 1], 1),
         (np.float32([0, 51, 2]), [0, 0.2, 2 / 255], 255),
         (np.int32([0, 51, 255]), [0, 0.2, 1], 255),
-    ],
-)
+    ])  # fmt: skip
 def test_intensity_scale_follows_type_then_values(raw, expected, scale, tmp_path):
     scan, facts = read_scan_file(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=raw))
     np.testing.assert_allclose(scan.points[:, 3], expected, rtol=1e-6)
@@ -272,9 +266,7 @@ def test_a_ring_is_a_whole_number(ring, save):
         read_points(save(np.float32([[1, 2, 3, 0, ring]])))
 
 
-@each(
-    "name, times, expected, stamp",
-    [
+@each("name, times, expected, stamp", [
         ("a", np.float32([0.0, 0.05, 0.1]), [0, 0.05, 0.1], None),
         ("a", np.float64([-0.1, -0.05, 0.0]), [-0.1, -0.05, 0], None),
         ("a", np.int32([0, 50_000_000, 100_000_000]), [0, 0.05, 0.1], None),
@@ -284,8 +276,7 @@ def test_a_ring_is_a_whole_number(ring, save):
         ("n015__LIDAR_TOP__1532402927647951", np.int32([0, 10**8, 0]), [0, 0.1, 0], 1532402927.647951),
         ("0000000060", np.int32([0, 10**8, 0]), [0, 0.1, 0], None),
         ("12345678901234567", np.int32([0, 10**8, 0]), [0, 0.1, 0], None),
-    ],
-)
+    ])  # fmt: skip
 def test_times_count_from_the_stamp(name, times, expected, stamp, tmp_path):
     scan = read_scan(feather(tmp_path / f"{name}.feather", x=ONES, y=ONES, z=ONES, timestamp=times))
     assert scan.time.dtype == np.float64
@@ -297,16 +288,13 @@ def timed(path, times):
     return feather(path / "a.feather", x=ONES, y=ONES, z=ONES, timestamp=times)
 
 
-@each(
-    "times, unit, stamp",
-    [
+@each("times, unit, stamp", [
         (1.7e18 + np.float64([0, 5e7, 1e8]), 1e-9, 1.7e9),  # as the driver of Livox writes them
         (np.float64([0, 5e7, 1e8]), 1e-9, None),
         (np.float32([0, 5e4, 1e5]), 1e-6, None),
         (np.float32([0, 50, 100]), 1e-3, None),
         (np.uint64([0, 10**10 + 1, 2 * 10**10]), 5e-12, None),
-    ],
-)
+    ])  # fmt: skip
 def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_given(times, unit, stamp, tmp_path):
     path = timed(tmp_path, times)
     with pytest.raises(ValueError, match=r"times that last .* give as time_unit \[s\].* 1e-9 for nanoseconds"):
@@ -341,15 +329,12 @@ def test_a_long_recording_is_read_if_its_unit_is_given(tmp_path):
 # ---- names of fields
 
 
-@each(
-    "place, intensity, ring, time",
-    [
+@each("place, intensity, ring, time", [
         ("xyz", "Intensity", "Ring", "Timestamp"),
         ("XYZ", "INTENSITY", "scalar_ring", "scalar_GpsTime"),
         ("xyz", "Reflectivity", "Ring", "scalar_GpsTime"),
         ("XYZ", "scalar_Intensity", "scalar_ring", "Timestamp"),
-    ],
-)
+    ])  # fmt: skip
 def test_fields_are_known_in_any_capitals(place, intensity, ring, time, tmp_path):
     x, y, z = place
     columns = {x: ONES, y: 2 * ONES, z: 3 * ONES, intensity: ONES / 2, ring: np.uint8([4, 5, 6]), time: ONES}

@@ -133,32 +133,18 @@ def test_the_hd_lidar_has_the_same_field_of_view() -> None:
         hd_directions(VLP, 1)
 
 
-@each(
-    "change, reason",
-    [
-        ({"elevations": VLP.elevations[::-1]}, "ascend"),
-        ({"elevations": (), "azimuth_offsets": ()}, "empty"),
+@each("change, reason", [
+        ({"elevations": VLP.elevations[::-1]}, "ascend"), ({"elevations": (), "azimuth_offsets": ()}, "empty"),
         ({"elevations": (math.nan, *VLP.elevations[1:])}, "NaN"),
         ({"elevations": tuple(np.degrees(VLP.elevations))}, "degrees"),
-        ({"azimuth_offsets": (0.0,)}, "azimuth_offsets"),
-        ({"azimuth_offsets": (math.inf,) * 32}, "inf"),
-        ({"azimuth_step": -0.01}, "azimuth_step"),
-        ({"azimuth_step": math.nan}, "azimuth_step"),
-        ({"azimuth_step": 0.0031}, "full turn"),
-        ({"rate": 0.0}, "rate"),
-        ({"range_min": -1.0}, "range_min"),
-        ({"range_max": 0.1}, "range_max"),
-        ({"range_noise": -0.01}, "range_noise"),
-        ({"range_step": 0.0}, "range_step"),
-        ({"divergence": math.nan}, "divergence"),
-        ({"reach": 0.0}, "reach"),
-        ({"height": -2.0}, "height"),
-        ({"origins": ((0.0, 0.0, 0.0),)}, "origins"),
-        ({"origins": ((0.0, 0.0, math.nan),) * 32}, "NaN"),
-        ({"unit": -1}, "unit"),
-        ({"unit": 1.5}, "unit"),
-    ],
-)
+        ({"azimuth_offsets": (0.0,)}, "azimuth_offsets"), ({"azimuth_offsets": (math.inf,) * 32}, "inf"),
+        ({"azimuth_step": -0.01}, "azimuth_step"), ({"azimuth_step": math.nan}, "azimuth_step"),
+        ({"azimuth_step": 0.0031}, "full turn"), ({"rate": 0.0}, "rate"), ({"range_min": -1.0}, "range_min"),
+        ({"range_max": 0.1}, "range_max"), ({"range_noise": -0.01}, "range_noise"),
+        ({"range_step": 0.0}, "range_step"), ({"divergence": math.nan}, "divergence"), ({"reach": 0.0}, "reach"),
+        ({"height": -2.0}, "height"), ({"origins": ((0.0, 0.0, 0.0),)}, "origins"),
+        ({"origins": ((0.0, 0.0, math.nan),) * 32}, "NaN"), ({"unit": -1}, "unit"), ({"unit": 1.5}, "unit"),
+    ])  # fmt: skip
 def test_impossible_lidars_are_refused(change: dict, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         replace(VLP, **change)

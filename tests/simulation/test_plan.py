@@ -88,9 +88,7 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
         PLAN.grown(replace(PLAN, mounts=only("hdl-32e")))
 
 
-@each(
-    "wrong, message",
-    [
+@each("wrong, message", [
         ({"samples": -1}, "samples must be a whole number"),
         ({"seed": 1.5}, "seed must be a whole number"),
         ({"samples": 0, "validation": 0, "test": 0}, "would be empty"),
@@ -105,23 +103,19 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
         ({"spacing": float("nan")}, "spacing must be in 0.1 ... 100 s"),
         ({"bad_weather": 1.2}, "bad_weather must be in 0 ... 1, a share"),
         ({"in_motion": float("nan")}, "in_motion must be in 0 ... 1, a share"),
-    ],
-)
+    ])  # fmt: skip
 def test_impossible_plans_are_reported(wrong: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DatasetPlan(**wrong)
 
 
-@each(
-    "wrong, message",
-    [
+@each("wrong, message", [
         ({"share": 0.0}, "share of vlp-32c"),
         ({"height": (2.0, 1.0)}, "height of vlp-32c must be two numbers, rising"),
         ({"height": (0.0, 1.0)}, "height of vlp-32c"),
         ({"forward": (-9.0, 1.0)}, "forward of vlp-32c"),
         ({"tilt": 1.0}, "tilt of vlp-32c"),
-    ],
-)
+    ])  # fmt: skip
 def test_impossible_mounts_are_reported(wrong: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         LidarMount("vlp-32c", **wrong)

@@ -90,15 +90,12 @@ def test_sequences_stay_in_one_town_with_one_sensor() -> None:
     assert len({draw_mount(PLAN, "sequences", i) for i in range(100)}) == 1
 
 
-@each(
-    "wrong, message",
-    [
+@each("wrong, message", [
         ({"mounts": (LidarMount("vlp-16"),)}, "gen2 sets mounts itself, got 1 x vlp-16"),
         ({"towns": 3}, "gen2 sets towns itself, got 3"),
         ({"bad_weather": 0.5}, "gen2 sets bad_weather itself"),
         ({"recipe": "gen9"}, "there is no recipe 'gen9'; there is gen2"),
-    ],
-)
+    ])  # fmt: skip
 def test_what_a_recipe_sets_cannot_be_chosen(wrong: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DatasetPlan(**({"recipe": "gen2"} | wrong))

@@ -232,16 +232,13 @@ def test_bad_input_is_refused_with_a_reason() -> None:
         scene.cast(np.diag([2.0, 1, 1, 1]), rays)
 
 
-@each(
-    "change, message",
-    [
+@each("change, message", [
         ({"vertices": PLANE.vertices.astype(np.float64)}, "vertices must be float32"),
         ({"vertices": PLANE.vertices[:, :2]}, r"vertices .* \(N, 3\)"),
         ({"triangles": PLANE.triangles.astype(np.int64)}, "triangles must be uint32"),
         ({"material": PLANE.material.astype(np.int64)}, "material must be uint8"),
         ({"material": PLANE.material[:, None]}, r"material .* \(N,\)"),
-    ],
-)
+    ])  # fmt: skip
 def test_meshes_of_other_types_are_refused(change: dict, message: str) -> None:
     with pytest.raises(TypeError, match=message):
         Scene(PLANE._replace(**change), threads=1)

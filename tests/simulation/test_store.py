@@ -236,9 +236,7 @@ LIDAR = {"name": "x", "elevation": [0.1], "azimuth": [0.0], "step": 0.1, "rate":
 LIDAR |= {"columns": 600}
 
 
-@each(
-    "nonsense",
-    [
+@each("nonsense", [
         {"splits": {"../data/training": 13}},
         {"splits": {"training": -1}},
         {"splits": {"training": "13"}},
@@ -256,8 +254,7 @@ LIDAR |= {"columns": 600}
         {"lidars": [LIDAR | {"elevation": ["up"], "rate": 1.0}]},
         {"lidars": [LIDAR | {"rate": 0.0}]},
         {"lidars": [LIDAR]},  # samples name the second of the lidars, and there is one
-    ],
-)
+    ])  # fmt: skip
 def test_attributes_with_nonsense_are_reported(written: Path, tmp_path: Path, nonsense: dict) -> None:
     store = Store.open(shutil.copytree(written, tmp_path / "data"))
     file = store.path / "zarr.json"

@@ -113,15 +113,10 @@ def bodies():
     return [
         *[car(shape, M.PAINT_DARK) for shape in CARS.values()],
         *[car(shape, M.PAINT_LIGHT, label="van") for shape in VANS.values()],
-        *[truck(rng, M.PAINT_MEDIUM) for _ in range(3)],
-        *[trailer(rng) for _ in range(3)],
-        *[bus(rng, M.PAINT_MEDIUM) for _ in range(2)],
-        motorcycle(rng, M.PAINT_BLACK),
-        bicycle(rng),
-        standing(rng),
-        *walking(rng),
-        *walking(rng, grown=False),
-    ]
+        *[truck(rng, M.PAINT_MEDIUM) for _ in range(3)], *[trailer(rng) for _ in range(3)],
+        *[bus(rng, M.PAINT_MEDIUM) for _ in range(2)], motorcycle(rng, M.PAINT_BLACK), bicycle(rng), standing(rng),
+        *walking(rng), *walking(rng, grown=False),
+    ]  # fmt: skip
 
 
 def through(body, origin, direction):

@@ -115,15 +115,12 @@ def test_any_place_comes_back(
     assert np.array_equal(again.grid.mass, mass)
 
 
-@each(
-    "crs, message",
-    [
+@each("crs, message", [
         ("EPSG:4326", "not in metres on a plane"),
         ("EPSG:2263", "not in metres on a plane"),
         ("EPSG:99999999", "no coordinate reference system"),
         ("here", "no coordinate reference system"),
-    ],
-)
+    ])  # fmt: skip
 def test_a_system_that_is_not_in_metres_is_refused(tmp_path: Path, crs: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         write_grid(tmp_path / "map.tif", PlacedGrid(grid(), crs=crs))

@@ -178,13 +178,9 @@ def test_a_damaged_foxglove_grid_is_refused(tmp_path: Path, damage: str) -> None
     good = bytes(foxglove_grid(l_shape(), frame_id="map").encode())
     assert foxglove
     bad = {
-        "cut": good[: len(good) // 2],
-        "huge": good[:-3] + b"\x48\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff",
-        "wire": b"\x0b" + good,
-        "empty": b"",
-        "name": b"\x12\x02\xff\xfe" + b"",
-        "float": b"\x20\x01" + good,
-    }[damage]
+        "cut": good[: len(good) // 2], "huge": good[:-3] + b"\x48\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff",
+        "wire": b"\x0b" + good, "empty": b"", "name": b"\x12\x02\xff\xfe" + b"", "float": b"\x20\x01" + good,
+    }[damage]  # fmt: skip
     with open(tmp_path / "m.mcap", "wb") as file:
         out = writer.Writer(file)
         out.start()

@@ -255,17 +255,14 @@ def test_foxglove_messages_go_into_mcap(tmp_path: Path) -> None:
 # --- Types -------------------------------------------------------------------------------------------
 
 
-@each(
-    "name, md5",
-    [
+@each("name, md5", [
         ("tf2_msgs/msg/TFMessage", "94810edda583a504dfda3829e70d7eec"),
         ("tf/msg/tfMessage", "94810edda583a504dfda3829e70d7eec"),
         ("velodyne_msgs/msg/VelodyneScan", "50804fc9533a0e579e6322c04ae70566"),
         ("livox_ros_driver/msg/CustomMsg", "e4d6829bdfe657cb6c21a746c86b21a6"),
         ("grid_map_msgs/msg/GridMap", "95681e052b1f73bf87b7eb984382b401"),
         ("nav_msgs/msg/OccupancyGrid", "3381f2d731d4076ec5c71b0759edbe4e"),
-    ],
-)
+    ])  # fmt: skip
 def test_shipped_definitions_have_the_checksums_of_ros1(name: str, md5: str) -> None:
     assert message_types(1).generate_msgdef(name)[1] == md5
 

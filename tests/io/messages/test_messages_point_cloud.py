@@ -54,14 +54,10 @@ def columns(number=60, **more):
 
 
 @given(
-    st.permutations(["x", "y", "z", "ring", "intensity", "time", "junk"]),
-    st.sampled_from(["f4", "f8"]),
-    st.sampled_from(["u1", "i2", "u2", "i4", "u4", "f4", "f8"]),
-    st.sampled_from(["u4", "i4", "f4", "f8"]),
-    st.booleans(),
-    st.integers(0, 5),
-    st.sampled_from([(1, 0), (1, 7), (6, 0), (6, 3)]),
-)
+    st.permutations(["x", "y", "z", "ring", "intensity", "time", "junk"]), st.sampled_from(["f4", "f8"]),
+    st.sampled_from(["u1", "i2", "u2", "i4", "u4", "f4", "f8"]), st.sampled_from(["u4", "i4", "f4", "f8"]),
+    st.booleans(), st.integers(0, 5), st.sampled_from([(1, 0), (1, 7), (6, 0), (6, 3)]),
+)  # fmt: skip
 def test_any_layout_gives_the_same_scan(order, real, whole, clock, big, gap, rows):
     rng = np.random.default_rng(1)
     plain = columns(ring=np.arange(60) % 6, intensity=rng.integers(0, 128, 60), junk=rng.random((60, 3)))
@@ -86,13 +82,10 @@ def test_any_layout_gives_the_same_scan(order, real, whole, clock, big, gap, row
 def test_rosbags_carries_scans_there_and_back(ros, sent):
     rng = np.random.default_rng(0)
     scan = Scan(
-        np.c_[rng.normal(0, 20, (50, 3)), rng.random(50)].astype(np.float32),
-        stamp=T0 + 0.123456789,
-        time=np.linspace(-0.05, 0.05, 50),
-        ring=np.arange(50) % 16,
-        doppler=rng.normal(size=50),
+        np.c_[rng.normal(0, 20, (50, 3)), rng.random(50)].astype(np.float32), stamp=T0 + 0.123456789,
+        time=np.linspace(-0.05, 0.05, 50), ring=np.arange(50) % 16, doppler=rng.normal(size=50),
         rcs=rng.normal(size=50),
-    )
+    )  # fmt: skip
     arrived = sent(point_cloud2(scan, frame_id="lidar"), CLOUD, ros)
     assert arrived.header.frame_id == "lidar"
     back = scan_from_point_cloud2(arrived)
