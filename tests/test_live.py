@@ -3,10 +3,12 @@
 import json
 import math
 import os
+import platform
 import re
 import signal
 import socket
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -26,6 +28,7 @@ from ogm import EvidentialGrid, Frame, GridSpec, Mount, OgmError, Scan
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, rolling_window
 from ogm.geometric import RayISM
 from ogm.live import FoxglovePublisher, LiveReport, NewestFrames, frame_bytes, receive_frames, serve, stream, warm_up
+from ogm.live.memory import return_large_blocks
 from ogm.pose import inverse, pose
 from ogm.scan import LazyFrame
 

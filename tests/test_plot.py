@@ -228,13 +228,8 @@ def test_velocities_are_shown_by_direction_and_speed() -> None:
     x[3, 3] = 1
     panel = plot.velocity_panel(LayeredGrid(SPEC, {"velocity_x": x, "velocity_y": y}))
     assert "4 m/s" in panel.title
-    for cell, name in (
-        ((0, 0), "forward"),
-        ((0, 1), "left"),
-        ((1, 0), "backward"),
-        ((1, 1), "right"),
-        ((6, 4), "none"),
-    ):
+    places = {"forward": (0, 0), "left": (0, 1), "backward": (1, 0), "right": (1, 1), "none": (6, 4)}
+    for name, cell in places.items():
         assert np.abs(panel.image[cell] - 255 * np.array(panel.legend[name])).max() <= 1
     half = np.abs(panel.image[3, 1].astype(int) - panel.image[0, 0] // 2)  # a quarter of the speed
     assert half.max() <= 1

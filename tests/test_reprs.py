@@ -131,14 +131,8 @@ def test_a_scan_is_shown_around_the_sensor() -> None:
     assert ((lit[:, 0] < 0.3 * middle) | (lit[:, 1] < 0.3 * middle)).all()
     assert {bool(row < middle / 2) for row, _ in lit} == {True, False}
     text = " ".join(Checked(scan_of(ring=np.zeros(500), no_returns=np.zeros((7, 3)))._repr_html_()).texts)
-    for part in (
-        "VLP-16",
-        "points 500",
-        "12.500 s",
-        "x, y, z, intensity, ring",
-        "beams without echo 7",
-        "z -2.0 … 1.0 m",
-    ):
+    parts = ("VLP-16", "points 500", "12.500 s", "x, y, z, intensity, ring", "beams without echo 7", "z -2.0 … 1.0 m")
+    for part in parts:
         assert part in text
     assert pixels(Scan(points[:0])._repr_png_()).shape == image.shape
     assert "points 0" in " ".join(Checked(Scan(points[:0])._repr_html_()).texts)

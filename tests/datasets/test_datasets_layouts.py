@@ -204,12 +204,6 @@ def test_a_drive_of_few_times_says_so(fresh):
         open_dataset(folder)
 
 
-def test_the_test_part_of_nuscenes_has_other_scans_only(fresh):
-    folder = fresh("nuscenes")
-    (folder / "v1.0-mini" / "sample_annotation.json").write_text("[]")
-    assert sources(open_dataset(folder)) == ("aggregated",)
-
-
 def test_truth_is_made_once(written):
     dataset = open_dataset(written("scans and poses"))
     assert dataset[1].truth.state is dataset[1].truth.state
