@@ -1,4 +1,4 @@
-"""Many cases of a test in one item: a failure names its case."""
+"""Tables of cases that run as one test."""
 
 import functools
 import inspect
@@ -7,31 +7,62 @@ import reprlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import pytest
+
 
 def each(names: str | tuple[str, ...], cases: Iterable[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Run a test for each case, as `pytest.mark.parametrize` does, in one item: fixtures are made once."""
-    table = [(case,) if isinstance(names, str) else tuple(case) for case in cases]
-    columns = (names,) if isinstance(names, str) else names
+    """Return a decorator that runs a test once for each case, as one item; the error of a case names the case.
+
+    Parameters
+    ----------
+    names
+        Parameters of the test that a case sets, separated by commas, ``"rows, message"``, or in a tuple.
+    cases
+        Values of these parameters: tuples, or single values where there is one name. Each case has an empty folder as
+        `tmp_path`, a `monkeypatch` of its own, and an empty `caplog`, `capsys` or `capfd`; other fixtures are shared by
+        all cases. A case that is skipped skips the item after the other cases have run.
+    """
+    keys = [name.strip() for name in names.split(",")] if isinstance(names, str) else list(names)
+    table = list(cases)
 
     def decorate(test: Callable[..., None]) -> Callable[..., None]:
-        own = inspect.signature(test)
-        others = [parameter for name, parameter in own.parameters.items() if name not in columns]
+        signature = inspect.signature(test)
+        own = [parameter for name, parameter in signature.parameters.items() if name not in keys]
 
         @functools.wraps(test)
-        def run(*arguments: Any, **fixtures: Any) -> None:  # hypothesis gives arguments by their place
-            fixtures |= {parameter.name: value for parameter, value in zip(others, arguments, strict=False)}
-            for case in table:
-                values = dict(zip(columns, case, strict=True))
+        def run(*arguments: Any, **others: Any) -> None:  # hypothesis gives arguments by their place
+            fixtures = {parameter.name: value for parameter, value in zip(own, arguments, strict=False)} | others
+            skipped = None
+            for number, case in enumerate(table):
+                values = dict(zip(keys, case if len(keys) > 1 else (case,), strict=True))
                 try:
-                    test(**fixtures, **values)
-                except BaseException as error:
-                    error.add_note(f"case: {', '.join(f'{name}={value!r}' for name, value in values.items())}")
+                    _run_case(test, number, {**fixtures, **values})
+                except pytest.skip.Exception as error:
+                    skipped = error
+                except BaseException as error:  # a failure of pytest.raises is no Exception
+                    error.add_note(f"in case {number}: {values}")
                     raise
+            if skipped:
+                raise skipped
 
-        run.__signature__ = own.replace(parameters=others)  # type: ignore[attr-defined]
+        run.__signature__ = signature.replace(parameters=own)  # type: ignore[attr-defined]  # read by pytest
         return run
 
     return decorate
+
+
+def _run_case(test: Callable[..., None], number: int, arguments: dict[str, Any]) -> None:
+    if "caplog" in arguments:
+        arguments["caplog"].clear()
+    for name in {"capsys", "capfd"} & {*arguments}:
+        arguments[name].readouterr()
+    if "tmp_path" in arguments:
+        arguments["tmp_path"] = arguments["tmp_path"] / f"case{number}"
+        arguments["tmp_path"].mkdir()
+    if "monkeypatch" not in arguments:
+        return test(**arguments)
+    with pytest.MonkeyPatch.context() as arguments["monkeypatch"]:
+        return test(**arguments)
 
 
 def refused(

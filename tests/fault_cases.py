@@ -48,35 +48,19 @@ class Case(NamedTuple):
 
 def make_sample(plan: Any, split: str, index: int, threads: int = 0) -> Any:
     """Make a sample without a town: flat ground and a wall across the way."""
-    from ogm.simulation.sample import OBJECT, RANGE_STEP, SimulatedSample
+    from samples import flat_sample, flat_steps
+
+    from ogm.pose import pose
     from ogm.simulation.sensors import LIDARS, beams_of
-    from ogm.state import CellState, Truth
+    from ogm.state import CellState
     from ogm.truth import TRUTH_SPEC
 
     beams = beams_of(LIDARS["vlp-16"])
     wall = WALL + np.random.default_rng([index, len(split)]).uniform(0, 3)
-    x, _, z = np.moveaxis(beams.directions.astype(np.float64), -1, 0)
-    with np.errstate(divide="ignore"):
-        r = np.minimum(np.where(z < 0, -1.8 / z, np.inf), np.where(x > 0, wall / x, np.inf))
-    steps = np.where(r < 30, r / RANGE_STEP, 0).astype(np.uint16)
-    state = np.where(TRUTH_SPEC.cell_centers[0] < wall, np.uint8(CellState.FREE), np.uint8(CellState.OCCUPIED))
-    T = np.eye(4)
-    T[2, 3] = 1.8
-    return SimulatedSample(
-        beams=beams,
-        steps=steps,
-        intensities=(steps > 0).astype(np.uint8) * 100,
-        truth=Truth(TRUTH_SPEC, np.ascontiguousarray(np.broadcast_to(state, TRUTH_SPEC.shape))),
-        objects=np.zeros(0, OBJECT),
-        T_world_sensor=np.eye(4),
-        T_vehicle_sensor=T,
-        velocity=np.zeros(3),
-        yaw_rate=0.0,
-        stamp=float(index),
-        split=split,
-        index=index,
-        scenario=0,
-    )
+    state = np.where(TRUTH_SPEC.cell_centers[0] < wall, CellState.FREE, CellState.OCCUPIED)
+    steps = flat_steps(beams, 1.8, wall, reach=30)
+    facts = {"intensities": (steps > 0).astype(np.uint8) * 100, "T_vehicle_sensor": pose(z=1.8)}
+    return flat_sample(split, index, steps, state, beams=beams, stamp=float(index), **facts)
 
 
 def make_inputs(command: str, folder: Path) -> None:

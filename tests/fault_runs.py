@@ -77,12 +77,9 @@ class Run:
             code = COLD.format(tests=str(Path(__file__).parent), words=list(words), stand_in=stand_in, named=named)
             with open(self.errors, "wb") as errors:
                 self._child = subprocess.Popen(
-                    [sys.executable, "-c", code] if stand_in or named else plain,
-                    cwd=folder,
-                    stdout=subprocess.DEVNULL,
-                    stderr=errors,
-                    start_new_session=True,
-                )
+                    [sys.executable, "-c", code] if stand_in or named else plain, cwd=folder,
+                    stdout=subprocess.DEVNULL, stderr=errors, start_new_session=True,
+                )  # fmt: skip
             self.pid = self._child.pid
         else:
             self.pid = fork(lambda: _command(words, stand_in, named), folder, self.errors)

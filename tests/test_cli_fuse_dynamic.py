@@ -5,8 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
+from commands import ogm
 from PIL import Image
-from test_cli_fuse import HEIGHT, WALL, kitti, ogm, scan_at
+from test_cli_fuse import HEIGHT, WALL, kitti, scan_at
 
 from ogm import Boxes, DynamicGrid, EvidentialGrid, plot
 from ogm.fusion import DynamicMapper
@@ -72,9 +74,7 @@ def test_film_picture_and_page_show_it(drive: tuple[object, ...], tmp_path: Path
     assert '"arrows":[[' in text
 
 
-@pytest.mark.parametrize(
-    ("ending", "message", "whole"), [("mcap", "grid-map", True), ("mcap", None, False), ("nc", None, True)]
-)
+@each("ending, message, whole", [("mcap", "grid-map", True), ("mcap", None, False), ("nc", None, True)])
 def test_layers_are_kept_where_the_format_holds_them(
     drive: tuple[object, ...], tmp_path: Path, ending: str, message: str | None, whole: bool
 ) -> None:
@@ -95,15 +95,12 @@ def test_nuss_is_a_rule_of_dynamic_maps(drive: tuple[object, ...], tmp_path: Pat
     assert not DynamicGrid.load(tmp_path / "m.npz").static.any()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
+@each("words, message", [
         (("--dynamic", "--rule", "yager"), "has a filter of its own, dynamic or nuss: leave out --rule yager"),
         (("--particles", "100"), "--particles belongs to --dynamic, which is missing"),
         (("--dynamic", "--particles", "0"), "particles must be a whole number from 1"),
         (("--dynamic", "--half-life", "0"), "half_life"),
-    ],
-)
+    ])  # fmt: skip
 def test_options_that_make_no_sense_are_refused(
     drive: tuple[object, ...], tmp_path: Path, words: tuple[str, ...], message: str
 ) -> None:

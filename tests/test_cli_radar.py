@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import ogm
+from samples import flat_sample, flat_steps
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
-from ogm.cli import app
 from ogm.datasets import open_dataset
 from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.geometric import RadarISM, RayISM
@@ -22,10 +22,9 @@ from ogm.simulation.detections import PlacedSweep, RadarSweep
 from ogm.simulation.mounts import radars_at
 from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.radars import RADARS
-from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store
-from ogm.state import CellState, Truth
-from ogm.truth import TRUTH_SPEC
+from ogm.state import CellState
 
 pytest.importorskip("zarr")
 SPEC = GridSpec.centered()
@@ -37,35 +36,13 @@ RADAR = radars_at(["ars548"])
 
 def sample(index: int, split: str = "sequences") -> SimulatedSample:
     """Flat ground, and a wall 20 m ahead that the lidar's low layers do not reach and the radar detects."""
-    z = BEAMS.directions[..., 2].astype(np.float64)
-    with np.errstate(divide="ignore"):
-        distance = np.where(z < 0, -1.9 / z, np.inf)
-    steps = np.where(distance < 15, distance / RANGE_STEP, 0).astype(np.uint16)
-    state = np.full(TRUTH_SPEC.shape, CellState.FREE, np.uint8)
-    y = np.linspace(-8, 8, 41)
-    xyz = np.column_stack([np.full(41, 20.0 - RADAR[0].x), y, np.zeros(41)]).astype(np.float32)
-    nothing = np.zeros(41, np.float32)
-    found = RadarSweep(
-        xyz, nothing, nothing, nothing, nothing + 20, nothing.astype(np.uint8), np.full(41, -1, np.int32)
-    )
-    x, height = RADAR[0].x, RADAR[0].z
-    sweep = PlacedSweep(0, 20 + 0.1 * index, pose(x, 0, height), np.zeros(3), found)
-    return SimulatedSample(
-        beams=BEAMS,
-        steps=steps,
-        intensities=np.where(steps > 0, 30, 0).astype(np.uint8),
-        truth=Truth(TRUTH_SPEC, state),
-        objects=np.zeros(0, OBJECT),
-        T_world_sensor=pose(0, 0, 1.9),
-        T_vehicle_sensor=pose(0, 0, 1.9),
-        velocity=np.zeros(3),
-        yaw_rate=0.0,
-        stamp=20 + 0.1 * index,
-        split=split,
-        index=index,
-        scenario=0,
-        sweeps=(sweep,),
-    )
+    xyz = np.column_stack([np.full(41, 20.0 - RADAR[0].x), np.linspace(-8, 8, 41), np.zeros(41)]).astype(np.float32)
+    nothing, stamp = np.zeros(41, np.float32), 20 + 0.1 * index
+    echoes = (nothing, nothing, nothing, nothing + 20, nothing.astype(np.uint8), np.full(41, -1, np.int32))
+    sweep = PlacedSweep(0, stamp, pose(RADAR[0].x, 0, RADAR[0].z), np.zeros(3), RadarSweep(xyz, *echoes))
+    places = {"T_world_sensor": pose(0, 0, 1.9), "T_vehicle_sensor": pose(0, 0, 1.9)}
+    facts = {"beams": BEAMS, "stamp": stamp, "sweeps": (sweep,), **places}
+    return flat_sample(split, index, flat_steps(BEAMS, reach=15), CellState.FREE, **facts)
 
 
 @pytest.fixture(scope="module")
@@ -89,37 +66,36 @@ def splits(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def ogm(*words: object) -> str:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
+def run(*words: object) -> str:
+    """Return what a command that succeeds prints."""
+    result = ogm(*words)
     assert result.exit_code == 0, result.output
     return result.output
 
 
 def test_fuse_maps_lidar_and_radar_into_one_map(data: Path, tmp_path: Path) -> None:
     both, alone = tmp_path / "both.npz", tmp_path / "alone.npz"
-    assert "20 mapped" in ogm("fuse", data, "--ism", "ray", "--sensor", "lidar", "--sensor", "radar", "--out", both)
-    assert "10 mapped" in ogm("fuse", data, "--ism", "ray", "--out", alone)
+    assert "20 mapped" in run("fuse", data, "--ism", "ray", "--sensor", "lidar", "--sensor", "radar", "--out", both)
+    assert "10 mapped" in run("fuse", data, "--ism", "ray", "--out", alone)
     maps = [EvidentialGrid.load(path) for path in (both, alone)]
     with_radar, without = (one.occupied[one.spec.index(20.05, 0.0)] for one in maps)
     assert with_radar > 0.05
     assert without == 0
-    ogm("fuse", data, "--ism", "ray", "--sensor", "lidar", "--sensor", "radar", "--radar-reliability", 1, "--out", both)
+    run("fuse", data, "--ism", "ray", "--sensor", "lidar", "--sensor", "radar", "--radar-reliability", 1, "--out", both)
     trusted = EvidentialGrid.load(both)
     assert trusted.occupied[trusted.spec.index(20.05, 0.0)] > 3 * with_radar
 
 
 def test_evaluate_and_map_take_the_frames_of_one_radar(data: Path, tmp_path: Path) -> None:
     words = ["--ism", "radar", "deep-radar", "--frames", 1, "--out", tmp_path / "report"]
-    ogm("evaluate", data, "--sensor", "ars548-front", *words)
+    run("evaluate", data, "--sensor", "ars548-front", *words)
     assert (tmp_path / "report" / "report.html").exists()
-    ogm("map", data, "--sensor", "radar", "--ism", "radar", "--out", tmp_path / "grids")
+    run("map", data, "--sensor", "radar", "--ism", "radar", "--out", tmp_path / "grids")
     assert len(list((tmp_path / "grids").glob("*.npz"))) == 10
 
 
 def test_a_sensor_that_is_not_there_is_refused_by_name(data: Path, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["fuse", str(data), "--sensor", "sonar", "--out", str(tmp_path / "m.npz")])
+    result = ogm("fuse", data, "--sensor", "sonar", "--out", tmp_path / "m.npz")
     assert result.exit_code == 2
     assert "no sensor 'sonar'" in result.output
 
@@ -132,15 +108,8 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
     of_radar, of_lidar = Scan(points, rcs=echo, doppler=echo, sensor="corner-front-left"), Scan(points)
     radar, lidar = (Frame(one, mount, None, None) for one in (of_radar, of_lidar))
     corner = RADARS["corner"].modes[0]
-    expected = RadarISM(
-        SPEC,
-        mount,
-        half_width=corner.half_width,
-        range_noise=corner.range_resolution / 3,
-        azimuth_noise=corner.azimuth_resolution / 3,
-        reach=35.0,
-        keep_moving=True,
-    )
+    noise = {"range_noise": corner.range_resolution / 3, "azimuth_noise": corner.azimuth_resolution / 3}
+    expected = RadarISM(SPEC, mount, half_width=corner.half_width, reach=35.0, keep_moving=True, **noise)
     np.testing.assert_array_equal(run_model(models, radar).mass, expected(radar.scan).mass)
     np.testing.assert_array_equal(run_model(models, lidar).mass, RayISM(SPEC, mount)(lidar.scan).mass)
     # without a model of their own, radars are mapped as all others
@@ -155,22 +124,24 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
 
 def test_train_and_export_a_network_of_radars(splits: Path, tmp_path: Path) -> None:
     pytest.importorskip("lightning")
-    run, file = tmp_path / "run", tmp_path / "radar.onnx"
-    words = ["train", splits, "--model", "radar", "--out", run, "--batch", 4, "--accelerator", "cpu", "--workers", 0]
-    ogm(*words, "--epochs", 2)
-    assert {path.name for path in run.iterdir()} == {"best.json", "best.safetensors", "log.csv", "state.pt"}
-    with open(run / "log.csv") as rows:
+    trained, file = tmp_path / "run", tmp_path / "radar.onnx"
+    words = [
+        "train", splits, "--model", "radar", "--out", trained, "--batch", 4, "--accelerator", "cpu", "--workers", 0,
+    ]  # fmt: skip
+    run(*words, "--workers", 0, "--epochs", 2)
+    assert {path.name for path in trained.iterdir()} == {"best.json", "best.safetensors", "log.csv", "state.pt"}
+    with open(trained / "log.csv") as rows:
         assert [row["epoch"] for row in csv.DictReader(rows)] == ["1", "2"]
-    description = json.loads((run / "best.json").read_text())
+    description = json.loads((trained / "best.json").read_text())
     assert {name: part["frames"] for name, part in description["data"].items()} == {"training": 8, "validation": 2}
     assert description["data"]["training"]["radars"] == {"ars548-front": "ars548"}
-    before = (run / "state.pt").read_bytes()
-    ogm(*words, "--epochs", 2, "--resume")  # nothing is left to do
-    assert (run / "state.pt").read_bytes() == before
+    before = (trained / "state.pt").read_bytes()
+    run(*words, "--workers", 0, "--epochs", 2, "--resume")  # nothing is left to do
+    assert (trained / "state.pt").read_bytes() == before
 
-    assert "(2, 144, 160) float32" in ogm("export", run, "--out", file)
+    assert "(2, 144, 160) float32" in run("export", trained, "--out", file)
     scan = open_dataset(splits, split="val", sensors=["radar"])[0].scan
-    by_torch, exported = (DeepRadarISM.load(path, noise=radar_noise(scan.sensor)) for path in (run, file))
+    by_torch, exported = (DeepRadarISM.load(path, noise=radar_noise(scan.sensor)) for path in (trained, file))
     np.testing.assert_allclose(exported(scan).mass, by_torch(scan).mass, atol=1e-5)
     assert by_torch(scan).mass.any()
 
@@ -194,7 +165,7 @@ def test_what_a_network_of_radars_lacks_is_refused(splits: Path, data: Path, tmp
         ((splits, "--init", "lite"), "other layers"),
         ((data,), "no split 'training'"),
     ):
-        options = ["--model", "radar", "--batch", "4", "--accelerator", "cpu", "--out", str(tmp_path / "run")]
-        result = CliRunner().invoke(app, ["train", *map(str, words), *options])
+        options = ("--model", "radar", "--batch", 4, "--accelerator", "cpu", "--out", tmp_path / "run")
+        result = ogm("train", *words, *options)
         assert result.exit_code == 2, result.output
         assert message in result.output

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from click.testing import Result
+from commands import ogm
 from foxglove_client import Client, grid_fields
-from typer.testing import CliRunner
 
 from ogm import Scan
-from ogm.cli import app
 from ogm.io.logs import LogWriter
 from ogm.io.messages import StampedTransform, point_cloud2, tf_message
 from ogm.live import frame_bytes
@@ -30,11 +30,7 @@ SMALL = ("--sensor-height", HEIGHT, "--length", 20, "--width", 20, "--resolution
 
 
 def serve(*words: object) -> Result:
-    """Run the command in this process."""
-    result = CliRunner().invoke(app, ["serve", *map(str, words)], env={"COLUMNS": "200"})
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+    return ogm("serve", *words)
 
 
 def scan_at(T: np.ndarray) -> np.ndarray:
@@ -85,7 +81,7 @@ def test_a_drive_plays_to_its_end(drive: Path) -> None:
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int) -> None:
     command = [sys.executable, "-m", "ogm.cli", "serve", str(drive), "--port", "0", *map(str, SMALL)]
     pipes: dict = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -112,7 +108,7 @@ def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int)
         pass
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
+@each("suffix", [".mcap", ".db3"])
 def test_a_log_plays(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"drive{suffix}"
     lidars = {"front": pose(z=HEIGHT)}
@@ -199,7 +195,3 @@ def test_what_makes_no_sense_is_refused_in_one_line(drive: Path, tmp_path: Path)
             assert result.exit_code == 2, words
             assert result.stderr.count("\n") == 1, result.stderr
             assert re.match(f"ogm: .*{line}", result.stderr), (words, result.stderr)
-
-
-def test_the_help_has_an_example() -> None:
-    assert "Example:  ogm serve drive.mcap --rate 1.0" in serve("--help").stdout

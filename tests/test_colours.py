@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import EvidentialGrid, GridSpec, plot
 from ogm.evaluation.figures import COLOURS as METHODS
@@ -40,14 +41,14 @@ def nearest(shown: list[tuple[float, float, float]], eye: str) -> float:
     return min(float(np.linalg.norm(lab(one, eye) - lab(other, eye))) for one, other in combinations(shown, 2))
 
 
-@pytest.mark.parametrize("eye", EYES)
+@each("eye", EYES)
 def test_states_differ_for_every_eye(eye: str) -> None:
     one = colours.COLOURS["safe"]
     assert nearest([one.free, one.occupied, one.unknown], eye) > 60
     assert nearest([tuple(0.5 * part for part in shade) for shade in (one.free, one.occupied, one.unknown)], eye) > 30
 
 
-@pytest.mark.parametrize("eye", EYES)
+@each("eye", EYES)
 def test_what_moves_differs_from_what_stands_behind_the_arrows(eye: str) -> None:
     one = colours.COLOURS["safe"]
     behind = one.mix(0.45 * np.eye(2))  # as `ogm.evaluation.motion_pictures` has it
@@ -56,7 +57,7 @@ def test_what_moves_differs_from_what_stands_behind_the_arrows(eye: str) -> None
         assert nearest([one.dynamic, other], eye) > 30
 
 
-@pytest.mark.parametrize("eye", EYES)
+@each("eye", EYES)
 def test_methods_of_an_evaluation_differ_for_every_eye(eye: str) -> None:
     assert nearest([tuple(int(one[k : k + 2], 16) / 255 for k in (1, 3, 5)) for one in METHODS], eye) > 15
 

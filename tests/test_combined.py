@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -194,9 +195,7 @@ def test_models_must_fill_the_same_grid():
         CombinedISM([Given(np.zeros((3, 4, 2), np.float32)), other])
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "text"),
-    [
+@each("options, error, text", [
         ({"models": []}, ValueError, "at least one sensor model"),
         ({"models": ["ray"]}, TypeError, "callables with a .spec"),
         ({"rule": "dempster"}, TypeError, "rule must be a function"),
@@ -208,8 +207,7 @@ def test_models_must_fill_the_same_grid():
         ({"free_gates": [None, FreeGate(0.5, 0.7, 0.7)]}, ValueError, "0 <= low < high"),
         ({"keep_hits": 2}, ValueError, "number of a model, 0 to 1, got 2"),
         ({"keep_hits": -1}, ValueError, "number of a model, 0 to 1, got -1"),
-    ],
-)
+    ])  # fmt: skip
 def test_what_does_not_fit_is_refused(options, error, text):
     models = [Given(np.zeros((3, 4, 2), np.float32))] * 2
     with pytest.raises(error, match=text):

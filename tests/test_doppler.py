@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import Mount, Scan
 from ogm.geometric.doppler import RadialVelocities, moving_detections, radial_velocities
@@ -27,15 +28,11 @@ def street(mount: Mount, own: tuple[float, float], car: tuple[float, float], rng
     return Scan(points.astype(np.float32), doppler=doppler.astype(np.float32))
 
 
-@pytest.mark.parametrize(
-    "mount",
-    [
+@each("mount", [
         Mount(0.6, pose(3.7, 0.0, 0.6), ego_footprint=(-1.0, 3.9, -1.0, 1.0)),
         Mount(0.6, pose(3.0, 0.8, 0.6, yaw=0.9, pitch=0.05), ego_footprint=(-1.0, 3.9, -1.0, 1.0)),
         Mount(0.6, pose(3.7, 0.0, 0.6, yaw=-0.5), points_in="vehicle"),
-    ],
-    ids=["front", "corner", "vehicle frame"],
-)
+    ])  # fmt: skip
 def test_speeds_are_over_ground_and_places_in_the_vehicle_frame(mount):
     car = np.array([-7.0, 1.5])
     scan = street(mount, (12.0, 0.4), car, np.random.default_rng(0))
@@ -96,17 +93,14 @@ def test_in_another_frame_places_and_directions_turn_and_speeds_stay():
     assert moved.speed == one.speed
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
+@each("wrong, message", [
         ({"xy": np.zeros((2, 2))}, "xy of radial velocities must have shape"),
         ({"speed": np.zeros((1, 1))}, "speed of radial velocities must have shape"),
         ({"speed": np.array([np.nan])}, "speed of radial velocities must be finite"),
         ({"deviation": np.zeros(1)}, "deviation of radial velocities must be above 0"),
         ({"extent": np.array([[1.0, -1.0]])}, "extent of radial velocities must be above 0"),
         ({"direction": np.array([[3.0, 4.0]])}, "unit vectors"),
-    ],
-)
+    ])  # fmt: skip
 def test_columns_that_do_not_fit_are_refused(wrong, message):
     good = RadialVelocities(np.zeros((1, 2)), np.array([[0.6, 0.8]]), np.zeros(1), np.ones(1), np.ones((1, 2)))
     assert good.checked().dense is False

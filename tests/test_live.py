@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from foxglove_client import Client, fields_of, grid_fields
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,17 +27,8 @@ from scipy.spatial.transform import Rotation
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, OgmError, Scan
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, rolling_window
 from ogm.geometric import RayISM
-from ogm.live import (
-    FoxglovePublisher,
-    LiveReport,
-    NewestFrames,
-    frame_bytes,
-    receive_frames,
-    return_large_blocks,
-    serve,
-    stream,
-    warm_up,
-)
+from ogm.live import FoxglovePublisher, LiveReport, NewestFrames, frame_bytes, receive_frames, serve, stream, warm_up
+from ogm.live.memory import return_large_blocks
 from ogm.pose import inverse, pose
 from ogm.scan import LazyFrame
 
@@ -169,6 +161,7 @@ def test_what_nobody_subscribed_to_is_not_made(monkeypatch: pytest.MonkeyPatch) 
         assert client.receive().topic == "/tf"
 
 
+@pytest.mark.slow
 def test_a_viewer_that_reads_nothing_holds_up_nothing() -> None:
     """The SDK's own backlog of 1024 messages would take gigabytes."""
     wide = EvidentialMapper(GridSpec.centered(160, 160, 0.25))  # 6.6 MB a message
@@ -297,13 +290,9 @@ def test_a_new_sequence_or_a_clock_put_back_begin_anew() -> None:
     assert time.monotonic() - start < 5
     errors: list[str] = []
     report = serve(
-        [*later, frame(0, sequence="b"), frame(1, sequence="b")],
-        LShape(),
-        mapper(),
-        ignore,
-        rate=1.0,
+        [*later, frame(0, sequence="b"), frame(1, sequence="b")], LShape(), mapper(), ignore, rate=1.0,
         on_error=lambda _, error: errors.append(str(error)),
-    )
+    )  # fmt: skip
     assert (report.mapped, report.dropped, report.failed) == (3, 0, 2)  # by the mapper's rules
     assert "older than the map" in errors[0]
 
@@ -363,7 +352,7 @@ def test_damaged_frames_are_counted_and_left_out() -> None:
         assert "no pose" in errors["placeless"]
 
 
-@pytest.mark.parametrize("rate", [None, 1.0])
+@each("rate", [None, 1.0])
 def test_an_error_of_the_publisher_ends_it(rate: float | None) -> None:
     def broken(*_: object) -> None:
         raise RuntimeError("the link is down")
@@ -391,7 +380,7 @@ def test_an_error_of_the_driver_is_raised_after_what_came_was_mapped() -> None:
     assert taken == ["0"]
 
 
-@pytest.mark.parametrize("rate", [None, 0.001])
+@pytest.mark.parametrize("rate", [None, pytest.param(0.001, marks=pytest.mark.slow)])
 def test_a_duration_an_event_and_ctrl_c_end_it(rate: float | None) -> None:
     frames = endless() if rate is None else [frame(k) for k in range(3)]
     report = serve(frames, LShape(), mapper(), ignore, rate=rate, duration=0.5)
@@ -418,7 +407,7 @@ def test_reports_come_regularly_and_add_up() -> None:
     assert math.isnan(empty.p99)
 
 
-@pytest.mark.parametrize("fused", [mapper(), BinaryBayesMapper(rolling_window(SPEC))])
+@each("fused", [mapper(), BinaryBayesMapper(rolling_window(SPEC))])
 def test_warming_up_leaves_the_map_as_it_is(fused: EvidentialMapper | BinaryBayesMapper) -> None:
     serve([frame(5)], LShape(), fused, ignore)
     before = fused.grid
@@ -516,7 +505,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("data", WRONG, ids=list(WRONG.values()))
+@each("data", WRONG)
 def test_a_wrong_message_ends_its_connection_alone(listener: socket.socket, data: bytes) -> None:
     with Receiver(listener) as receiver:
         with sender(listener) as driver:
@@ -603,6 +592,7 @@ print(resident() - before)
 """
 
 
+@pytest.mark.slow
 def test_large_blocks_go_back_to_the_system_though_small_ones_lie_between_them() -> None:
     if not sys.platform.startswith("linux") or platform.libc_ver()[0] != "glibc":
         pytest.skip("of glibc")

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from cases import each
 
 import ogm.storage.files
 from ogm.io.grids.paths import whole_path
@@ -89,7 +90,7 @@ def test_what_a_killed_process_left_is_swept_by_the_next_that_writes(tmp_path: P
     assert os.listdir(tmp_path) == ["c.bin"]
 
 
-@pytest.mark.parametrize("kind", ["named", "unnamed"])
+@each("kind", ["named", "unnamed"])
 def test_what_a_running_process_writes_is_not_swept(tmp_path: Path, kind: str) -> None:
     (tmp_path / ".ogm-0123456789abcdef.tmp").write_bytes(b"of a killed one")
     (tmp_path / ".ogm-mine.tmp").write_bytes(b"of someone else")
@@ -136,7 +137,7 @@ def test_a_temporary_folder_is_made_again_if_another_process_sweeps_it(
     assert not os.listdir(tmp_path)
 
 
-@pytest.mark.parametrize("exchange", [True, False])
+@each("exchange", [True, False])
 def test_a_folder_takes_the_place_of_another_whole(
     tmp_path: Path, exchange: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

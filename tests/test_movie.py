@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from moving import street
 from PIL import Image
 
@@ -27,7 +28,7 @@ def add(film: movie.Movie, k: int, stamp: float) -> None:
     film.add(points, panels(k), f"scan {k}", stamp)
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@each("suffix", SUFFIXES)
 def test_frames_come_back_as_they_were_written(suffix: str) -> None:
     frames = [Image.new("RGB", (21, 13), colour) for colour in ((41, 120, 217), (255, 166, 31), (0, 0, 0))]
     frames[1].paste((240, 240, 240), (3, 4, 9, 8))
@@ -46,7 +47,7 @@ def test_frames_come_back_as_they_were_written(suffix: str) -> None:
             assert away.mean() < 8 if suffix == ".webp" else not away.any()  # WebP is lossy
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@each("suffix", SUFFIXES)
 def test_a_film_has_a_frame_per_scan_at_the_pace_of_their_stamps(suffix: str, tmp_path: Path) -> None:
     stamps = (0.0, 0.1, 0.4, 9.0, 9.001)
     with movie.open_movie(tmp_path / f"m{suffix}", SPEC, TITLES, -1.8) as film:
@@ -63,7 +64,7 @@ def test_a_film_has_a_frame_per_scan_at_the_pace_of_their_stamps(suffix: str, tm
     assert durations == [100, 300, 2000, 20, 1000]
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@each("suffix", SUFFIXES)
 def test_memory_does_not_grow_with_the_number_of_frames(suffix: str, tmp_path: Path) -> None:
     size, noise = (400, 300), np.random.default_rng(0)
     held = []

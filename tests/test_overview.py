@@ -3,7 +3,7 @@
 from itertools import product
 
 import numpy as np
-import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -45,7 +45,7 @@ def test_masses_are_at_most_half_a_step_off_and_sum_to_at_most_one(first: float,
     assert steps.sum() <= 255
 
 
-@pytest.mark.parametrize(("mass", "steps"), [((0.5, 0.5), (127, 128)), ((1, 0), (255, 0)), ((0, 1), (0, 255))])
+@each("mass, steps", [((0.5, 0.5), (127, 128)), ((1, 0), (255, 0)), ((0, 1), (0, 255))])
 def test_ends_and_halves_are_exact(mass: tuple[float, float], steps: tuple[int, int]) -> None:
     assert mass_to_bytes(np.array(mass, np.float32)).tolist() == list(steps)
 

@@ -1,14 +1,13 @@
 """What ``import ogm`` costs and loads, import contracts, and the documentation: examples run, tables match records."""
 
 import doctest
-import importlib
-import inspect
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from cases import each
 
 import ogm
 
@@ -74,32 +73,6 @@ def modules() -> list[str]:
     return [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths]
 
 
-def test_every_public_name_is_documented() -> None:
-    packages = (
-        "evidence",
-        "pose",
-        "storage.files",
-        "grid",
-        "state",
-        "scan",
-        "io",
-        "truth",
-        "geometric",
-        "plot",
-        "plot.movie",
-        "metrics",
-        "models",
-        "calibration",
-        "workflows",
-    )
-    for package in (*packages, "deep", "fusion", "live", "datasets", "evaluation"):
-        module = importlib.import_module(f"ogm.{package}")
-        for name in module.__all__:
-            value = getattr(module, name)
-            if inspect.isclass(value) or inspect.isroutine(value):
-                assert value.__doc__, f"ogm.{package}.{name} has no docstring"
-
-
 def test_no_module_has_the_name_of_a_public_function_beside_it() -> None:
     """``from ogm.fusion import warp`` must never give a module where a function is meant, or the reverse."""
     names = modules()
@@ -147,9 +120,7 @@ def test_examples_of_the_documentation_run(
     assert found.failed == 0
 
 
-@pytest.mark.parametrize(
-    "page", [*PAGES, ROOT / "benchmarks/README.md", ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name
-)
+@each("page", [*PAGES, ROOT / "benchmarks/README.md", ROOT / "CONTRIBUTING.md"])
 def test_links_of_the_documentation_lead_somewhere(page: Path) -> None:
     text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
     for link in re.findall(r"\]\(([^)\s]+)\)", text):

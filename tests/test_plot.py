@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from moving import SPEC as MOVING
 from moving import street
 
@@ -104,7 +105,7 @@ def test_axes_have_round_numbers() -> None:
         assert plot.figures._step(length) == pytest.approx(step)
 
 
-@pytest.mark.parametrize("call", [plot.show, lambda *a, **k: plot.save_picture("x.png", *a, **k)])
+@each("call", [plot.show, lambda *a, **k: plot.save_picture("x.png", *a, **k)])
 def test_what_cannot_be_shown_is_refused(call, ell: EvidentialGrid) -> None:
     with pytest.raises(ValueError, match="nothing to show"):
         call()
@@ -169,7 +170,7 @@ RECORDINGS = {  # sensor: file, axes
 }
 
 
-@pytest.mark.parametrize("sensor", RECORDINGS)
+@each("sensor", RECORDINGS)
 def test_every_point_of_every_sensor_is_drawn_and_readable(sensor: str, real: Callable[[str], Path]) -> None:
     name, axes = RECORDINGS[sensor]
     points = read_scan(real(name), axes=axes).points
@@ -227,13 +228,8 @@ def test_velocities_are_shown_by_direction_and_speed() -> None:
     x[3, 3] = 1
     panel = plot.velocity_panel(LayeredGrid(SPEC, {"velocity_x": x, "velocity_y": y}))
     assert "4 m/s" in panel.title
-    for cell, name in (
-        ((0, 0), "forward"),
-        ((0, 1), "left"),
-        ((1, 0), "backward"),
-        ((1, 1), "right"),
-        ((6, 4), "none"),
-    ):
+    places = {"forward": (0, 0), "left": (0, 1), "backward": (1, 0), "right": (1, 1), "none": (6, 4)}
+    for name, cell in places.items():
         assert np.abs(panel.image[cell] - 255 * np.array(panel.legend[name])).max() <= 1
     half = np.abs(panel.image[3, 1].astype(int) - panel.image[0, 0] // 2)  # a quarter of the speed
     assert half.max() <= 1

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from cases import each
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
 import record_tables
@@ -67,18 +68,18 @@ def test_records_become_tables_whose_last_row_is_of_all(results: Path) -> None:
     assert tables.failed() == ["RayISM: p99: 1.25 x"]
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "found"),
-    [
+@each("name, change, found", [
         ("fuzz", {"crashes": 1}, "crashes: 1"),
         ("fuzz", {"undocumented": 2}, "undocumented: 2"),
         ("faults", {"survived": 3}, "not survived: 2"),
         ("faults", {"lost": 1}, "lost: 1"),
         ("faults", {"left behind": 1}, "left behind: 1"),
         ("faults", {"full disk": {"failures": ["a.npz is cut"]}}, "full disk: a.npz is cut"),
-    ],
-)
-def test_what_must_be_0_and_is_not_is_found(results: Path, name: str, change: dict, found: str) -> None:
+    ])  # fmt: skip
+def test_what_must_be_0_and_is_not_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, change: dict, found: str
+) -> None:
+    monkeypatch.setattr(record_tables, "RESULTS", tmp_path)
     record = {"fuzz": FUZZ, "faults": FAULTS}[name] | change
-    (results / f"{name}.json").write_text(json.dumps(record))
+    (tmp_path / f"{name}.json").write_text(json.dumps(record))
     assert tables.failed() == [found]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from moving import street
 from PIL import Image
 
@@ -130,14 +131,8 @@ def test_a_scan_is_shown_around_the_sensor() -> None:
     assert ((lit[:, 0] < 0.3 * middle) | (lit[:, 1] < 0.3 * middle)).all()
     assert {bool(row < middle / 2) for row, _ in lit} == {True, False}
     text = " ".join(Checked(scan_of(ring=np.zeros(500), no_returns=np.zeros((7, 3)))._repr_html_()).texts)
-    for part in (
-        "VLP-16",
-        "points 500",
-        "12.500 s",
-        "x, y, z, intensity, ring",
-        "beams without echo 7",
-        "z -2.0 … 1.0 m",
-    ):
+    parts = ("VLP-16", "points 500", "12.500 s", "x, y, z, intensity, ring", "beams without echo 7", "z -2.0 … 1.0 m")
+    for part in parts:
         assert part in text
     assert pixels(Scan(points[:0])._repr_png_()).shape == image.shape
     assert "points 0" in " ".join(Checked(Scan(points[:0])._repr_html_()).texts)
@@ -165,9 +160,7 @@ def test_a_notebook_gets_both_kinds() -> None:
         assert {"text/plain", "text/html", "image/png"} <= set(found)
 
 
-@pytest.mark.parametrize(
-    "make", ["EvidentialGrid.vacuous(GridSpec.centered())", "LayeredGrid(GridSpec.centered(), {})"]
-)
+@each("make", ["EvidentialGrid.vacuous(GridSpec.centered())", "LayeredGrid(GridSpec.centered(), {})"])
 def test_drawing_is_loaded_when_a_notebook_asks(make: str) -> None:
     code = f"import sys; from ogm import EvidentialGrid, GridSpec, LayeredGrid; grid = {make}; "
     code += "before = set(sys.modules); grid._repr_html_(); "
@@ -178,7 +171,7 @@ def test_drawing_is_loaded_when_a_notebook_asks(make: str) -> None:
     assert done.stdout.split() == ["|", "False"]  # masses are drawn without matplotlib
 
 
-@pytest.mark.parametrize("scan", ["nebula_apache2/vlp16/*.pcd", "kitti_odometry_00/000000.bin"])
+@each("scan", ["nebula_apache2/vlp16/*.pcd", "kitti_odometry_00/000000.bin"])
 def test_real_scans_fill_their_picture(scan: str, real: Callable[[str], Path]) -> None:
     from ogm import read_scan
 

@@ -1,7 +1,7 @@
 """Rotations against SciPy's."""
 
 import numpy as np
-import pytest
+from cases import each
 from scipy.spatial.transform import Rotation, Slerp
 
 from ogm.pose import Trajectory, matrix_to_quaternion, matrix_to_vector, pose, quaternion_to_matrix, vector_to_matrix
@@ -27,7 +27,7 @@ def test_angles_are_applied_about_fixed_axes_in_this_order() -> None:
         np.testing.assert_allclose(pose(roll=roll, pitch=pitch, yaw=yaw)[:3, :3], expected, atol=1e-14)
 
 
-@pytest.mark.parametrize("shape", [(), (0,), (1,), (40,), (4, 5)])
+@each("shape", [(), (0,), (1,), (40,), (4, 5)])
 def test_a_trajectory_turns_as_slerp_does(shape: tuple[int, ...]) -> None:
     stamps = np.cumsum(np.random.default_rng(2).uniform(0.1, 1.0, 20))
     poses = np.tile(np.eye(4), (20, 1, 1))

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from cases import each
 from typer.main import get_command
 
 import ogm
@@ -22,22 +23,12 @@ DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md")])
 INTERNAL = {  # modules with __all__ that are not for users
     *(
-        "archive",
-        "cli",
-        "extras",
-        "jit",
-        "locks",
-        "notebook",
-        "pool",
-        "remote",
-        "rotation",
-        "view_layers",
-        "geometric.reference",
-        "io.formats",
+        "archive", "cli", "extras", "jit", "locks", "notebook", "pool", "remote", "rotation", "view_layers",
+        "geometric.reference", "io.formats",
     ),
     "io.grids",  # its names are in ogm.io
     *("simulation.town", "simulation.traffic"),
-}
+}  # fmt: skip
 
 
 def load(file: Path) -> ModuleType:
@@ -68,7 +59,7 @@ def test_every_public_module_is_in_the_reference() -> None:
     assert found - {f"ogm.{name}" for name in INTERNAL} <= set(site_pages.MODULES)
 
 
-@pytest.mark.parametrize("module", site_pages.MODULES)
+@each("module", site_pages.MODULES)
 def test_every_public_name_is_on_its_page_with_a_description(module: str) -> None:
     page = site_pages.module_page(module)
     names = importlib.import_module(module).__all__
@@ -121,7 +112,7 @@ MODULES = [
 ]
 
 
-@pytest.mark.parametrize("module", MODULES)
+@each("module", MODULES)
 def test_examples_of_the_reference_run(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     options = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE

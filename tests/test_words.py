@@ -51,16 +51,11 @@ ALLOWED = {
 FILES = sorted(
     path
     for pattern in (
-        "ogm/**/*.py",
-        "ogm/data/report.*",
-        "docs/*.md",
-        "docs/*.py",
-        "README.md",
-        "pyproject.toml",
+        "ogm/**/*.py", "ogm/data/report.*", "docs/*.md", "docs/*.py", "README.md", "pyproject.toml",
         "CONTRIBUTING.md",
     )
     for path in ROOT.glob(pattern)
-)
+)  # fmt: skip
 
 
 LINES = [

@@ -50,12 +50,9 @@ def scan(k: int) -> tuple[np.ndarray, np.ndarray]:
     wall = np.column_stack([rng.uniform(13.0, 13.1, 3000), rng.uniform(-9, 9, 3000), rng.uniform(0.4, 1.9, 3000)])
     own = np.tile([k + 0.4, 0.2, 1.4], (40, 1)) + rng.uniform(0, 0.2, (40, 3))
     parts = {
-        "road": ground,
-        "building": wall,
-        "car": on_box(PARKED, 900, rng),
-        "moving-car": on_box(driving(k), 900, rng),
+        "road": ground, "building": wall, "car": on_box(PARKED, 900, rng), "moving-car": on_box(driving(k), 900, rng),
         "outlier": own,
-    }
+    }  # fmt: skip
     points = np.concatenate(list(parts.values())) - [k, 0, HEIGHT]
     names = np.repeat(list(parts), [len(part) for part in parts.values()])
     return np.column_stack([points, np.full(len(points), 0.5)]).astype(np.float32), names
@@ -208,14 +205,10 @@ def write_nuscenes(folder: Path, version: str = "v1.0-mini") -> None:
         for sensor, key_frame in (("lidar", True), ("camera", True), ("lidar", False)):
             name = f"samples/LIDAR_TOP/n__LIDAR_TOP__{10**15 + 100_000 * k}.pcd.bin"
             row = {
-                "token": f"{k} {sensor} {key_frame}",
-                "sample_token": sample,
-                "ego_pose_token": pose,
-                "calibrated_sensor_token": sensor,
-                "timestamp": 10**15 + 100_000 * k,
-                "is_key_frame": key_frame,
+                "token": f"{k} {sensor} {key_frame}", "sample_token": sample, "ego_pose_token": pose,
+                "calibrated_sensor_token": sensor, "timestamp": 10**15 + 100_000 * k, "is_key_frame": key_frame,
                 "filename": name if sensor == "lidar" else "samples/CAM_FRONT/x.jpg",
-            }
+            }  # fmt: skip
             tables["sample_data"].append(row)
         write_nuscenes_points(folder / name, k)
         for name, box in zip(("parked", "driving"), boxes(k), strict=True):
@@ -224,14 +217,11 @@ def write_nuscenes(folder: Path, version: str = "v1.0-mini") -> None:
             middle = placed @ [box[0], box[1], (box[5] + box[6]) / 2, 1]
             tables["sample_annotation"].append(
                 {
-                    "token": f"{k} {name}",
-                    "sample_token": sample,
-                    "instance_token": name,
-                    "translation": middle[:3].tolist(),
-                    "size": [box[4], box[3], box[6] - box[5]],
+                    "token": f"{k} {name}", "sample_token": sample, "instance_token": name,
+                    "translation": middle[:3].tolist(), "size": [box[4], box[3], box[6] - box[5]],
                     "rotation": quaternion(placed @ turned),
                 }
-            )
+            )  # fmt: skip
     (folder / version).mkdir(parents=True)
     for name, rows in tables.items():
         (folder / version / f"{name}.json").write_text(json.dumps(rows))
@@ -353,16 +343,10 @@ def write_sustech(folder: Path) -> None:
 
 
 WRITERS: dict[str, Callable[[Path], None]] = {
-    "kitti object": write_kitti_object,
-    "kitti tracking": write_kitti_tracking,
-    "kitti raw": write_kitti_raw,
-    "scans and poses": write_scans_and_poses,
-    "semantic kitti": write_semantic_kitti,
-    "nuscenes": write_nuscenes,
-    "mmdet3d": write_mmdet3d,
-    "argoverse 2": write_argoverse2,
-    "sustech": write_sustech,
-}
+    "kitti object": write_kitti_object, "kitti tracking": write_kitti_tracking, "kitti raw": write_kitti_raw,
+    "scans and poses": write_scans_and_poses, "semantic kitti": write_semantic_kitti, "nuscenes": write_nuscenes,
+    "mmdet3d": write_mmdet3d, "argoverse 2": write_argoverse2, "sustech": write_sustech,
+}  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -384,11 +368,11 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 def fresh(tmp_path: Path) -> Callable[[str], Path]:
     """Return a folder of the street that a test may damage."""
 
-    def make(name: str) -> Path:
-        WRITERS[name](tmp_path / "day" / "data")
-        return tmp_path / "day" / "data"
+    def make(name: str, folder: Path = tmp_path) -> Path:
+        (folder / "day").mkdir()
+        WRITERS[name](folder / "day" / "data")
+        return folder / "day" / "data"
 
-    (tmp_path / "day").mkdir()
     return make
 
 

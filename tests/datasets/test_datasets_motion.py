@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.datasets import open_dataset
 from ogm.datasets.frames import FrameRef, RawFrame
@@ -63,7 +64,7 @@ def test_velocities_of_tracks_are_over_ground_along_the_sensors_axes() -> None:
         assert not motion.known[motion.box == 1].any()
 
 
-@pytest.mark.parametrize("n", [0, 2, 9, 11])
+@each("n", [0, 2, 9, 11])
 def test_nothing_is_known_of_the_first_and_last_frames_of_a_track(n: int) -> None:
     motion = motions().cells(n, TRUTH_SPEC)
     assert np.isnan(motions().boxes(n).velocity).all()

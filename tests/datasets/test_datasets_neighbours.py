@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import GridSpec
 from ogm.datasets import truth_from_neighbours
@@ -131,14 +132,11 @@ def test_cars_walls_and_ghosts_are_no_ground() -> None:
     assert find_ground(np.empty((0, 3))).shape == (0,)
 
 
-@pytest.mark.parametrize(
-    ("names", "ground", "plants", "nothing"),
-    [
+@each("names, ground, plants, nothing", [
         (SEMANTIC_KITTI, {40, 44, 48, 49, 60, 72}, {70}, {0, 1}),
         (SEMANTIC_KITTI_TRAINING, {9, 10, 11, 12, 17}, {15}, {0}),
         (NUSCENES_ELEVEN, {0, 1}, {4}, {10}),
-    ],
-)
+    ])  # fmt: skip
 def test_what_a_class_is_to_a_car(names, ground, plants, nothing) -> None:
     numbers = np.array(sorted(names))
     kinds = kinds_of(LabelledPoints(np.zeros((len(numbers), 4), np.float32), numbers, names))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.datasets import frame_numbers
 from ogm.datasets.paths import drive_of, in_order, pose_files, poses_of, scan_name, scan_paths
@@ -41,9 +42,7 @@ def test_scans_come_by_number(tmp_path) -> None:
     assert [scan_name(path) for path in scan_paths(tmp_path)] == ["2", "9", "10"]
 
 
-@pytest.mark.parametrize(
-    ("first", "unit"), [(7, 0.1), (1_317_042_145_964, 1e-3), (1317042145964389, 1e-6), (1317042145964389445, 1e-9)]
-)
+@each("first, unit", [(7, 0.1), (1_317_042_145_964, 1e-3), (1317042145964389, 1e-6), (1317042145964389445, 1e-9)])
 def test_names_of_scans_tell_the_time(first, unit) -> None:
     scans = [Path(f"{first + round(k * 0.2 / unit):010}.bin") for k in range(3)]
     stamps = [ref.stamp for ref, _ in drive_of("d", scans)]

@@ -1,17 +1,14 @@
 """Real datasets open by their path, and their truth is plausible. Without the datasets, tests are skipped."""
 
-import json
 from functools import lru_cache
 
 import numpy as np
 import pytest
+from cases import each
 
-from ogm import GridSpec
 from ogm.datasets import open_dataset
 from ogm.io import read_calibration, read_points
 from ogm.io.kitti import read_kitti_tracks
-from ogm.io.range_images import read_range_image
-from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_TRAINING
 from ogm.state import CellState
 from ogm.truth import TRUTH_SPEC, cells_in_boxes
 
@@ -30,7 +27,7 @@ RECORDINGS = {  # frames, sources, sensor height [m], shares of free and occupie
 }
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
+@each("name", RECORDINGS)
 def test_a_dataset_opens_by_its_path_and_its_truth_is_plausible(real, name):
     frames, sources, height, free, occupied = RECORDINGS[name]
     dataset = opened(real(name))
@@ -93,43 +90,6 @@ def test_argoverse_is_seen_from_its_upper_lidar(real):
     assert (road == FREE).mean() > 0.9
 
 
-def test_semantic_kittis_own_files_give_the_same_truth_as_the_range_image(real, tmp_path):
-    folder = real("labelled_range_images/semantic_kitti")
-    back = {name: number for number, name in SEMANTIC_KITTI.items()}
-    for part in ("velodyne", "labels"):
-        (tmp_path / "sequences" / "00" / part).mkdir(parents=True)
-    image = read_range_image(folder / "1.npy.xz", SEMANTIC_KITTI_TRAINING)
-    image.points.tofile(tmp_path / "sequences" / "00" / "velodyne" / "000001.bin")
-    numbers = np.array([back[word] for word in image.named()], "<u4")
-    numbers.tofile(tmp_path / "sequences" / "00" / "labels" / "000001.label")
-    own, packed = open_dataset(tmp_path), open_dataset(folder / "1.npy.xz")
-    assert (own.format, len(own), own._truth.sources) == ("SemanticKITTI", 1, ("classes",))
-    assert (own[0].truth.state == packed[0].truth.state).all()
-    assert (own[0].scan.points == packed[0].scan.points).all()
-
-
-def test_kittis_own_layout_of_a_drive_gives_the_same_truth(real, tmp_path):
-    """Scans 81 to 83 as KITTI ships them: .bin in velodyne_points/data, the calibration of the day above."""
-    folder = real("kitti_raw_0005")
-    day = tmp_path / "2011_09_26"
-    drive = day / "2011_09_26_drive_0005_sync"
-    (drive / "velodyne_points" / "data").mkdir(parents=True)
-    for k in (81, 82, 83):
-        read_points(folder / f"{k:010}.pcd.xz").tofile(drive / "velodyne_points" / "data" / f"{k:010}.bin")
-    (drive / "label_02_0000.txt").write_bytes((folder / "label_02_0000.txt").read_bytes())
-    (day / "calib.txt").write_bytes((folder / "calib_2011_09_26.txt").read_bytes())
-    (drive / "derived").mkdir()
-    poses = (folder / "derived" / "poses_lidar_gicp.txt").read_text()
-    (drive / "derived" / "poses.txt").write_text(poses)
-    one, other = open_dataset(drive, others="later")[0], opened(folder, others="later")[21]
-    assert one.name == other.name == "0000000081"
-    assert (one.scan.points == other.scan.points).all()
-    assert (one.boxes.center == other.boxes.center).all()
-    np.testing.assert_allclose(one.T_map_sensor, other.T_map_sensor)
-    agree = one.truth.state == other.truth.state  # moving objects follow from fewer scans here
-    assert agree.mean() > 0.99
-
-
 def test_a_truth_is_that_of_the_scans_own_surroundings(real):
     """Turned by 10 degrees or moved half a metre aside, a scan's obstacles no longer lie on those of the truth."""
     frame = opened(real("kitti_odometry_00"))[0]
@@ -152,23 +112,3 @@ def test_an_unlabelled_scan_has_no_truth_and_keeps_its_beams_without_echo(real):
     assert len(frame.scan.no_returns) > 1000
     with pytest.raises(ValueError, match=r"looked for: poses .*add them"):
         _ = frame.truth
-
-
-def test_crops_for_the_papers_grid(real):
-    """The truth lies on an extent from which any turn of the paper's grid can be cut."""
-    frame = opened(real("labelled_range_images/nuscenes"))[0]
-    spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
-    straight = frame.truth.crop(spec)
-    assert (straight.state == frame.truth.state[56:568, 136:488]).all()
-
-
-def test_boxes_of_nuscenes_are_those_of_the_file(real):
-    path = real("nuscenes_n015/*.json")
-    frame = open_dataset(path.parent)[0]
-    instances = json.loads(path.read_text())["frame"]["instances"]
-    assert len(frame.boxes) == len(instances) == 69
-    counts = np.array([one["num_lidar_pts"] for one in instances])
-    sure = frame.boxes.select(counts >= 70)  # some of those returns are from the ground
-    covered = cells_in_boxes(sure, TRUTH_SPEC)
-    assert covered.sum() > 100
-    assert (frame.truth.state[covered] == OCCUPIED).all()

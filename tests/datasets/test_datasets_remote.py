@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
+from samples import flat_sample
 
 from ogm.datasets import open_dataset
+from ogm.pose import pose
 from ogm.simulation.sample import OBJECT, Beams, SimulatedSample
 from ogm.simulation.store import Damaged, Store
-from ogm.state import Truth
 from ogm.storage import remote
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath, as_path, object_store
@@ -25,15 +27,9 @@ def sample(index: int, split: str) -> SimulatedSample:
     rng, objects = np.random.default_rng((index, len(split))), np.zeros(2, OBJECT)
     for name in ("length", "width", "height", "x"):
         objects[name] = rng.uniform(1, 5, 2)
-    arrays = {
-        "steps": rng.integers(0, 5000, BEAMS.shape).astype(np.uint16),
-        "intensities": rng.integers(0, 256, BEAMS.shape).astype(np.uint8),
-        "truth": Truth(TRUTH_SPEC, rng.integers(0, 3, TRUTH_SPEC.shape).astype(np.uint8)),
-        "objects": objects,
-    }
-    poses = {"T_world_sensor": np.eye(4), "T_vehicle_sensor": np.eye(4) + np.eye(4, k=3)[[2, 1, 0, 3]] * 1.8}
-    rest = {"velocity": np.zeros(3), "yaw_rate": 0.0, "stamp": 0.1 * index, "scenario": index // 10}
-    return SimulatedSample(beams=BEAMS, split=split, index=index, **arrays, **poses, **rest)  # type: ignore[arg-type]
+    steps, state = rng.integers(0, 5000, BEAMS.shape).astype(np.uint16), rng.integers(0, 3, TRUTH_SPEC.shape)
+    facts = {"objects": objects, "stamp": 0.1 * index, "scenario": index // 10}
+    return flat_sample(split, index, steps, state, beams=BEAMS, T_vehicle_sensor=pose(z=1.8), **facts)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +62,7 @@ def nothing_in_memory() -> None:
     remote._objects.cache_clear()
 
 
-@pytest.mark.parametrize("split", ["training", "sequences"])
+@each("split", ["training", "sequences"])
 def test_frames_in_a_bucket_are_those_of_the_folder(folder: Path, uploaded: S3, split: str) -> None:
     here, there = open_dataset(folder, split=split), open_dataset(URL, storage=uploaded, split=split)
     assert (here.name, here.facts) == (there.name, there.facts)

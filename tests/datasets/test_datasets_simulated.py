@@ -5,53 +5,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
+from samples import BEAMS, flat_sample, flat_steps
 
 from ogm.datasets import open_dataset, with_poses
 from ogm.pose import pose
 from ogm.scan import Mount
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.sample import LABELS, OBJECT, SimulatedSample
 from ogm.simulation.store import Store
-from ogm.state import CellState, Truth
+from ogm.state import CellState
 from ogm.storage.files import OgmError
 from ogm.truth import TRUTH_SPEC
-
-BEAMS = Beams(
-    "test-16",
-    elevation=tuple(np.radians(np.linspace(-20, 3, 16))),
-    azimuth=(np.pi,) * 16,
-    step=-2 * np.pi / 360,
-    columns=360,
-    rate=10.0,
-    origin=((0.0, 0.0, 0.0),) * 16,
-)
 
 
 def sample(split: str, index: int) -> SimulatedSample:
     """Flat ground around a vehicle that goes 0.4 m forward per sample; a car ahead turns by 0.05 rad."""
-    z = BEAMS.directions[..., 2].astype(np.float64)
-    with np.errstate(divide="ignore"):
-        distance = np.where(z < 0, -1.9 / z, np.inf)
-    steps = np.where(distance < 60, distance / RANGE_STEP, 0).astype(np.uint16)
     state = np.zeros(TRUTH_SPEC.shape, np.uint8)
     state[200:400], state[400:410] = CellState.FREE, CellState.OCCUPIED
     car = np.zeros(1, OBJECT)
     car[["x", "y", "z", "length", "width", "height"]] = [(9.0, 1.0, -1.1, 4.0, 2.0, 1.5)]
     car["track"], car["vx"], car["yaw"] = 7, 3.0, 0.25 + 0.05 * (index - 3)
-    return SimulatedSample(
-        beams=BEAMS,
-        steps=steps,
-        intensities=np.where(steps > 0, 30, 0).astype(np.uint8),
-        truth=Truth(TRUTH_SPEC, state),
-        objects=car,
-        T_world_sensor=pose(0.4 * index, 0, 1.9),
-        T_vehicle_sensor=pose(1.0, 0.1, 1.9, pitch=0.02),
-        velocity=np.zeros(3),
-        yaw_rate=0.0,
-        stamp=20 + 0.1 * index,
-        split=split,
-        index=index,
-        scenario=index // 5,
-    )
+    places = {"T_world_sensor": pose(0.4 * index, 0, 1.9), "T_vehicle_sensor": pose(1.0, 0.1, 1.9, pitch=0.02)}
+    facts = {"objects": car, "stamp": 20 + 0.1 * index, "scenario": index // 5, **places}
+    return flat_sample(split, index, flat_steps(), state, **facts)
 
 
 @pytest.fixture(scope="module")
@@ -105,14 +81,11 @@ def test_samples_belong_to_their_drives_so_that_statistics_can_group_them(store:
     assert open_dataset(store, split="train").sequences == {"drive 0": [*range(5)], "drive 1": [*range(5, 10)]}
 
 
-@pytest.mark.parametrize(
-    ("split", "message"),
-    [
+@each("split, message", [
         ("val", "has no sample of validation; go on with `ogm simulate"),
         ("test", "has no sample of test$"),
         ("lanes", "has no split 'lanes'; it has training, validation, test, sequences$"),
-    ],
-)
+    ])  # fmt: skip
 def test_splits_without_samples_are_refused(store: Path, split: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         open_dataset(store, split=split)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from cases import each
 from safetensors.torch import load_file, save_file
 
 from ogm.deep.checkpoint import FORMAT, load_network, save_network
@@ -24,9 +25,13 @@ CONCATENATE = replace(PAPER, pillar=8, blocks=((8, 1), (8, 2)), up=8)
 FACTS = {"seed": 3, "seen": {"height": [1.7, 2.1]}}
 
 
+def save(folder: Path) -> Path:
+    return save_network(folder / "net.safetensors", PillarNetwork(ADD, SPEC), FACTS)
+
+
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    return save_network(tmp_path / "net.safetensors", PillarNetwork(ADD, SPEC), FACTS)
+    return save(tmp_path)
 
 
 def change(path: Path, how: Callable[[dict[str, Any]], Any]) -> None:
@@ -57,7 +62,7 @@ class Trap:
         return Path.touch, (self.sprung,)
 
 
-@pytest.mark.parametrize("config", [ADD, CONCATENATE], ids=lambda config: config.join)
+@each("config", [ADD, CONCATENATE])
 def test_what_was_saved_comes_back(config: Any, tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = PillarNetwork(config, SPEC).train()
@@ -92,7 +97,7 @@ def test_facts_that_json_cannot_hold_leave_what_was_there(saved: Path) -> None:
     assert {path: path.read_bytes() for path in saved.parent.iterdir()} == before
 
 
-@pytest.mark.parametrize("name", ["net.pt", "net", "net.safetensors.gz"])
+@each("name", ["net.pt", "net", "net.safetensors.gz"])
 def test_other_names_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"\.safetensors"):
         save_network(tmp_path / name, PillarNetwork(ADD, SPEC), {})
@@ -101,11 +106,12 @@ def test_other_names_are_refused(name: str, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("suffix", [".json", ".safetensors"])
-def test_one_file_of_the_two_is_not_enough(saved: Path, suffix: str) -> None:
-    saved.with_suffix(suffix).unlink()
-    with pytest.raises(FileNotFoundError, match=rf"net\{suffix} is not there.*two files"):
-        load_network(saved)
+def test_one_file_of_the_two_is_not_enough(saved: Path) -> None:
+    for path in (saved.with_suffix(".json"), saved):
+        path.unlink()
+        with pytest.raises(FileNotFoundError, match=rf"net\{path.suffix} is not there.*two files"):
+            load_network(saved)
+        save(saved.parent)
 
 
 def test_weights_that_are_cut_off_are_refused(saved: Path) -> None:
@@ -113,6 +119,15 @@ def test_weights_that_are_cut_off_are_refused(saved: Path) -> None:
     for size in (0, 4, 8, 100, len(whole) // 2, len(whole) - 1):
         saved.write_bytes(whole[:size])
         with pytest.raises(ValueError, match="no whole|not a whole|holds 0 bytes"):
+            load_network(saved)
+
+
+def test_a_header_or_a_weight_that_claims_to_be_huge_is_refused(saved: Path) -> None:
+    weight = json.dumps({"head.weight": {"dtype": "F32", "shape": [2**40, 4], "data_offsets": [0, 2**44]}}).encode()
+    claims = [(size, b'{"a": 1}') for size in (2**63, 2**40, 2**31)]
+    for size, header in (*claims, (len(weight), weight + b"\0" * 64)):
+        saved.write_bytes(struct.pack("<Q", size) + header)
+        with pytest.raises(ValueError, match="not a whole file of weights"):
             load_network(saved)
 
 
@@ -133,145 +148,76 @@ def test_nothing_is_unpickled(saved: Path, tmp_path: Path) -> None:
     assert sprung.exists()  # the trap works
 
 
-@pytest.mark.parametrize("header", [2**63, 2**40, 2**31], ids=str)
-def test_a_header_that_claims_to_be_huge_is_refused(saved: Path, header: int) -> None:
-    saved.write_bytes(struct.pack("<Q", header) + b'{"a": 1}')
-    with pytest.raises(ValueError, match="not a whole file of weights"):
-        load_network(saved)
+def test_a_description_that_is_none_is_refused(saved: Path) -> None:
+    long = (b"[" * 100_000, b"[" + b"0," * 2**19 + b"0]", b"9" * 5000)
+    for text in (b"", b"{", b"\xff\xfe\x00", b"[]", b"3", b"null", b'"ogm.network/1"', b"{}", *long):
+        saved.with_suffix(".json").write_bytes(text)
+        with pytest.raises(ValueError, match=r"net\.json is no description of a network"):
+            load_network(saved)
 
 
-def test_a_weight_that_claims_to_be_huge_is_refused(saved: Path) -> None:
-    head = {"head.weight": {"dtype": "F32", "shape": [2**40, 4], "data_offsets": [0, 2**44]}}
-    text = json.dumps(head).encode()
-    saved.write_bytes(struct.pack("<Q", len(text)) + text + b"\0" * 64)
-    with pytest.raises(ValueError, match="not a whole file of weights"):
-        load_network(saved)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        b"",
-        b"{",
-        b"\xff\xfe\x00",
-        b"[]",
-        b"3",
-        b"null",
-        b'"ogm.network/1"',
-        b"{}",
-        b"[" * 100_000,
-        b"[" + b"0," * 2**19 + b"0]",
-        b"9" * 5000,
+IMPOSSIBLE = {
+    "pillar": [10**9, 0, -8, "8", None, True],
+    "up": [10**12],
+    "blocks": [
+        [[10**6, 2], [8, 1]], [[8, 10**9], [8, 1]], [[4096, 4096], [4096, 4096]], [[8, 1]] * 40, [[8, 1]],
+        [[8, 1, 1], [8, 1, 1]], [8, 8], [], 4, None,
     ],
-    ids=["empty", "cut", "binary", "list", "number", "null", "text", "bare", "deep", "large", "digits"],
-)
-def test_a_description_that_is_none_is_refused(saved: Path, text: bytes) -> None:
-    saved.with_suffix(".json").write_bytes(text)
-    with pytest.raises(ValueError, match=r"net\.json is no description of a network"):
+    "join": ["stack"],
+    "evidence": [["relu"]],
+    "dropout": [3.0, "much", float("nan")],
+    "scale": [[1.0], ["a"] * 9, [0.0] * 9, [float("nan")] * 9, 1.0],
+    "z_range": [[0.0], ["low", "high"], [float("nan"), 2.0], [3.0, -3.0]],
+    "unheard_of": [1],
+}  # fmt: skip
+BAD_SPEC = {
+    "resolution": [0, float("nan"), "fine"],
+    "shape": [[2**20, 2**20], [66, 32], [-64, 32], [64, 32, 1], 64],
+    "origin": [[float("inf"), 0], None],
+}
+
+
+def refused(tmp_path: Path, how: Callable[[dict[str, Any]], Any], message: str) -> None:
+    saved = save(tmp_path)
+    change(saved, how)
+    with pytest.raises(ValueError, match=message):
         load_network(saved)
 
 
-@pytest.mark.parametrize("found", ["ogm.network/2", None, 1, ["ogm.network/1"]], ids=str)
-def test_another_format_is_refused(saved: Path, found: Any) -> None:
-    change(saved, lambda description: description.update(format=found))
-    with pytest.raises(ValueError, match="has the format .* reads ogm.network/1"):
-        load_network(saved)
-
-
-@pytest.mark.parametrize(
-    ("part", "value"),
-    [
-        ("pillar", 10**9),
-        ("pillar", 0),
-        ("pillar", -8),
-        ("pillar", "8"),
-        ("pillar", None),
-        ("pillar", True),
-        ("up", 10**12),
-        ("blocks", [[10**6, 2], [8, 1]]),
-        ("blocks", [[8, 10**9], [8, 1]]),
-        ("blocks", [[4096, 4096], [4096, 4096]]),
-        ("blocks", [[8, 1]] * 40),
-        ("blocks", [[8, 1]]),  # with bearings
-        ("blocks", [[8, 1, 1], [8, 1, 1]]),
-        ("blocks", [8, 8]),
-        ("blocks", []),
-        ("blocks", 4),
-        ("blocks", None),
-        ("join", "stack"),
-        ("evidence", ["relu"]),
-        ("dropout", 3.0),
-        ("dropout", "much"),
-        ("dropout", float("nan")),
-        ("scale", [1.0]),
-        ("scale", ["a"] * 9),
-        ("scale", [0.0] * 9),
-        ("scale", [float("nan")] * 9),
-        ("scale", 1.0),
-        ("z_range", [0.0]),
-        ("z_range", ["low", "high"]),
-        ("z_range", [float("nan"), 2.0]),
-        ("z_range", [3.0, -3.0]),
-        ("unheard_of", 1),
-    ],
-    ids=lambda value: str(value)[:30],
-)
+@each("name, value", [(name, value) for name, values in IMPOSSIBLE.items() for value in values])
 def test_a_network_that_cannot_be_is_refused_before_it_is_made(
-    saved: Path, part: str, value: Any, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, name: str, value: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ogm.deep.checkpoint.PillarNetwork", guarded)
-    change(saved, lambda description: description["network"].update({part: value}))
-    with pytest.raises(ValueError, match="describes no network that can be made"):
-        load_network(saved)
+    message = "describes no network that can be made"
+    refused(tmp_path, lambda description: description["network"].update({name: value}), message)
 
 
-@pytest.mark.parametrize("join", ["add", "concatenate"])
+@each("name, value", [(name, value) for name, values in BAD_SPEC.items() for value in values])
+def test_a_grid_that_cannot_be_is_refused(tmp_path: Path, name: str, value: Any) -> None:
+    refused(tmp_path, lambda d: d["spec"].update({name: value}), "describes no network that can be made")
+
+
+@each("part", ["network", "spec"])
+def test_parts_of_another_kind_or_none_are_refused(tmp_path: Path, part: str) -> None:
+    refused(tmp_path, lambda description: description.pop(part), "describes no network that can be made")
+    for value in (None, [], ["pillar", 8], "lite", {}, [0.16, 64, 32]):
+        refused(tmp_path, lambda description, v=value: description.update({part: v}), "no network that can be made")
+
+
+@each("found", ["ogm.network/2", None, 1, ["ogm.network/1"]])
+def test_another_format_is_refused(tmp_path: Path, found: Any) -> None:
+    refused(tmp_path, lambda description: description.update(format=found), "has the format .* reads ogm.network/1")
+
+
+@each("join", ["add", "concatenate"])
 def test_a_huge_network_is_refused_before_it_fills_the_memory(
-    saved: Path, join: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, join: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ogm.deep.checkpoint.PillarNetwork", guarded)
     huge = {"blocks": [[4096, 30], [4096, 30]], "up": 4096, "pillar": 4096, "join": join}
-    change(saved, lambda description: description["network"].update(huge))
-    with pytest.raises(ValueError, match="describes no network|does not hold the weights"):
-        load_network(saved)
-
-
-@pytest.mark.parametrize(
-    "spec",
-    [
-        {"resolution": 0.16, "shape": [2**20, 2**20], "origin": [0, 0]},
-        {"resolution": 0.16, "shape": [66, 32], "origin": [0, 0]},
-        {"resolution": 0.16, "shape": [-64, 32], "origin": [0, 0]},
-        {"resolution": 0.16, "shape": [64, 32, 1], "origin": [0, 0]},
-        {"resolution": 0.16, "shape": 64, "origin": [0, 0]},
-        {"resolution": 0, "shape": [64, 32], "origin": [0, 0]},
-        {"resolution": float("nan"), "shape": [64, 32], "origin": [0, 0]},
-        {"resolution": "fine", "shape": [64, 32], "origin": [0, 0]},
-        {"resolution": 0.16, "shape": [64, 32], "origin": [float("inf"), 0]},
-        {"resolution": 0.16, "shape": [64, 32]},
-        [0.16, 64, 32],
-        None,
-    ],
-    ids=str,
-)
-def test_a_grid_that_cannot_be_is_refused(saved: Path, spec: Any) -> None:
-    change(saved, lambda description: description.update(spec=spec))
-    with pytest.raises(ValueError, match="describes no network that can be made"):
-        load_network(saved)
-
-
-@pytest.mark.parametrize("network", [None, [], ["pillar", 8], "lite", {}], ids=str)
-def test_a_config_that_is_none_is_refused(saved: Path, network: Any) -> None:
-    change(saved, lambda description: description.update(network=network))
-    with pytest.raises(ValueError, match="describes no network that can be made"):
-        load_network(saved)
-
-
-@pytest.mark.parametrize("part", ["network", "spec"])
-def test_a_description_that_lacks_a_part_is_refused(saved: Path, part: str) -> None:
-    change(saved, lambda description: description.pop(part))
-    with pytest.raises(ValueError, match="describes no network that can be made"):
-        load_network(saved)
+    message = "describes no network|does not hold the weights"
+    refused(tmp_path, lambda description: description["network"].update(huge), message)
 
 
 def test_weights_of_another_network_are_refused(saved: Path, tmp_path: Path) -> None:
@@ -281,48 +227,25 @@ def test_weights_of_another_network_are_refused(saved: Path, tmp_path: Path) -> 
         load_network(saved)
 
 
-@pytest.mark.parametrize("change_names", ["missing", "more"])
-def test_weights_with_other_names_are_refused(saved: Path, change_names: str) -> None:
+@each("name, value, message", [
+        ("head.bias", None, r"1 names differ, such as head\."),
+        ("head.more", torch.zeros(3), r"1 names differ, such as head\."),
+        *[("head.weight", one, "NaN or infinite, in head.weight") for one in (np.nan, np.inf, -np.inf)],
+        *[("head.weight", one, r"head\.weight") for one in (torch.int8, torch.bool)],
+        ("pillar.norm.running_var", -1.0, r"pillar\.norm\.running_var"),
+    ])  # fmt: skip
+def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str, value: Any, message: str) -> None:
+    saved = save(tmp_path)
     weights = load_file(saved)
-    if change_names == "missing":
-        del weights["head.bias"]
+    if isinstance(value, float):
+        weights[name].view(-1)[-1] = value
     else:
-        weights["head.more"] = torch.zeros(3)
-    save_file(weights, saved)
-    with pytest.raises(ValueError, match=r"1 names differ, such as head\."):
+        weights[name] = weights[name].to(value) if isinstance(value, torch.dtype) else value
+    save_file({key: one for key, one in weights.items() if one is not None}, saved)
+    with pytest.raises(ValueError, match=message):
         load_network(saved)
 
 
-def test_weights_of_other_shapes_are_refused(saved: Path) -> None:
-    change(saved, lambda description: description["network"].update(pillar=32))
-    with pytest.raises(ValueError, match=r"has .* of shape \[.*\], wanted \[.*32"):
-        load_network(saved)
-
-
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_weights_that_are_no_numbers_are_refused(saved: Path, value: float) -> None:
-    weights = load_file(saved)
-    weights["head.weight"][1, 2, 0, 1] = value
-    save_file(weights, saved)
-    with pytest.raises(ValueError, match="NaN or infinite, in head.weight"):
-        load_network(saved)
-
-
-@pytest.mark.parametrize("dtype", [torch.complex64, torch.int8, torch.bool], ids=str)
-def test_weights_of_another_kind_are_refused(saved: Path, dtype: torch.dtype) -> None:
-    weights = load_file(saved)
-    weights["head.weight"] = torch.zeros(weights["head.weight"].shape, dtype=dtype)
-    try:
-        save_file(weights, saved)
-    except KeyError:
-        pytest.skip(f"this version of safetensors writes no {dtype}")
-    with pytest.raises(ValueError, match=r"head\.weight"):
-        load_network(saved)
-
-
-def test_a_variance_below_zero_is_refused(saved: Path) -> None:
-    weights = load_file(saved)
-    weights["pillar.norm.running_var"][0] = -1
-    save_file(weights, saved)
-    with pytest.raises(ValueError, match=r"pillar\.norm\.running_var"):
-        load_network(saved)
+def test_weights_of_other_shapes_are_refused(tmp_path: Path) -> None:
+    how = r"has .* of shape \[.*\], wanted \[.*32"
+    refused(tmp_path, lambda description: description["network"].update(pillar=32), how)

@@ -7,35 +7,13 @@ from typing import get_args
 
 import pytest
 import torch
-from click.testing import Result
-from typer.testing import CliRunner
+from commands import ogm
 
-from ogm.cli import app
 from ogm.deep import DeepISM
 from ogm.scan import Mount
 
-SMALL = (
-    "--length",
-    30.72,
-    "--width",
-    20.48,
-    "--resolution",
-    0.64,
-    "--workers",
-    0,
-    "--accelerator",
-    "cpu",
-    "--batch",
-    4,
-)
-
-
-def ogm(*words: object) -> Result:
-    """Run a command in this process."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+EXTENT = ("--length", 30.72, "--width", 20.48, "--resolution", 0.64)
+SMALL = (*EXTENT, "--workers", 0, "--accelerator", "cpu", "--batch", 4)
 
 
 @pytest.fixture(autouse=True)

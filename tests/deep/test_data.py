@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, PillarDataset, augment, training_ranges
 from ogm.deep.order import EpochSampler
@@ -30,8 +31,8 @@ def test_plain_changes_nothing_but_counts_heights_from_the_ground(frames, small)
     np.testing.assert_array_equal(state, frames[0].truth.crop(small).state)
 
 
-@pytest.mark.parametrize("how", [ROTATION, only(mirror=1.0), only(turn=1.0, mirror=1.0)])
-@pytest.mark.parametrize("seed", range(5))
+@each("how", [ROTATION, only(mirror=1.0), only(turn=1.0, mirror=1.0)])
+@each("seed", range(3))
 def test_points_and_truth_turn_together(frames, small, how, seed):
     points, state = _augment(frames[1], small, how, np.random.default_rng(seed))
     assert not np.allclose(points[:, 1], frames[1].scan.points[:, 1])
@@ -86,7 +87,7 @@ def test_intensities_stay_in_their_range(frames, small):
     assert not points[:, 3].any()
 
 
-@pytest.mark.parametrize("seed", range(6))
+@each("seed", range(3))
 def test_what_no_beam_of_the_sector_looks_at_is_unknown(frames, small, seed):
     scan, frame = frames[0].scan, frames[0]
     beams = np.column_stack([np.cos(angles := np.linspace(-3, 3, 50)), np.sin(angles), 0 * angles]).astype(np.float32)
@@ -122,7 +123,7 @@ def test_seed_epoch_and_number_decide_the_augmentation(frames, small):
     assert now.shape != later.shape or not now.equal(later)
 
 
-@pytest.mark.parametrize("footprint", [None, (-8.0, 1.0, -3.0, 2.0)])
+@each("footprint", [None, (-8.0, 1.0, -3.0, 2.0)])
 def test_returns_from_the_ego_footprint_of_the_mount_are_dropped(frames, small, footprint):
     scan, truth = frames[0].scan, frames[0].truth
     bare = Frame(scan, Mount(1.8, ego_footprint=(0, 0, 0, 0)), None, truth)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cases import each
 from scipy.ndimage import map_coordinates
 
 from ogm import Frame, GridSpec, Mount, Scan
@@ -94,7 +95,7 @@ def by_definition(scan: Scan, mount: Mount, noise: RadarNoise, polar: RadarGrid)
     return result
 
 
-@pytest.mark.parametrize("mount", [FRONT, CORNER], ids=["front", "corner"])
+@each("mount", [FRONT, CORNER])
 def test_features_are_those_of_the_definition(mount: Mount) -> None:
     scan, noise = sweep(1), RadarNoise()
     wanted = by_definition(scan, mount, noise, SMALL)
@@ -132,7 +133,7 @@ def test_what_is_not_finite_or_not_measured_is_left_out() -> None:
 # --------------------------------------------------------------------------------------------- places and resampling
 
 
-@pytest.mark.parametrize("mount", [FRONT, CORNER], ids=["front", "corner"])
+@each("mount", [FRONT, CORNER])
 def test_masses_of_cells_are_interpolated_between_polar_cells(mount: Mount) -> None:
     noise = RadarNoise(math.radians(75))
     evidence = np.random.default_rng(4).uniform(0, 5, (2, *SMALL.shape)).astype(np.float32)
@@ -166,7 +167,7 @@ def test_training_and_inference_see_the_same_evidence(network: RadarNetwork) -> 
 # --------------------------------------------------------------------------------------------------- the sensor model
 
 
-@pytest.mark.parametrize("mount", [FRONT, CORNER], ids=["front", "corner"])
+@each("mount", [FRONT, CORNER])
 def test_cells_that_the_radar_does_not_see_are_unknown(network: RadarNetwork, mount: Mount) -> None:
     model = DeepRadarISM(network, SPEC, mount)
     grid = model(sweep(6))
@@ -198,7 +199,7 @@ def test_the_grid_moves_with_the_mounting(network: RadarNetwork) -> None:
     assert (np.abs(left - turned).max(axis=-1) > 1e-3).mean() < 0.005  # cells on the edge of the field of view
 
 
-@pytest.mark.parametrize("change", [{"half_width": 0.0}, {"azimuth_noise": math.nan}, {"doppler_noise": -1.0}])
+@each("change", [{"half_width": 0.0}, {"azimuth_noise": math.nan}, {"doppler_noise": -1.0}])
 def test_impossible_numbers_are_refused(network: RadarNetwork, change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):
         DeepRadarISM(network, SPEC, FRONT, RadarNoise()._replace(**change))
@@ -252,6 +253,7 @@ def test_training_learns_and_states_where_the_weights_come_from(run: Path) -> No
     assert description["data"] == "made up"
 
 
+@pytest.mark.slow
 def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from ogm.deep.training_run import TrainingRun
 

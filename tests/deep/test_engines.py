@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cases import each
+from commands import ogm
 
 from ogm import Mount, OgmError, read_scan
 from ogm.deep import DeepISM, PillarNetwork
@@ -41,7 +43,7 @@ def by_torch(scan: Scan) -> np.ndarray:
     return DeepISM.load("lite", mount=MOUNT, engine="torch")(scan).mass
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@each("name", SHIPPED)
 def test_the_shipped_export_is_that_of_the_shipped_weights(name: str) -> None:
     """Else `ogm export lite --out ogm/data/lite.onnx` was forgotten."""
     wanted = {"lite": FORMAT, "radar": RADAR_FORMAT}[name]
@@ -50,15 +52,12 @@ def test_the_shipped_export_is_that_of_the_shipped_weights(name: str) -> None:
         assert metadata["weights"] == weights_sum(path)
 
 
-@pytest.mark.parametrize(
-    ("engine", "precision", "bound"),
-    [
+@each("engine, precision, bound", [
         ("onnxruntime", "float32", BOUND),
         ("openvino", "float32", BOUND),
         ("openvino", "bfloat16", BF16_BOUND),
         ("torch", "bfloat16", BF16_BOUND),
-    ],
-)
+    ])  # fmt: skip
 def test_every_engine_gives_the_same_grid(
     engine: str, precision: str, bound: float, scan: Scan, by_torch: np.ndarray
 ) -> None:
@@ -84,6 +83,7 @@ from ogm.deep import DeepISM
 grid = DeepISM.load("lite", mount=ogm.Mount(1.9))(np.random.default_rng(0).uniform(-20, 20, (20000, 3)))
 model = ogm.load_model("lite", grid.spec, ogm.Mount(1.9))
 print(grid.spec.shape, model.engine.spec.shape)
+print(*{"open3d", "ogm.deep.network"} & set(sys.modules))
 try:
     import ogm.deep
     ogm.deep.PillarNetwork
@@ -95,24 +95,13 @@ except ImportError as error:
     print(error)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    shapes, network, engine = done.stdout.strip().splitlines()
-    assert shapes == "(512, 352) (512, 352)"
+    shapes, loaded, network, engine = done.stdout.strip().splitlines()
+    assert (shapes, loaded) == ("(512, 352) (512, 352)", "")
     for message in (network, engine):
         assert 'pip install "ogm-toolkit[train]"' in message
 
 
-def test_loading_loads_nothing_that_it_does_not_need() -> None:
-    code = (
-        "import sys, ogm; from ogm.deep import DeepISM; DeepISM.load('lite', mount=ogm.Mount(1.9)); print(*sys.modules)"
-    )
-    loaded = set(
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    )
-    heavy = {"torch", "lightning", "safetensors", "onnx", "matplotlib", "open3d", "ogm.deep.network"}
-    assert not loaded & heavy
-
-
-@pytest.mark.parametrize("package", ["onnxruntime", "openvino"])
+@each("package", ["onnxruntime", "openvino"])
 def test_a_missing_runtime_is_answered_with_the_pip_command(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     extra = {"onnxruntime": "deep"}.get(package, package)
@@ -153,9 +142,7 @@ def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch
         assert default_threads() >= 1
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+@each("options, message", [
         ({"engine": "tensorflow"}, "the engine is onnxruntime, openvino, torch"),
         ({"engine": "onnxruntime", "device": "cuda"}, "device and compile are torch's"),
         ({"engine": "onnxruntime", "compile": True}, "device and compile are torch's"),
@@ -165,9 +152,7 @@ def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch
         ({"engine": "torch", "precision": "int8"}, "float32 or bfloat16"),
         ({"threads": 0}, "at least 1"),
         ({"device": "warp"}, "use cpu"),
-    ],
-    ids=str,
-)
+    ])  # fmt: skip
 def test_options_that_an_engine_lacks_are_refused(options: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         load_engine("lite", **options)
@@ -213,6 +198,7 @@ def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, t
     assert isinstance(load_engine(exported), OnnxEngine)
 
 
+@pytest.mark.slow
 def test_a_network_that_takes_rays_is_the_same_exported(tiny, small, frames, tmp_path: Path) -> None:
     engines = [name for name in ("onnxruntime", "openvino") if find_spec(name)]
     assert engines
@@ -233,19 +219,14 @@ def test_a_network_that_takes_rays_is_the_same_exported(tiny, small, frames, tmp
 
 
 def test_commands_map_and_export_without_words_of_torch(small, tmp_path: Path) -> None:
-    from typer.testing import CliRunner
-
-    from ogm.cli import app
-
     config = NetworkConfig(2, ((2, 1),), join="concatenate", up=2)
     save_network(tmp_path / "best.safetensors", PillarNetwork(config, small), {})
     out, grid = tmp_path / "best.onnx", tmp_path / "grid.npz"
-    result = CliRunner().invoke(app, ["export", str(tmp_path), "--out", str(out)])
+    result = ogm("export", tmp_path, "--out", out)
     assert result.exit_code == 0, result.output
     assert read_onnx(out).weights_sum == weights_sum(tmp_path / "best.safetensors")
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
-        words = ["map", str(path), "--axes", "+y,-x,+z", "--sensor-height", "1.98", "--out", str(grid)]
-        extent = ["--length", f"{small.length}", "--width", f"{small.width}", "--resolution", f"{small.resolution}"]
-        result = CliRunner().invoke(app, [*words, *extent, "--ism", str(out)])
+        words = ("map", path, "--axes", "+y,-x,+z", "--sensor-height", 1.98, "--out", grid, "--ism", out)
+        result = ogm(*words, "--length", small.length, "--width", small.width, "--resolution", small.resolution)
     assert result.exit_code == 0, result.output
     assert grid.exists()

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from cases import each
 
 from ogm.deep.export import export_onnx
 from ogm.deep.export_parts import _Masses
@@ -60,7 +61,7 @@ def metadata_of(path: Path) -> dict[str, str]:
     return {entry.key: entry.value for entry in onnx.load(path).metadata_props}
 
 
-@pytest.fixture(scope="module", params=NETWORKS)
+@pytest.fixture(scope="module", params=["small", pytest.param("paper", marks=pytest.mark.slow)])
 def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[PillarNetwork, Path]:
     network = trained(NETWORKS[request.param])
     path = tmp_path_factory.mktemp("onnx") / f"{request.param}.onnx"
@@ -69,8 +70,8 @@ def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return network, path
 
 
-@pytest.mark.parametrize("spec", [SPEC, OTHER], ids=["trained on", "another"])
-@pytest.mark.parametrize("points", [scan(3000), scan(0), np.float32([[1, 0.5, 0.2, 0.4]])], ids=len)
+@each("spec", [SPEC, OTHER])
+@each("points", [scan(3000), scan(0), np.float32([[1, 0.5, 0.2, 0.4]])])
 def test_the_exported_network_gives_the_networks_masses(
     exported: tuple[PillarNetwork, Path], points: np.ndarray, spec: GridSpec
 ) -> None:
@@ -142,6 +143,7 @@ def test_the_file_names_no_folder_of_the_machine(exported: tuple[PillarNetwork, 
     assert b".py" not in data
 
 
+@pytest.mark.slow
 def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
     network = PillarNetwork(NetworkConfig(2, ((2, 1),), join="concatenate", up=2), SPEC).eval()
     for name in ("one.onnx", "other.onnx"):
@@ -149,21 +151,15 @@ def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "one.onnx").read_bytes() == (tmp_path / "other.onnx").read_bytes()
 
 
-def test_only_names_that_end_in_onnx_are_written(tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_refused_before_the_work(tmp_path: Path) -> None:
+    network = trained(NETWORKS["small"])
     with pytest.raises(ValueError, match=r"named \.onnx"):
-        export_onnx(trained(NETWORKS["small"]), tmp_path / "lite.pt")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_fused_network_is_refused(tmp_path: Path) -> None:
+        export_onnx(network, tmp_path / "lite.pt")
     with pytest.raises(ValueError, match="load_network"):
-        export_onnx(fused(trained(NETWORKS["small"])), tmp_path / "lite.onnx")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_missing_folder_is_refused_before_the_work(tmp_path: Path) -> None:
+        export_onnx(fused(network), tmp_path / "lite.onnx")
     with pytest.raises(FileNotFoundError, match="create it first"):
-        export_onnx(trained(NETWORKS["small"]), tmp_path / "no" / "lite.onnx")
+        export_onnx(network, tmp_path / "no" / "lite.onnx")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,7 +176,7 @@ def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("package", ["onnx", "onnxscript"])
+@each("package", ["onnx", "onnxscript"])
 def test_a_missing_package_is_answered_with_the_pip_command(
     package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,9 +3,9 @@ import logging
 import numpy as np
 import pytest
 import torch
+from cases import each
 
 from ogm.deep import DeepISM, PillarNetwork
-from ogm.deep.checkpoint import save_network
 from ogm.deep.torch_engine import TorchEngine
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
@@ -73,14 +73,6 @@ def test_the_grid_lies_around_the_sensor(network, small):
     assert ism.spec.shape == small.shape
 
 
-def test_a_mount_without_turn_changes_the_place_alone(network, cloud):
-    np.testing.assert_allclose(
-        DeepISM(network, mount=MOUNT)(cloud).mass,
-        DeepISM(network, mount=Mount(1.8, pose(1.5, -0.5, 1.8)))(cloud).mass,
-        atol=1e-6,
-    )
-
-
 def test_another_grid_is_filled_with_the_same_beliefs(network, cloud, small):
     wide = GridSpec.centered(length=2 * small.length, width=small.width, resolution=small.resolution)
     a, b = DeepISM(network, mount=MOUNT)(cloud), DeepISM(network, wide, MOUNT)(cloud)
@@ -104,7 +96,7 @@ def test_points_that_are_not_finite_are_left_out(network, cloud, caplog):
     assert "dropped 5 of" in caplog.text
 
 
-@pytest.mark.parametrize("count", [0, 1])
+@each("count", [0, 1])
 def test_scans_of_no_points_give_unknown_grids(network, cloud, count):
     seen = {"height": [1.7, 1.9], "points": [100, 9000], "intensity": [0.0, 1.0]}
     ism = DeepISM(network, mount=MOUNT, description={"seen": seen})
@@ -147,11 +139,6 @@ def test_intensities_of_another_calibration_are_left_out(network, cloud, caplog)
     assert cloud[:, 3].any()  # the caller's points stay as they are
 
 
-def test_thinned_scans_are_always_thinned_alike(network, cloud):
-    ism = DeepISM(network, mount=MOUNT, description={"seen": {"points": [100, len(cloud) // 2]}})
-    np.testing.assert_array_equal(ism(cloud).mass, ism(cloud).mass)
-
-
 def test_a_scan_like_those_of_training_is_not_logged(network, cloud, caplog):
     seen = {"height": [1.7, 1.9], "points": [100, 2 * len(cloud)], "intensity": [0.0, 1.0]}
     DeepISM(network, mount=MOUNT, description={"seen": seen})(cloud)
@@ -167,13 +154,6 @@ def test_devices_that_are_not_there_are_refused(network):
         TorchEngine(network, device="warp")
 
 
-def test_weights_are_loaded_from_a_run_or_a_file(network, cloud, tmp_path):
-    save_network(tmp_path / "best.safetensors", network, {})
-    expected = DeepISM(network, mount=MOUNT)(cloud).mass
-    for source in (tmp_path, tmp_path / "best.safetensors", str(tmp_path)):
-        np.testing.assert_allclose(DeepISM.load(source, mount=MOUNT)(cloud).mass, expected, atol=1e-6)
-
-
 def test_the_error_for_unknown_weights_names_the_known_ones(tmp_path):
     with pytest.raises(FileNotFoundError, match="'lite'"):
         DeepISM.load("litte")
@@ -186,7 +166,7 @@ def test_a_number_is_no_mount(network):
         DeepISM(network, mount=1.8)
 
 
-@pytest.mark.parametrize("points", [np.zeros((3, 2), np.float32), np.zeros(4, np.float32)])
+@each("points", [np.zeros((3, 2), np.float32), np.zeros(4, np.float32)])
 def test_shapes_that_are_no_points_are_refused(network, points):
     with pytest.raises(ValueError, match="points must have shape"):
         DeepISM(network)(points)
@@ -213,19 +193,3 @@ def test_the_shipped_weights_read_a_real_scan(caplog):
     assert grid.at(10, 9.2).occupied > 0.5  # its left border
     assert grid.at(-1.0, 15.0).unknown > 0.7  # behind that border
     assert deep(scan.select(slice(0))).unknown.min() == 1
-
-
-def test_the_map_command_knows_the_shipped_weights(tmp_path):
-    from importlib.resources import as_file, files
-
-    from typer.testing import CliRunner
-
-    from ogm.cli import app
-
-    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
-        words = ["map", str(path), "--axes", "+y,-x,+z", "--ism", "lite", "--sensor-height", "1.98"]
-        result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "o.npz")])
-    assert result.exit_code == 0, result.output
-    assert EvidentialGrid.load(tmp_path / "o.npz").at(20, 5).free > 0.7
-    result = CliRunner().invoke(app, ["map", "scan.pcd", "--ism", "lightning"])
-    assert result.exit_code == 2

@@ -1,7 +1,7 @@
 """The order of frames that lie in shards of an object store."""
 
 import numpy as np
-import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -32,7 +32,7 @@ def test_processes_take_whole_batches_of_frames_of_their_own(count, processes, b
     assert set(every) <= set(range(count))
 
 
-@pytest.mark.parametrize("loaders", [1, 2, 4, 8])
+@each("loaders", [1, 2, 4, 8])
 def test_a_shard_is_read_by_one_loading_process_of_one_node(loaders):
     where, batch, count = shards(6400), 8, 6400
     readers: dict[int, list[tuple[int, int]]] = {}

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from cases import each
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -54,7 +55,7 @@ def test_the_kernel_is_its_reference(points: np.ndarray) -> None:
     same(pillarize(points, SPEC, Z, EGO), pillarize_torch(torch.from_numpy(points), SPEC, Z, EGO))
 
 
-@pytest.mark.parametrize("size", [1.0, 0.1, 0.001], ids=["sparse", "dense", "one pillar"])
+@each("size", [1.0, 0.1, 0.001])
 def test_the_kernel_is_its_reference_with_a_transform(size: float) -> None:
     points = scan(5000, size=size)
     T = np.eye(4)
@@ -74,8 +75,8 @@ def test_the_kernels_give_the_same_without_the_compiler(monkeypatch: pytest.Monk
     same(fast, pillarize(points, SPEC, Z, EGO))
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("n", [0, 1, 2000])
+@each("compiled", [True, False])
+@each("n", [0, 1, 2000])
 def test_the_feature_map_is_the_networks(n: int, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel of inference against the layers of training: linear, ReLU, the largest of each pillar."""
     if not compiled:
@@ -121,13 +122,6 @@ def test_every_point_stands_in_its_cell() -> None:
         np.testing.assert_allclose(part[:, 4:7].sum(0), 0, atol=1e-4)
 
 
-def test_points_are_kept_as_they_are() -> None:
-    points = scan(500, size=0.5)
-    kept = pillarize(points, SPEC, (-3, 4)).features[:, :4].numpy()
-    order = [np.lexsort(rows.T) for rows in (kept, points)]
-    np.testing.assert_array_equal(kept[order[0]], points[order[1]])
-
-
 def test_half_a_turn_of_the_points_is_half_a_turn_of_the_pillars() -> None:
     points = scan(3000, size=0.4)
     there = pillarize(points, SPEC)
@@ -147,7 +141,7 @@ def test_a_transform_of_the_grid_moves_pillars_by_whole_cells() -> None:
     np.testing.assert_allclose(moved.features[:, 2:], there.features[:, 2:], atol=2e-6)
 
 
-@pytest.mark.parametrize("n", [0, 1])
+@each("n", [0, 1])
 def test_empty_and_one_point_scans(n: int) -> None:
     points = np.zeros((n, 4), np.float32)
     for pillars in (pillarize(points, SPEC), pillarize_torch(torch.from_numpy(points), SPEC)):
@@ -183,27 +177,14 @@ def test_points_without_intensity_have_none() -> None:
     same(bare, pillarize(points, SPEC), atol=0)
 
 
-def test_float64_and_fortran_order_are_accepted() -> None:
-    points = scan(100)
-    wanted = pillarize(points, SPEC)
-    same(pillarize(points.astype(np.float64), SPEC), wanted, atol=0)
-    same(pillarize(np.asfortranarray(points), SPEC), wanted, atol=0)
-
-
-@pytest.mark.parametrize(
-    ("points", "error", "message"),
-    [
-        ([[0.0, 0.0, 0.0, 0.0]], TypeError, "got list"),
-        (None, TypeError, "got NoneType"),
+@each("points, error, message", [
+        ([[0.0, 0.0, 0.0, 0.0]], TypeError, "got list"), (None, TypeError, "got NoneType"),
         (np.zeros((5, 4), int), TypeError, "got dtype int64"),
         (np.zeros((5, 4), complex), TypeError, "got dtype complex128"),
-        (np.zeros((5, 4), object), TypeError, "got dtype object"),
-        (np.zeros((5, 2)), ValueError, r"got \(5, 2\)"),
-        (np.zeros((5, 8)), ValueError, r"points\[:, :4\]"),
-        (np.zeros(4), ValueError, r"got \(4,\)"),
+        (np.zeros((5, 4), object), TypeError, "got dtype object"), (np.zeros((5, 2)), ValueError, r"got \(5, 2\)"),
+        (np.zeros((5, 8)), ValueError, r"points\[:, :4\]"), (np.zeros(4), ValueError, r"got \(4,\)"),
         (np.zeros((1, 5, 4)), ValueError, r"got \(1, 5, 4\)"),
-    ],
-)
+    ])  # fmt: skip
 def test_arrays_that_are_no_points_are_refused(points: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         pillarize(points, SPEC)
@@ -258,15 +239,3 @@ def test_limits_that_are_not_reached_change_nothing() -> None:
     for n in (0, 1, 500):
         whole = pillarize(scan(n), SPEC)
         same(cap_pillars(whole, np.random.default_rng(0), 10_000, 100), whole, atol=0)
-
-
-def test_the_limits_choose_every_point_alike() -> None:
-    whole = pillarize(np.tile(np.float32([[0.1, 0.1, 0, 0]]), (10, 1)), SPEC)
-    whole.features[:, 3] = torch.arange(10) / 10
-    rng = np.random.default_rng(0)
-    count = np.zeros(10)
-    for _ in range(500):
-        chosen = cap_pillars(whole, rng, 10_000, most_points=3).features[:, 3]
-        count[(chosen * 10).round().long().numpy()] += 1
-    assert count.sum() == 1500
-    assert np.abs(count - 150).max() < 5 * np.sqrt(500 * 0.3 * 0.7)

@@ -6,7 +6,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
-import pytest
+from cases import each
 from numpy.typing import NDArray
 
 from ogm import Mount, Scan, load_model, read_scan
@@ -59,14 +59,14 @@ def distance(x: NDArray, y: NDArray, bearing: float) -> NDArray:
     return np.abs(np.angle(np.exp(1j * (np.arctan2(y, x) - bearing))))
 
 
-@pytest.mark.parametrize(("middle", "width"), SECTORS)
+@each("middle, width", SECTORS)
 def test_the_shipped_scan_cut_to_a_sector(middle: float, width: float) -> None:
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
         scan = read_scan(path, axes=VELODYNE)
     assert share_of_free_outside(scan, 1.98, middle, width) <= 0.005
 
 
-@pytest.mark.parametrize("name", SCANS)
+@each("name", SCANS)
 def test_recorded_scans_cut_to_sectors(name: str, real: Callable[[str], Path]) -> None:
     axes, height = SCANS[name]
     scan = read_scan(real(name), axes=axes)

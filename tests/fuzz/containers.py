@@ -195,11 +195,8 @@ def change_hdf5(rng: random.Random, data: bytes, inner: Inner) -> bytes:
                 options = {"shape": (len(rows),), "external": [("/etc/passwd", 0, 2**30)]}
             case 7:
                 links = (
-                    h5py.SoftLink("/"),
-                    h5py.SoftLink(f"/{name}"),
-                    h5py.ExternalLink("a.h5", name),
-                    np.dtype("<f4"),
-                )
+                    h5py.SoftLink("/"), h5py.SoftLink(f"/{name}"), h5py.ExternalLink("a.h5", name), np.dtype("<f4"),
+                )  # fmt: skip
                 file[name] = rng.choice(links)
             case 8:
                 file.create_group(name)

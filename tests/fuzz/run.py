@@ -39,18 +39,9 @@ from worker import HANG, LIMIT, PEAK, Maker, Source, Watch, changed_files, kept_
 STILL, START = 300.0, 1200.0  # [s] on the clock: of an input, and until the first one; busy machines stand still
 BATCH = 20_000  # inputs of one process
 PACKAGES = (
-    "laspy",
-    "pyarrow.feather",
-    "rosbags.highlevel",
-    "zarr",
-    "rasterio",
-    "xarray",
-    "netCDF4",
-    "PIL.Image",
-    "h5py",
-    "dask.array",
-    "scipy.linalg",
-)
+    "laspy", "pyarrow.feather", "rosbags.highlevel", "zarr", "rasterio", "xarray", "netCDF4", "PIL.Image", "h5py",
+    "dask.array", "scipy.linalg",
+)  # fmt: skip
 Found = Callable[[int, str, str], None]
 
 
@@ -96,13 +87,9 @@ def run_batch(make: Maker, source: Source, row: Row, numbers: range, end: float,
         code = 1
         try:
             work(
-                make,
-                source,
-                numbers,
-                end,
-                watch,
+                make, source, numbers, end, watch,
                 lambda one: os.write(write, json.dumps(one).encode() + b"\n") and None,
-            )
+            )  # fmt: skip
             code = 0
         except BaseException:  # noqa: BLE001
             tell(write, [-1, "broken", traceback.format_exc()])

@@ -107,10 +107,6 @@ def _calibration(folder: Path) -> Target:
 
 
 TARGETS: dict[str, Callable[[Path], Target]] = {
-    "weights": _weights,
-    "onnx-file": _exported,
-    "onnx-engine": _engine,
-    "store": _store,
-    "cache": _frames,
+    "weights": _weights, "onnx-file": _exported, "onnx-engine": _engine, "store": _store, "cache": _frames,
     "calibration-of-model": _calibration,
-}
+}  # fmt: skip

@@ -24,6 +24,7 @@ def run(folder: Path, *options: str) -> tuple[int, str, dict[str, Any]]:
     return done.returncode, done.stdout, {row["target"]: row for row in record["targets"]} | {"all": record}
 
 
+@pytest.mark.slow
 def test_a_small_run_finds_nothing(tmp_path: Path) -> None:
     code, text, rows = run(tmp_path, "--inputs", "12")
     assert code == 0, text
@@ -37,6 +38,7 @@ def test_what_was_found_once_is_refused_or_read(tmp_path: Path) -> None:
     assert rows["all"]["inputs"] == sum(1 for _ in (HERE / "found").iterdir())
 
 
+@pytest.mark.slow
 def test_the_run_notices_every_kind_of_failure_and_goes_on(tmp_path: Path) -> None:
     code, text, rows = run(tmp_path, "--targets-of", "bad_targets", "--inputs", "12")
     assert code == 1
@@ -55,6 +57,7 @@ def test_the_run_notices_every_kind_of_failure_and_goes_on(tmp_path: Path) -> No
     assert "undocumented: KeyError in bad_targets.py" in text
 
 
+@pytest.mark.slow
 def test_an_input_is_made_again_by_its_name(tmp_path: Path) -> None:
     _, _, rows = run(tmp_path, "--targets-of", "bad_targets", "--inputs", "12", "--target", "undocumented")
     (failure,) = rows["undocumented"]["failures"].values()

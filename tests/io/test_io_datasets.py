@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.io import read_calibration, read_points, read_scan
 from ogm.io.argoverse2 import read_argoverse2
@@ -55,17 +56,14 @@ def share_inside(points, boxes, least=50):
 GOOD = BoxRow([0, 0, 0.5], [1, 1, 1], 0.0, "a")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+@each("change, message", [
         ({"yaw": np.nan}, r"a.txt: box 1 \(b\) must be finite"),
         ({"size": [0, 1, 1]}, "above 0 m"),
         ({"center": [1e300, 0, 0]}, r"a.txt: box 1 \(b\) must lie within 100000 m"),
         ({"size": [1, 2e5, 1]}, "within 100000 m"),
         ({"size": [1, np.inf, 1]}, "must be finite"),
         ({"size": [1, 1, 0]}, "height above 0 m"),
-    ],
-)
+    ])  # fmt: skip
 def test_impossible_boxes_are_refused(change, message):
     with pytest.raises(OgmError, match=message):
         boxes_of([GOOD, GOOD._replace(label="b", **change)], "a.txt")
@@ -88,9 +86,7 @@ def test_labelled_points_must_fit():
 # --- KITTI ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("turn", "yaw"), [(-np.pi / 2, 0), (0, -np.pi / 2), (np.pi / 2, np.pi), (-np.pi / 2 - 0.3, 0.3)]
-)
+@each("turn, yaw", [(-np.pi / 2, 0), (0, -np.pi / 2), (np.pi / 2, np.pi), (-np.pi / 2 - 0.3, 0.3)])
 def test_kittis_boxes_turn_from_the_camera_to_the_lidar(tmp_path, turn, yaw):
     """A rotation_y of 0 points to the right: the camera's x."""
     path = tmp_path / "labels.txt"
@@ -118,9 +114,7 @@ def test_an_empty_file_of_labels_has_no_objects(tmp_path):
     assert read_kitti_tracks(tmp_path / "labels.txt", TO_CAMERA) == {}
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
+@each("content, message", [
         (f"{LINE} 0\n{LINE}\n", "line 2 of .* has 14 columns, wanted 15 .*cut short"),
         (f"{LINE} 0 1 2\n", "line 1 of .* has 17 columns"),
         (f"{LINE} left\n", "the box in line 1 of .* must be numbers of shape .7,., got"),
@@ -128,8 +122,7 @@ def test_an_empty_file_of_labels_has_no_objects(tmp_path):
         (f"{LINE.replace('4.0', '0.0')} 0\n", "Car in line 1 of .* above 0 m, got 1.5, 1.8, 0: drop the line"),
         ("\x00\x01\x02", "is no text"),
         (b"\xff\xfe\xfd", "is no text"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_labels_are_named(tmp_path, content, message):
     path = tmp_path / "labels.txt"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -272,9 +265,7 @@ def test_a_range_image_is_read_with_its_axes(tmp_path):
         assert found.named().tolist() == ["road", "car", "none"]
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
+@each("content, message", [
         (np.zeros((4, 6)), r"shape \(4, 6\), wanted numbers of shape \(layers, azimuths, 6\)"),
         (np.zeros((2, 3, 4)), r"shape \(2, 3, 4\), wanted"),
         (np.empty((1, 1, 6), object), "array of object"),
@@ -283,8 +274,7 @@ def test_a_range_image_is_read_with_its_axes(tmp_path):
         (range_image(c5=1e300), "no whole numbers"),
         (range_image(c1=1e39), "coordinates of more than 100000 m"),
         (range_image(c2=np.nan), "1 beams with a range but with NaN"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_range_images_are_refused(tmp_path, content, message):
     np.save(tmp_path / "0.npy", content, allow_pickle=True)
     with pytest.raises(OgmError, match=message):
@@ -300,13 +290,10 @@ def test_a_range_image_must_be_whole(tmp_path):
             read_range_image(tmp_path / "0.npy", NUSCENES_ELEVEN)
 
 
-@pytest.mark.parametrize(
-    ("name", "names", "axes", "scale", "height"),
-    [
+@each("name, names, axes, scale, height", [
         ("semantic_kitti/2.npy.xz", SEMANTIC_KITTI_TRAINING, "kitti", 1.0, 1.75),
         ("nuscenes/25612.npy.xz", NUSCENES_ELEVEN, "nuscenes", 255.0, 1.86),
-    ],
-)
+    ])  # fmt: skip
 def test_classes_lie_where_they_should(real, name, names, axes, scale, height):
     """The road lies flat around the sensor; cars are on it; buildings are high."""
     found = read_range_image(real(f"labelled_range_images/{name}"), names, axes, intensity_max=scale)
@@ -361,19 +348,15 @@ def tables_of(info):
         "ego_pose": [{"token": "p", "translation": ego[:3, 3].tolist(), "rotation": quaternion(ego[:3, :3])}],
         "sample_data": [
             {
-                "token": "d",
-                "sample_token": "k",
-                "ego_pose_token": "p",
-                "calibrated_sensor_token": "l",
-                "timestamp": round(frame["timestamp"] * 1e6),
-                "is_key_frame": True,
+                "token": "d", "sample_token": "k", "ego_pose_token": "p", "calibrated_sensor_token": "l",
+                "timestamp": round(frame["timestamp"] * 1e6), "is_key_frame": True,
                 "filename": f"samples/LIDAR_TOP/{frame['lidar_points']['lidar_path']}",
             }
         ],
         "category": [{"token": f"c{n}", "name": name} for n, name in ({-1: "other"} | names).items()],
         "instance": [],
         "sample_annotation": [],
-    }
+    }  # fmt: skip
     for n, one in enumerate(frame["instances"]):
         x, y, z, length, width, height, yaw = one["bbox_3d"]
         T = np.eye(4)
@@ -383,14 +366,11 @@ def tables_of(info):
         tables["instance"].append({"token": f"i{n}", "category_token": f"c{one['bbox_label_3d']}"})
         tables["sample_annotation"].append(
             {
-                "token": f"a{n}",
-                "sample_token": "k",
-                "instance_token": f"i{n}",
-                "translation": there[:3, 3].tolist(),
-                "size": [width, length, height],
+                "token": f"a{n}", "sample_token": "k", "instance_token": f"i{n}",
+                "translation": there[:3, 3].tolist(), "size": [width, length, height],
                 "rotation": quaternion(there[:3, :3]),
             }
-        )
+        )  # fmt: skip
     return tables
 
 
@@ -455,16 +435,13 @@ def in_box(points, box):
     return upper_part(points, box + [0, 0, 0, 0, 0, -0.3, 0])
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+@each("change, message", [
         (lambda t: t["instance"].clear(), "instance i0 of .* is in no table"),
         (lambda t: t["sample_annotation"][0].pop("size"), "has no 'size'"),
         (lambda t: t["sample_annotation"][0].update(size=[1, float("nan"), 1]), "size of .* must be finite"),
         (lambda t: t["sample_annotation"][0].update(size=[1, 0, 1]), "key frame a.pcd.bin: box 0"),
         (lambda t: t["sample_annotation"][0].update(rotation=[1, 1, 0, 0]), "quaternion of length 1"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_annotations_are_named(tmp_path, change, message):
     tables = tables_of(INFO)
     change(tables)
@@ -473,16 +450,13 @@ def test_damaged_annotations_are_named(tmp_path, change, message):
         content.boxes(0)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+@each("change, message", [
         (lambda t: t["ego_pose"].clear(), "refers to ego_pose p, which ego_pose.json does not have"),
         (lambda t: t["sample_data"][0].pop("filename"), "has no 'filename'"),
         (lambda t: t["sample_data"][0].update(is_key_frame=False), "names no key frame of LIDAR_TOP"),
         (lambda t: t.update(scene={"token": "s"}), "holds a JSON dict, wanted a list: the table scene"),
         (lambda t: t.update(scene=[3]), "row 0 of .* has no 'token', only int"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_tables_are_named(tmp_path, change, message):
     tables = tables_of(INFO)
     filename = tables["sample_data"][0]["filename"]
@@ -519,7 +493,7 @@ def test_the_test_part_of_nuscenes_has_no_boxes(tmp_path):
     assert not read_nuscenes(write_tables(tmp_path / "without", tables)).annotated
 
 
-@pytest.mark.parametrize("name", ["../a.pcd.bin", "samples/../../a.pcd.bin", "/etc/hostname"])
+@each("name", ["../a.pcd.bin", "samples/../../a.pcd.bin", "/etc/hostname"])
 def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
     tables = tables_of(INFO)
     write_tables(tmp_path / "data", tables)
@@ -530,9 +504,7 @@ def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
         read_nuscenes(tmp_path / "data")
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
+@each("content, message", [
         ("[1, 2]", "holds a JSON list, wanted a dict: mmdetection3d's info"),
         ("{", "is no JSON"),
         ("[" * 100_000, "is no JSON"),
@@ -541,16 +513,15 @@ def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
         ('{"metainfo": {"dataset": "nuscenes", "categories": {}}}', "has no 'data_list'"),
         ('{"metainfo": {"dataset": "nuscenes", "categories": ["car"]}}', "'categories' of .* wanted a dict"),
         ('{"metainfo": {"dataset": "nuscenes", "categories": {}}, "data_list": 3}', "'data_list' of .* a list"),
-    ],
-)
+    ])  # fmt: skip
 def test_json_of_another_kind_is_refused(tmp_path, content, message):
     (tmp_path / "info.json").write_text(content)
     with pytest.raises(OgmError, match=message):
         read_mmdet3d(tmp_path / "info.json")
 
 
-@pytest.mark.parametrize(
-    ("note", "message"),
+@each(
+    "note, message",
     [("car", "an object of frame 0 of .* has no 'bbox_3d', only str"), ({"bbox_label_3d": 0}, "has no 'bbox_3d'")],
 )
 def test_damaged_objects_of_an_info_are_named(tmp_path, note, message):
@@ -560,7 +531,7 @@ def test_damaged_objects_of_an_info_are_named(tmp_path, note, message):
         read_mmdet3d(tmp_path / "info.json")
 
 
-@pytest.mark.parametrize("number", [None, [0], "0", 77])
+@each("number", [None, [0], "0", 77])
 def test_objects_of_no_known_category_are_other(tmp_path, number):
     note = INFO["frame"]["instances"][0] | {"bbox_label_3d": number}
     info = INFO | {"frame": INFO["frame"] | {"instances": [note]}}
@@ -646,9 +617,7 @@ def test_a_log_without_map_or_calibration(tmp_path):
     assert len(read_argoverse2(tmp_path).boxes(0)) == 0
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
+@each("changed, message", [
         ({"city": {"timestamp_ns": [8]}}, "has no pose for the sweep at 7"),
         ({"city": {"qw": None}}, "has no column qw, only"),
         ({"city": {"qw": [0.5]}}, "row 0 of .* quaternion of length 1"),
@@ -661,8 +630,7 @@ def test_a_log_without_map_or_calibration(tmp_path):
         ({"city": {"timestamp_ns": [[7]]}}, "timestamp_ns of .* must be whole numbers"),
         ({"city": {"timestamp_ns": ["7"]}}, "timestamp_ns of .* must be whole numbers"),
         ({"annotations": {"timestamp_ns": [7.5]}}, "timestamp_ns of .* must be whole numbers"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_logs_are_named(tmp_path, changed, message):
     write_log(tmp_path, **changed)
     with pytest.raises(OgmError, match=message):
@@ -689,7 +657,7 @@ def write_map(folder, heights=None, place=None, areas=None):
     (folder / "map" / "a___img_Sim2_city.json").write_text(json.dumps(where))
 
 
-@pytest.mark.parametrize("content", [b"PK\x03\x04", b"\x93NUMPY", b"\x80\x04K\x01."])
+@each("content", [b"PK\x03\x04", b"\x93NUMPY", b"\x80\x04K\x01."])
 def test_a_raster_is_an_array_and_nothing_else(tmp_path, content):
     write_map(write_log(tmp_path))
     (tmp_path / "map" / "a_ground_height_surface_b.npy").write_bytes(content)
@@ -726,9 +694,7 @@ def test_a_raster_has_rows_along_y(tmp_path):
     assert plan.outlines(T)[0].tolist() == [[-10, -20], [-6, -20], [-6, -16], [-10, -16]]
 
 
-@pytest.mark.parametrize(
-    ("what", "message"),
-    [
+@each("what, message", [
         ({"heights": np.zeros(3)}, r"shape \(3,\), wanted heights"),
         ({"heights": np.empty((2, 2), object)}, "array of object and shape .*, wanted heights"),
         ({"heights": np.zeros((0, 3))}, r"shape \(0, 3\), wanted heights"),
@@ -739,8 +705,7 @@ def test_a_raster_has_rows_along_y(tmp_path):
         ({"place": [1]}, "holds a JSON list, wanted a dict"),
         ({"areas": {"drivable_areas": {"1": {"area_boundary": [{"x": 1}]}}}}, "drivable area 1 of .* has no 'y'"),
         ({"areas": {"lanes": []}}, "has no 'drivable_areas'"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_maps_are_named(tmp_path, what, message):
     write_map(write_log(tmp_path), **what)
     with pytest.raises(OgmError, match=message):
@@ -773,17 +738,14 @@ def test_an_object_without_a_name_has_no_track(tmp_path):
     assert read_sustech(tmp_path / "0.json").track == ("", "0")
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
+@each("content, message", [
         ([note(psr={"scale": {"x": 1, "y": 1, "z": 10**400}})], "scale of object 0 .* must be numbers"),
         ({"frame": 1}, "holds a JSON dict, wanted a list"),
         ([3], "object 0 of .* has no 'psr', only int"),
         ([note(), note(psr={"scale": {"x": 1, "y": 1}})], "scale of object 1 of .* has no 'z'"),
         ([note(psr={"scale": {"x": 1, "y": 1, "z": "tall"}})], "scale of object 0 .* must be numbers of shape"),
         ([note(psr={"scale": {"x": 1, "y": -1, "z": 1}})], r"box 0 \(Car\) must be finite"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_notes_are_named(tmp_path, content, message):
     (tmp_path / "0.json").write_text(json.dumps(content))
     with pytest.raises(OgmError, match=message):

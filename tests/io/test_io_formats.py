@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -135,20 +136,18 @@ def test_what_is_written_is_read(write, cloud):
     np.testing.assert_allclose(points, cloud, rtol=1e-6, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "write", [write_npy, write_pcd_ascii, write_pcd_binary, write_ply_ascii, write_ply_big, write_feather, write_las]
-)
+@each("write", [write_npy, write_pcd_ascii, write_pcd_binary, write_ply_ascii, write_ply_big, write_feather, write_las])
 def test_formats_with_a_header_can_hold_no_points(write, cloud, tmp_path):
     assert read_points(write(tmp_path, cloud[:0])).shape == (0, 4)
 
 
-@pytest.mark.parametrize("write", [write_kitti, write_npy, write_pcd_binary, write_pcd_compressed, write_ply_big])
+@each("write", [write_kitti, write_npy, write_pcd_binary, write_pcd_compressed, write_ply_big])
 def test_formats_of_float32_lose_nothing(write, cloud, tmp_path):
     np.testing.assert_array_equal(read_points(write(tmp_path, cloud)), cloud)
 
 
-@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
-@pytest.mark.parametrize("write", WRITERS)
+@each("suffix, pack", [(".xz", lzma.compress), (".gz", gzip.compress)])
+@each("write", WRITERS)
 def test_packing_changes_nothing(write, suffix, pack, cloud, tmp_path):
     plain = write(tmp_path, cloud)
     packed = tmp_path / (plain.name + suffix)
@@ -156,7 +155,7 @@ def test_packing_changes_nothing(write, suffix, pack, cloud, tmp_path):
     np.testing.assert_array_equal(read_points(packed), read_points(plain))
 
 
-@pytest.mark.parametrize("write", [write_kitti, write_npy])
+@each("write", [write_kitti, write_npy])
 def test_suffixes_may_be_in_capitals(write, cloud, tmp_path):
     plain = write(tmp_path, cloud)
     np.testing.assert_array_equal(read_points(plain.rename(tmp_path / plain.name.upper())), cloud)
@@ -195,7 +194,7 @@ def test_npy_may_lie_column_by_column_and_in_any_byte_order(cloud, tmp_path):
     np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), cloud)
 
 
-@pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
+@each("version", [(1, 0), (2, 0), (3, 0)])
 def test_npy_of_any_version_is_read(version, cloud, tmp_path):
     with open(tmp_path / "a.npy", "wb") as file:
         np.lib.format.write_array(file, cloud, version)
@@ -250,7 +249,7 @@ def records(cloud) -> np.ndarray:
     return records
 
 
-@pytest.mark.parametrize("counts", ["1 1 1 4 1 4 1 1 14", "1 1 1 4 1 0 1 6 1 12"], ids=["right", "old PCL"])
+@each("counts", ["1 1 1 4 1 4 1 1 14", "1 1 1 4 1 0 1 6 1 12"])
 def test_pcd_padding_is_stepped_over(counts, records, cloud, tmp_path):
     with_gap = len(counts.split()) == 10
     header = HEADER.format(
@@ -278,7 +277,7 @@ def xyzi(points: int, width: int, height: int, encoding: str = "binary") -> str:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("padding", [b"\0" * 3900, b"\0", b"anything"])
+@each("padding", [b"\0" * 3900, b"\0", b"anything"])
 def test_pcd_bytes_behind_the_last_point_are_no_points(padding, cloud, tmp_path):
     path = pcd(tmp_path, xyzi(60, 60, 1), cloud.tobytes() + padding)
     scan, facts = read_scan_file(path)
@@ -309,7 +308,7 @@ def test_pcd_of_several_rows_is_organised(cloud, tmp_path):
     np.testing.assert_array_equal(scan.points, cloud)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+@each("encoding", ["ascii", "binary"])
 def test_pcd_fields_of_several_values_are_stepped_over(encoding, cloud, tmp_path):
     rows = np.column_stack([np.zeros((60, 3)), cloud]).astype(np.float32)
     header = HEADER.format(
@@ -328,7 +327,7 @@ def test_pcd_without_count_and_points_is_read(cloud, tmp_path):
     np.testing.assert_array_equal(read_points(pcd(tmp_path, header, cloud.tobytes())), cloud)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+@each("encoding", ["ascii", "binary", "binary_compressed"])
 def test_pcd_of_no_points_gives_none(encoding, tmp_path):
     scan = read_scan(pcd(tmp_path, xyzi(0, 0, 1, encoding), b""))
     assert scan.points.shape == (0, 4)
@@ -348,7 +347,7 @@ def test_ply_types_are_read_by_either_name(tmp_path):
     np.testing.assert_array_equal(scan.ring, [7, 8])
 
 
-@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@each("newline", ["\n", "\r\n"])
 def test_a_ply_comment_may_speak_of_end_header(newline, tmp_path):
     text = (
         "ply\nformat ascii 1.0\ncomment the end_header line comes below\ncomment end_header\n"

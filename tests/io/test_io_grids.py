@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from PIL import Image
 
 from ogm.grid import EvidentialGrid, GridSpec
@@ -36,7 +37,7 @@ def write(folder: Path, ending: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("ending", [".npz", ".npy", ".png"])
+@each("ending", [".npz", ".npy", ".png"])
 def test_every_format_gives_the_same_cells(tmp_path: Path, ending: str) -> None:
     grid = read_grid(write(tmp_path, ending), AREA)
     assert grid.spec == AREA
@@ -57,23 +58,16 @@ def test_rounded_masses_still_sum_to_one(tmp_path: Path) -> None:
     assert read_grid(path, AREA).unknown.min() >= 0
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
+@each("name, content, message", [
         ("a.npy", np.zeros((4, 6)), "masses of free and occupied"),
         ("b.npy", np.zeros((4, 6, 2), np.uint8), "masses of free and occupied"),
         ("c.npy", np.full((4, 6, 2), 0.7), r"c\.npy: mass must be"),
-        ("d.npy", np.full((4, 6, 2), np.nan), r"d\.npy: mass must be"),
-        ("e.npy", np.zeros((4, 7, 2)), "no squares"),
-        ("f.npy", b"\x93NUMPY", "no readable numpy header"),
-        ("g.npy", np.array([{}]), "masses of free and occupied"),
-        ("h.png", b"\x89PNG\r\n\x1a\n", "damaged"),
-        ("i.png", np.zeros((4, 6), np.uint8), "RGB"),
-        ("j.txt", b"x", "wanted .npz"),
-        ("k.npy", np.zeros((0, 6, 2)), "damaged|no squares"),
+        ("d.npy", np.full((4, 6, 2), np.nan), r"d\.npy: mass must be"), ("e.npy", np.zeros((4, 7, 2)), "no squares"),
+        ("f.npy", b"\x93NUMPY", "no readable numpy header"), ("g.npy", np.array([{}]), "masses of free and occupied"),
+        ("h.png", b"\x89PNG\r\n\x1a\n", "damaged"), ("i.png", np.zeros((4, 6), np.uint8), "RGB"),
+        ("j.txt", b"x", "wanted .npz"), ("k.npy", np.zeros((0, 6, 2)), "damaged|no squares"),
         ("l.npz", b"x", r"l\.npz"),
-    ],
-)
+    ])  # fmt: skip
 def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, message: str) -> None:
     path = tmp_path / name
     if isinstance(content, bytes):
@@ -86,7 +80,7 @@ def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, 
         read_grid(path, AREA)
 
 
-@pytest.mark.parametrize("ending", [".npz", ".npy", ".png"])
+@each("ending", [".npz", ".npy", ".png"])
 def test_a_missing_file_is_said_to_be_missing(tmp_path: Path, ending: str) -> None:
     with pytest.raises(FileNotFoundError):
         read_grid(tmp_path / f"none{ending}", AREA)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.io import read_scan, read_scan_file
 
@@ -31,7 +32,7 @@ def angles(a, b):
     return np.degrees(np.arccos(np.clip((a * b).sum(axis=1), -1, 1)))
 
 
-@pytest.mark.parametrize("nothing", [0.0, np.nan])
+@each("nothing", [0.0, np.nan])
 def test_beams_without_return_are_found(nothing, spinning, tmp_path):
     way, distance, returned = spinning
     scan, facts = read_scan_file(save(tmp_path, np.where(returned, way * distance, nothing)))
@@ -88,7 +89,7 @@ def test_a_raster_in_no_order_has_no_beams(spinning, tmp_path):
     assert read_scan(save(tmp_path, image)).no_returns is None
 
 
-@pytest.mark.parametrize("shape", [(0, 10), (10, 0), (1, 50), (4, 5)])
+@each("shape", [(0, 10), (10, 0), (1, 50), (4, 5)])
 def test_a_small_raster_has_no_beams(shape, tmp_path):
     assert read_scan(save(tmp_path, np.ones((3, *shape)))).no_returns is None
     assert read_scan(save(tmp_path, np.zeros((3, *shape)))).no_returns is None

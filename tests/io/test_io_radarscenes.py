@@ -2,12 +2,13 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from radarscenes_files import MOUNTS, START, detections, odometry, write_sequence
 
 from ogm.datasets import open_dataset
@@ -89,7 +90,7 @@ def test_a_frame_goes_through_the_sensor_model(sequence: Path) -> None:
     assert grid.mass.max() > 0
 
 
-@pytest.mark.parametrize("storage", [{}, {"chunks": (7,)}, {"compression": "gzip", "shuffle": True, "fletcher32": True},
+@each("storage", [{}, {"chunks": (7,)}, {"compression": "gzip", "shuffle": True, "fletcher32": True},
                                      {"compression": "lzf"}])  # fmt: skip
 def test_storage_does_not_matter(storage: dict[str, Any], tmp_path: Path) -> None:
     scan = read_radarscenes(write_sequence(tmp_path, **storage)).scan(3)
@@ -169,55 +170,51 @@ _HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", _HOSTILE)
-def test_damaged_and_hostile_tables_are_refused(name: str, sequence: Path) -> None:
+@each("name", _HOSTILE)
+def test_damaged_and_hostile_tables_are_refused(name: str, tmp_path: Path) -> None:
     change, message = _HOSTILE[name]
+    sequence = write_sequence(tmp_path)
     change(sequence / "radar_data.h5")
     with pytest.raises(OgmError, match=message):
         [frame.scan for frame in open_dataset(sequence)]
 
 
-@pytest.mark.parametrize(
-    "storage", [{"maxshape": (None,), "chunks": (100,)}, {"chunks": (2**21,), "maxshape": (None,)}]
-)
-def test_memory_is_bounded_before_it_is_taken(storage: dict[str, Any], sequence: Path) -> None:
-    change = _replaced("odometry", shape=(2**40 if "100" in str(storage) else 2**21,), dtype=_PATH.dtype, data=None,
-                       **storage)  # fmt: skip
-    change(sequence / "radar_data.h5")
+@pytest.fixture
+def limits() -> Iterator[None]:
     before = set_limits(file=2**24)
-    try:
-        with pytest.raises(OgmError, match="when decoded, wanted at most"):
-            read_radarscenes(sequence)
-    finally:
-        set_limits(before)
+    yield
+    set_limits(before)
 
 
-def test_a_small_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path: Path) -> None:
+@each("length, chunk", [(2**40, 100), (2**21, 2**21)])
+def test_memory_is_bounded_before_it_is_taken(length: int, chunk: int, tmp_path: Path, limits: None) -> None:
+    sequence = write_sequence(tmp_path)
+    change = _replaced("odometry", shape=(length,), dtype=_PATH.dtype, data=None, chunks=(chunk,), maxshape=(None,))
+    change(sequence / "radar_data.h5")
+    with pytest.raises(OgmError, match="when decoded, wanted at most"):
+        read_radarscenes(sequence)
+
+
+def test_a_small_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path: Path, limits: None) -> None:
     sequence = write_sequence(tmp_path)
     with h5py.File(sequence / "radar_data.h5", "a") as file:
         del file["odometry"]
         file.create_dataset("odometry", (60,), _PATH.dtype, chunks=(60,), compression="gzip")
         file["odometry"].id.write_direct_chunk((0,), bytes(2**15))  # of so many bytes deflate can make 32 MB
-    before = set_limits(file=2**24)
-    try:
-        with pytest.raises(OgmError, match="a chunk of odometry"):
-            read_radarscenes(sequence)
-    finally:
-        set_limits(before)
+    with pytest.raises(OgmError, match="a chunk of odometry"):
+        read_radarscenes(sequence)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+@each("change, message", [
         (lambda scene: scene.update(radar_indices=[6, 3]), "first row and the one after"),
         (lambda scene: scene.update(radar_indices=[0.5, 3]), "first row and the one after"),
         (lambda scene: scene.update(sensor_id=7), "radar_7, which is not in sensors.json"),
         (lambda scene: scene.pop("radar_indices"), "no 'radar_indices'"),
-    ],
-)
+    ])  # fmt: skip
 def test_scenes_that_are_none_are_refused(
-    change: Callable[[dict[str, Any]], Any], message: str, sequence: Path
+    change: Callable[[dict[str, Any]], Any], message: str, tmp_path: Path
 ) -> None:
+    sequence = write_sequence(tmp_path)
     content = json.loads((sequence / "scenes.json").read_text())
     change(content["scenes"][str(START)])
     (sequence / "scenes.json").write_text(json.dumps(content))

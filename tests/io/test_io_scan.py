@@ -4,6 +4,7 @@ import logging
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan, read_scan_file
 from ogm.io.sensor_height import plausible_sensor_height
@@ -31,17 +32,14 @@ ONES = np.ones(3, np.float32)
 # ---- axes
 
 
-@pytest.mark.parametrize("axes", AXES)
+@each("axes", AXES)
 def test_axes_never_mirror(axes, save):
     unit = np.column_stack([np.eye(3), np.zeros(3)]).astype(np.float32)
     rotated = read_points(save(unit), axes)[:, :3]
     assert np.linalg.det(rotated) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    ("axes", "forward", "left"),
-    [("flu", "x", "y"), ("kitti", "x", "y"), ("nuscenes", "y", "-x"), ("sustech", "-y", "x")],
-)
+@each("axes, forward, left", [("flu", "x", "y"), ("kitti", "x", "y"), ("nuscenes", "y", "-x"), ("sustech", "-y", "x")])
 def test_named_axes_point_as_in_the_data_set(axes, forward, left, save):
     ways = {"x": [1, 0, 0], "y": [0, 1, 0], "-x": [-1, 0, 0], "-y": [0, -1, 0]}
     points = read_points(save(np.float32([ways[forward], ways[left], [0, 0, 1]])), axes)
@@ -64,23 +62,13 @@ def test_any_rotation_will_do(cloud, save):
     np.testing.assert_allclose(read_points(save(cloud), rotation)[:, :3], expected, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("axes", "message"),
-    [
-        ("nuscene", "not known"),
-        (("x", "+y", "+z"), "not three of"),
-        (("+x", "+x", "+z"), "right angles"),
-        (("+x", "+y"), "right angles"),
-        (("+x", "-y", "+z"), "reflection"),
-        (np.eye(2), "right angles"),
-        (None, "axes must be a name.*got None.*give flu"),
-        (3, "axes must be a name.*got 3"),
-        (("+x", 1, 2), "no .* matrix of numbers"),
-        ([[1, 0, 0], [0, 1]], "no .* matrix of numbers"),
-        (np.eye(3) * 2, "right angles"),
-        (np.diag([1.0, 1.0, -1.0]), "reflection"),
-    ],
-)
+@each("axes, message", [
+        ("nuscene", "not known"), (("x", "+y", "+z"), "not three of"), (("+x", "+x", "+z"), "right angles"),
+        (("+x", "+y"), "right angles"), (("+x", "-y", "+z"), "reflection"), (np.eye(2), "right angles"),
+        (None, "axes must be a name.*got None.*give flu"), (3, "axes must be a name.*got 3"),
+        (("+x", 1, 2), "no .* matrix of numbers"), ([[1, 0, 0], [0, 1]], "no .* matrix of numbers"),
+        (np.eye(3) * 2, "right angles"), (np.diag([1.0, 1.0, -1.0]), "reflection"),
+    ])  # fmt: skip
 def test_axes_that_are_no_rotation_are_refused(axes, message, cloud, save):
     with pytest.raises(ValueError, match=message):
         read_points(save(cloud), axes)
@@ -107,12 +95,6 @@ def test_origin_brings_map_coordinates_home(tmp_path):
         read_points(path)
 
 
-@pytest.mark.parametrize("origin", [(0, 0), (0, 0, np.nan)])
-def test_an_origin_is_three_numbers(origin, cloud, save):
-    with pytest.raises(ValueError, match="origin must be"):
-        read_points(save(cloud), origin=origin)
-
-
 # ---- rows without a point
 
 
@@ -131,7 +113,7 @@ def test_rows_without_a_point_are_dropped_counted_and_logged(cloud, save, caplog
     np.testing.assert_array_equal(scan.ring, np.delete(np.arange(60), gone))
 
 
-@pytest.mark.parametrize("unknown", [np.nan, np.inf, -np.inf])
+@each("unknown", [np.nan, np.inf, -np.inf])
 def test_a_point_of_unknown_intensity_is_a_point(unknown, cloud, save, caplog):
     rows = cloud.copy()
     rows[[7, 9], 3] = unknown
@@ -143,8 +125,8 @@ def test_a_point_of_unknown_intensity_is_a_point(unknown, cloud, save, caplog):
     np.testing.assert_array_equal(scan.points, rows)
 
 
-@pytest.mark.parametrize("unknown", [np.nan, np.inf])
-@pytest.mark.parametrize(("column", "what"), [("ring", "rings"), ("time", "times")])
+@each("unknown", [np.nan, np.inf])
+@each("column, what", [("ring", "rings"), ("time", "times")])
 def test_a_column_with_a_gap_is_left_out_and_costs_no_point(column, what, unknown, tmp_path, caplog):
     values = {"ring": np.float32([0, 1, 2]), "time": np.float32([0, 0.05, 0.1])}
     values[column][1] = unknown
@@ -186,7 +168,7 @@ def test_a_point_with_one_or_two_zeros_is_a_point(save):
     np.testing.assert_array_equal(scan.points[:, :3], rows)
 
 
-@pytest.mark.parametrize("rows", [np.full((5, 4), np.nan), np.zeros((5, 4)), np.empty((0, 4))])
+@each("rows", [np.full((5, 4), np.nan), np.zeros((5, 4)), np.empty((0, 4))])
 def test_a_file_without_points_gives_none(rows, save):
     scan, facts = read_scan_file(save(rows))
     assert scan.points.shape == (0, 4)
@@ -207,16 +189,13 @@ def test_the_ego_vehicle_and_what_is_below_ground_are_kept(save):
 # ---- intensity
 
 
-@pytest.mark.parametrize(
-    ("raw", "expected", "scale"),
-    [
+@each("raw, expected, scale", [
         (np.uint8([0, 51, 255]), [0, 0.2, 1], 255),
         (np.uint16([0, 13107, 65535]), [0, 0.2, 1], 65535),
         (np.float32([0, 0.2, 1]), [0, 0.2, 1], 1),
         (np.float32([0, 51, 2]), [0, 0.2, 2 / 255], 255),
         (np.int32([0, 51, 255]), [0, 0.2, 1], 255),
-    ],
-)
+    ])  # fmt: skip
 def test_intensity_scale_follows_type_then_values(raw, expected, scale, tmp_path):
     scan, facts = read_scan_file(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=raw))
     np.testing.assert_allclose(scan.points[:, 3], expected, rtol=1e-6)
@@ -255,7 +234,7 @@ def test_intensity_below_zero_is_refused(save):
         read_points(save(np.float32([[1, 2, 3, -0.5]])))
 
 
-@pytest.mark.parametrize("high", [1.01, 255.5])
+@each("high", [1.01, 255.5])
 def test_intensity_just_above_the_scale_is_refused(high, tmp_path):
     path = tmp_path / ("a.bin" if high < 2 else "a.feather")
     (tmp_path / "a.bin").write_bytes(np.float32([[1, 2, 3, high]]).tobytes())
@@ -264,24 +243,30 @@ def test_intensity_just_above_the_scale_is_refused(high, tmp_path):
         read_points(path)
 
 
-@pytest.mark.parametrize("wrong", [0, -1, np.nan, np.inf])
-def test_intensity_max_must_be_a_positive_number(wrong, save):
-    with pytest.raises(ValueError, match="intensity_max must be above 0"):
-        read_points(save(np.ones((1, 3))), intensity_max=wrong)
-
-
 # ---- ring and time
 
 
-@pytest.mark.parametrize("ring", [-1.0, 0.5, 70_000.0])
+@each("wrong", [0, -1e-9, np.nan, np.inf])
+def test_a_scale_and_a_unit_are_positive_numbers(wrong, save):
+    path = save(np.ones((1, 3)))
+    for option in ("intensity_max", "time_unit"):
+        with pytest.raises(ValueError, match=f"{option} must be above 0"):
+            read_points(path, **{option: wrong})
+
+
+@each("origin", [(0, 0), (0, 0, np.nan)])
+def test_an_origin_is_three_numbers(origin, save):
+    with pytest.raises(ValueError, match="origin must be"):
+        read_points(save(np.ones((1, 3))), origin=origin)
+
+
+@each("ring", [-1.0, 0.5, 70_000.0])
 def test_a_ring_is_a_whole_number(ring, save):
     with pytest.raises(ValueError, match="rings from"):
         read_points(save(np.float32([[1, 2, 3, 0, ring]])))
 
 
-@pytest.mark.parametrize(
-    ("name", "times", "expected", "stamp"),
-    [
+@each("name, times, expected, stamp", [
         ("a", np.float32([0.0, 0.05, 0.1]), [0, 0.05, 0.1], None),
         ("a", np.float64([-0.1, -0.05, 0.0]), [-0.1, -0.05, 0], None),
         ("a", np.int32([0, 50_000_000, 100_000_000]), [0, 0.05, 0.1], None),
@@ -291,8 +276,7 @@ def test_a_ring_is_a_whole_number(ring, save):
         ("n015__LIDAR_TOP__1532402927647951", np.int32([0, 10**8, 0]), [0, 0.1, 0], 1532402927.647951),
         ("0000000060", np.int32([0, 10**8, 0]), [0, 0.1, 0], None),
         ("12345678901234567", np.int32([0, 10**8, 0]), [0, 0.1, 0], None),
-    ],
-)
+    ])  # fmt: skip
 def test_times_count_from_the_stamp(name, times, expected, stamp, tmp_path):
     scan = read_scan(feather(tmp_path / f"{name}.feather", x=ONES, y=ONES, z=ONES, timestamp=times))
     assert scan.time.dtype == np.float64
@@ -304,16 +288,13 @@ def timed(path, times):
     return feather(path / "a.feather", x=ONES, y=ONES, z=ONES, timestamp=times)
 
 
-@pytest.mark.parametrize(
-    ("times", "unit", "stamp"),
-    [
+@each("times, unit, stamp", [
         (1.7e18 + np.float64([0, 5e7, 1e8]), 1e-9, 1.7e9),  # as the driver of Livox writes them
         (np.float64([0, 5e7, 1e8]), 1e-9, None),
         (np.float32([0, 5e4, 1e5]), 1e-6, None),
         (np.float32([0, 50, 100]), 1e-3, None),
         (np.uint64([0, 10**10 + 1, 2 * 10**10]), 5e-12, None),
-    ],
-)
+    ])  # fmt: skip
 def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_given(times, unit, stamp, tmp_path):
     path = timed(tmp_path, times)
     with pytest.raises(ValueError, match=r"times that last .* give as time_unit \[s\].* 1e-9 for nanoseconds"):
@@ -345,18 +326,15 @@ def test_a_long_recording_is_read_if_its_unit_is_given(tmp_path):
     np.testing.assert_array_equal(scan.time, [3, 60, 600])
 
 
-@pytest.mark.parametrize("wrong", [0, -1e-9, np.nan, np.inf])
-def test_a_time_unit_is_a_positive_number(wrong, save):
-    with pytest.raises(ValueError, match="time_unit must be above 0"):
-        read_points(save(np.ones((1, 3))), time_unit=wrong)
-
-
 # ---- names of fields
 
 
-@pytest.mark.parametrize("place", ["xyz", "XYZ"])
-@pytest.mark.parametrize("intensity", ["Intensity", "scalar_Intensity", "Reflectivity", "INTENSITY"])
-@pytest.mark.parametrize(("ring", "time"), [("Ring", "Timestamp"), ("scalar_ring", "scalar_GpsTime")])
+@each("place, intensity, ring, time", [
+        ("xyz", "Intensity", "Ring", "Timestamp"),
+        ("XYZ", "INTENSITY", "scalar_ring", "scalar_GpsTime"),
+        ("xyz", "Reflectivity", "Ring", "scalar_GpsTime"),
+        ("XYZ", "scalar_Intensity", "scalar_ring", "Timestamp"),
+    ])  # fmt: skip
 def test_fields_are_known_in_any_capitals(place, intensity, ring, time, tmp_path):
     x, y, z = place
     columns = {x: ONES, y: 2 * ONES, z: 3 * ONES, intensity: ONES / 2, ring: np.uint8([4, 5, 6]), time: ONES}
@@ -367,7 +345,7 @@ def test_fields_are_known_in_any_capitals(place, intensity, ring, time, tmp_path
     assert facts.fields == tuple(columns)
 
 
-@pytest.mark.parametrize("double", ["X", "scalar_x", "scalar_Y"])
+@each("double", ["X", "scalar_x", "scalar_Y"])
 def test_two_fields_of_one_meaning_are_refused(double, tmp_path):
     columns = {"x": ONES, "y": ONES, "z": ONES, double: ONES}
     with pytest.raises(ValueError, match=f"fields ., {double}, wanted one of each name"):
@@ -419,8 +397,8 @@ def road(rng, height, slope=0.0, number=20_000):
     return np.column_stack([xy, z, np.zeros(number)]).astype(np.float32)
 
 
-@pytest.mark.parametrize("height", [0.33, 1.0, 1.73, 2.5])
-@pytest.mark.parametrize("slope", [0.0, 0.04, -0.05])
+@each("height", [0.33, 1.0, 1.73, 2.5])
+@each("slope", [0.0, 0.04, -0.05])
 def test_height_is_that_of_the_road_below(height, slope):
     rng = np.random.default_rng(5)
     points = road(rng, height, slope)
@@ -442,13 +420,10 @@ def test_height_is_unknown_without_a_road():
     assert estimate_sensor_height(stairs) is None
 
 
-@pytest.mark.parametrize("height", [0.5, 1.73, 5.0])
-def test_a_plausible_height_is_returned(height):
-    assert plausible_sensor_height(height) == height
-
-
-@pytest.mark.parametrize("height", [0.37, 0.49, 5.1, -1.0, np.nan])
-def test_a_height_of_no_sensor_is_refused_with_the_way_out(height):
-    message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give sensor_position"
-    with pytest.raises(OgmError, match=message):
-        plausible_sensor_height(height, "a.feather")
+def test_a_height_of_no_sensor_is_refused_with_the_way_out():
+    for height in (0.5, 1.73, 5.0):
+        assert plausible_sensor_height(height) == height
+    for height in (0.37, 0.49, 5.1, -1.0, np.nan):
+        message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give sensor_position"
+        with pytest.raises(OgmError, match=message):
+            plausible_sensor_height(height, "a.feather")

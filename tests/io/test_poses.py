@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,12 +26,9 @@ def drive(count: int = 12) -> Trajectory:
 
 def rows(poses: np.ndarray, numbers: list[int] | None = None) -> str:
     """Write poses as KITTI does (or KITTI-360, with frame numbers)."""
+    starts = [""] * len(poses) if numbers is None else [f"{n} " for n in numbers]
     lines = [" ".join(f"{v:.12e}" for v in T[:3].ravel()) for T in poses]
-    return (
-        "".join(f"{line}\n" for line in lines)
-        if numbers is None
-        else "".join(f"{n} {line}\n" for n, line in zip(numbers, lines, strict=True))
-    )
+    return "".join(f"{start}{line}\n" for start, line in zip(starts, lines, strict=True))
 
 
 def test_kitti_and_kitti_360_and_full_matrices_hold_the_same(tmp_path: Path) -> None:
@@ -49,7 +47,7 @@ def test_kitti_and_kitti_360_and_full_matrices_hold_the_same(tmp_path: Path) -> 
     assert (kitti.format, kitti360.format, matrices.format) == ("KITTI", "KITTI-360", "KITTI-360 4x4")
 
 
-@pytest.mark.parametrize("ending", [".csv", ".txt", ".tum"])
+@each("ending", [".csv", ".txt", ".tum"])
 def test_what_is_written_is_read_again_to_the_last_bit(ending: str, tmp_path: Path) -> None:
     trajectory, path = drive(), tmp_path / f"poses{ending}"
     write_poses(path, trajectory)
@@ -136,9 +134,7 @@ IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 CSV = "stamp,x,y,z,qx,qy,qz,qw\n"
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
+@each("name, content, message", [
         ("a.txt", "", "is empty"),
         ("a.txt", "# nothing\n\n", "holds no pose"),
         ("a.csv", CSV, "holds no pose"),
@@ -155,19 +151,14 @@ CSV = "stamp,x,y,z,qx,qy,qz,qw\n"
         ("a.txt", f"0.5 {IDENTITY}\n", "frame number, got 0.5"),
         ("a.txt", "1 0 0 0 0 0 0 0\n", "line 1 .* length 1, got 0"),
         ("a.txt", "1 0 0 0 0 0 0 1.02\n", "length 1, got 1.02"),
-        (
-            "a.txt",
-            "1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n",
-            "stamps must increase, but line 1 .* has 1.0 and the next has 1.0",
-        ),
+        ("a.txt", "1 0 0 0 0 0 0 1\n" * 2, "stamps must increase, but line 1 .* has 1.0 and the next has 1.0"),
         ("a.txt", "2 0 0 0 0 0 0 1\n# x\n1 0 0 0 0 0 0 1\n", "line 1 .* has 2.0 and the next has 1.0"),
         ("a.txt", "1317617735123456789 0 0 0 0 0 0 1\n", "divide nanoseconds"),
         ("a.csv", "1,0,0,0,0,0,0,1\n", "header"),
         ("a.csv", "stamp,x,y,z,qx,qy,qz\n", "header"),
         ("a.csv", CSV + "1,0,0,0,0,0,0\n", r"line 2 .* of shape \(8,\)"),
         ("a.csv", "# ogm.poses/2: ...\n" + CSV, "newer release"),
-    ],
-)
+    ])  # fmt: skip
 def test_errors_of_damaged_files_name_the_line(name: str, content: str | bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -198,16 +189,13 @@ def test_our_own_files_need_no_calibration(tmp_path: Path) -> None:
         read_poses(tmp_path / "poses.csv", T_camera_sensor=T_CAMERA_SENSOR)
 
 
-@pytest.mark.parametrize(
-    ("name", "numbers", "message"),
-    [
+@each("name, numbers, message", [
         ("poses.json", None, "name it .csv"),
         ("poses.txt", np.arange(12), "no frame numbers"),
         ("poses.csv", np.arange(11), "12 integers"),
         ("poses.csv", np.arange(12.0), "12 integers"),
         ("poses.csv", np.zeros(12, int), "increase"),
-    ],
-)
+    ])  # fmt: skip
 def test_what_cannot_be_written_is_refused(name: str, numbers: np.ndarray, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
         write_poses(tmp_path / name, drive(), numbers)
@@ -231,15 +219,12 @@ def test_calibrations_of_all_recordings_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_calibration(path), T)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+@each("text, message", [
         ("P0: 1 2 3\n", "no entry Tr, Tr_velo_to_cam"),
         ("Tr: 1 2 3\n", r"entry Tr of .* numbers of shape \(12,\), got \['1', '2', '3'\]"),
         (f"Tr: {IDENTITY[:-1]}x\n", "entry Tr of .* must be numbers"),
         ("Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n", "rigid"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_calibrations_are_named(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "calib.txt"
     path.write_text(text)
@@ -247,14 +232,11 @@ def test_damaged_calibrations_are_named(text: str, message: str, tmp_path: Path)
         read_calibration(path)
 
 
-@pytest.mark.parametrize(
-    ("folder", "numbers", "path_length"),
-    [
+@each("folder, numbers, path_length", [
         ("kitti_odometry_00", range(6), 3.58),
         ("kitti_raw_0005", range(60, 84), 9.0),
         ("sustechpoints", (965, 970, 975), 5.54),
-    ],
-)
+    ])  # fmt: skip
 def test_derived_poses_are_read(real: Callable[[str], Path], folder: str, numbers: range, path_length: float) -> None:
     read = read_poses(real(folder) / "derived" / "poses_lidar_gicp.txt")
     assert read.numbers is not None
@@ -294,18 +276,12 @@ def test_flat_g2o_lies_in_the_plane(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.poses, [pose(1.5, -2.0, yaw=0.75), pose(yaw=-3.0)], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("line", "wanted"),
-    [
-        ("VERTEX_SE2 1 2 3", "line 2 of .* and 3 finite numbers"),
-        ("VERTEX_SE2 1 2 3 nan", "finite"),
-        ("VERTEX_SE2 one 2 3 4", "a whole number"),
-        ("VERTEX_SE2", "a whole number"),
-        ("VERTEX_SE2 -4 2 3 4", "from 0"),
-        ("VERTEX_SE2 0 2 3 4", "the vertex 0 of line 1 again"),
+@each("line, wanted", [
+        ("VERTEX_SE2 1 2 3", "line 2 of .* and 3 finite numbers"), ("VERTEX_SE2 1 2 3 nan", "finite"),
+        ("VERTEX_SE2 one 2 3 4", "a whole number"), ("VERTEX_SE2", "a whole number"),
+        ("VERTEX_SE2 -4 2 3 4", "from 0"), ("VERTEX_SE2 0 2 3 4", "the vertex 0 of line 1 again"),
         ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 2", "quaternion of length 1"),
-    ],
-)
+    ])  # fmt: skip
 def test_damaged_g2o_is_refused(tmp_path: Path, line: str, wanted: str) -> None:
     (tmp_path / "graph.g2o").write_text(f"VERTEX_SE2 0 0 0 0\n{line}\n")
     with pytest.raises(OgmError, match=wanted):

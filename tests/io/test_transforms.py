@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -160,17 +161,11 @@ def test_a_live_buffer_forgets():
     assert first == pytest.approx(8.9)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        StampedTransform("", "b", 0.0, np.eye(4)),
-        StampedTransform("a", "", 0.0, np.eye(4)),
-        StampedTransform("a", "a", 0.0, np.eye(4)),
-        StampedTransform("a", "b", np.nan, np.eye(4)),
-        StampedTransform("a", "b", 0.0, 2 * np.eye(4)),
-        StampedTransform("a", "b", 0.0, np.eye(3)),
-    ],
-)
+@each("wrong", [
+        StampedTransform("", "b", 0.0, np.eye(4)), StampedTransform("a", "", 0.0, np.eye(4)),
+        StampedTransform("a", "a", 0.0, np.eye(4)), StampedTransform("a", "b", np.nan, np.eye(4)),
+        StampedTransform("a", "b", 0.0, 2 * np.eye(4)), StampedTransform("a", "b", 0.0, np.eye(3)),
+    ])  # fmt: skip
 def test_transforms_that_are_none_are_refused(wrong):
     buffer = TransformBuffer()
     with pytest.raises(OgmError, match="the transform from"):

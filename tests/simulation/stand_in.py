@@ -12,6 +12,7 @@ SMALL = Beams(
     "small", (-0.3, -0.2, -0.1, 0.1), (0.0, 0.01, 0.0, 0.02), -2 * np.pi / 90, 90, 10.0, ((0.0, 0.0, 0.0),) * 4
 )
 TALL = Beams("tall", (-0.3, -0.2), (0.0, 0.0), 2 * np.pi / 300, 300, 20.0, ((0.0, 0.0, 0.1),) * 2)
+BEAMS = (SMALL, TALL)
 
 
 def stand_in(plan: object, split: str, index: int, threads: int = 1) -> SimulatedSample:

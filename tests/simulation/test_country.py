@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import shapely
+from cases import each
 
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.recipe import Country
@@ -55,6 +56,7 @@ def test_profiles_are_as_steep_and_as_high_as_stated() -> None:
     assert np.mean([max(one.height) > 0.5 for one in found]) > 0.3  # land above it
 
 
+@pytest.mark.slow
 def test_banks_rise_20_to_100_percent_and_roads_do_not(town: Town, plain_town: Town) -> None:
     slope, area = slopes(town)
     assert area[slope > 0.4].sum() > 0.005 * area.sum()
@@ -65,6 +67,7 @@ def test_banks_rise_20_to_100_percent_and_roads_do_not(town: Town, plain_town: T
     assert size[before > 0.4].sum() < 0.3 * area[slope > 0.4].sum()
 
 
+@pytest.mark.slow
 def test_part_of_a_town_is_country(town: Town, plain_town: Town) -> None:
     styles = [style for _, style in town.districts]
     assert "country" in styles
@@ -75,6 +78,7 @@ def test_part_of_a_town_is_country(town: Town, plain_town: Town) -> None:
         assert 11 <= found.count("country") <= 13
 
 
+@pytest.mark.slow
 def test_nothing_that_grows_stands_on_a_lane(town: Town) -> None:
     corners = town.mesh.vertices[town.mesh.triangles[np.isin(town.mesh.material, (Material.FOLIAGE, Material.BARK))]]
     low = corners[(corners[..., 2] - town.ground_height(*corners[..., :2].reshape(-1, 2).T).reshape(-1, 3)).min(1) < 2]
@@ -84,6 +88,7 @@ def test_nothing_that_grows_stands_on_a_lane(town: Town) -> None:
     assert not shapely.intersects(lanes, middles).any()
 
 
+@pytest.mark.slow
 def test_the_same_seed_builds_the_same_country(town: Town) -> None:
     again = build_town(3, 240.0, COUNTRY)
     for one, other in zip((*town.mesh, town.height), (*again.mesh, again.height), strict=True):
@@ -96,7 +101,7 @@ def test_shares_of_land_use_sum_to_one() -> None:
     assert {"ploughed", "wood", "meadow"} <= set(USES)
 
 
-@pytest.mark.parametrize("plant", ["grass", "crop"])
+@each("plant", ["grass", "crop"])
 def test_high_plants_stand_on_their_ground_in_their_field(plant: str) -> None:
     rng = np.random.default_rng(1)
     mesh = high_grass(FIELD, plane, rng, density=2.0) if plant == "grass" else crops(FIELD, plane, rng, tall=0.8)

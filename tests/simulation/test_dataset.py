@@ -128,22 +128,13 @@ def test_points_are_those_of_the_lidar() -> None:
         empty = np.zeros(spec.shape, np.int32)
         intensities = np.full(spec.shape, 51, np.uint8)
         image = RangeImage(steps * np.float32(RANGE_STEP), intensities / np.float32(255), empty, empty.astype(np.uint8))
-        made = SimulatedSample(
-            beams,
-            steps,
-            intensities,
-            *[None] * 4,
-            np.zeros(3),
-            0.0,
-            0.0,
-            "training",
-            0,
-            0,  # type: ignore[arg-type]
-        )
+        nothing = (None,) * 4
+        made = SimulatedSample(beams, steps, intensities, *nothing, np.zeros(3), 0.0, 0.0, "training", 0, 0)
         np.testing.assert_allclose(made.points, to_points(image, spec)[0], atol=2e-4)
         np.testing.assert_allclose(beams.times, spec.times, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_mounting_and_ego_motion_are_kept() -> None:
     mount = LidarMount("hdl-32e", 1.0, (1.7, 2.1), (-0.3, 0.3), 0.04)
     plan = replace(PLAN, mounts=(mount,), in_motion=1.0, bad_weather=1.0)
@@ -160,6 +151,7 @@ def test_mounting_and_ego_motion_are_kept() -> None:
     assert np.linalg.norm(sample.velocity - (sample.velocity @ forward_axis) * forward_axis) < 0.5
 
 
+@pytest.mark.slow
 def test_both_ways_to_observe_the_truth_agree(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     hd = dataset.make_sample(replace(PLAN, truth="hd", hd_layers=300), "training", 3)
     assert np.array_equal(hd.steps, pair[0].steps)
@@ -169,12 +161,14 @@ def test_both_ways_to_observe_the_truth_agree(pair: tuple[SimulatedSample, Simul
     assert np.mean(a[both] == b[both]) > 0.95
 
 
+@pytest.mark.slow
 def test_without_truth_the_scans_are_the_same(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     bare = dataset.make_sample(replace(PLAN, truth="none"), "training", 3)
     assert same(replace(bare, truth=pair[0].truth), pair[0])
     assert (bare.truth.state == CellState.UNKNOWN).all()
 
 
+@pytest.mark.slow
 def test_the_static_truth_is_that_of_a_sample_without_its_traffic(
     pair: tuple[SimulatedSample, SimulatedSample],
 ) -> None:

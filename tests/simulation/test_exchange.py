@@ -1,26 +1,25 @@
 """The paper's layout: what is exported comes back, the right way round."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from stand_in import BEAMS, stand_in
 
 from ogm import read_points
 from ogm.simulation.exchange import PAPER_GRID, PairFolder, export, read_label, write_label, write_pcd
-from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 
 
 @pytest.fixture
-def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Callable[..., SimulatedSample]) -> Store:
+def store(tmp_path: Path) -> Store:
     """Three training samples, one of test, a sequence that is only planned."""
     counts = {"training": 3, "validation": 0, "test": 1, "sequences": 100}
-    store = Store.create(tmp_path / "data", {}, counts, beams, {})
-    store.write("training", 0, [make_sample(None, "training", i) for i in range(3)])
-    store.write("test", 0, [make_sample(None, "test", 0)])
+    store = Store.create(tmp_path / "data", {}, counts, BEAMS, {})
+    store.write("training", 0, [stand_in(None, "training", i) for i in range(3)])
+    store.write("test", 0, [stand_in(None, "test", 0)])
     return store
 
 

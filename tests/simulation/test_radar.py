@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.pose import pose
 from ogm.simulation.materials import Material
@@ -133,7 +134,7 @@ def test_the_same_seed_gives_the_same_sweep() -> None:
         np.testing.assert_array_equal(one, other, err_msg=name)
 
 
-@pytest.mark.parametrize("name", RADARS)
+@each("name", RADARS)
 def test_a_scan_has_what_a_real_radar_gives(name: str) -> None:
     scan = many(Scene(wall(40.0, 0.0, 6.0)), RADARS[name], 1)[0].scan(stamp=2.0, sensor=name)
     assert len(scan)

@@ -4,7 +4,6 @@ import json
 import shutil
 import struct
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -12,24 +11,25 @@ from typing import Any
 
 import google_crc32c
 import pytest
+from cases import each
 from damage import check_flips
+from stand_in import BEAMS, stand_in
 
 from ogm.simulation.plan import DatasetPlan, LidarMount
-from ogm.simulation.sample import Beams, SimulatedSample
+from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Damaged, Store
 from ogm.simulation.workers import begin, missing_shards
 
-Make = Callable[..., SimulatedSample]
 PLAN = DatasetPlan(samples=13, validation=4, test=1, mounts=(LidarMount("small"), LidarMount("tall")))
 
 
 @pytest.fixture(scope="session")
-def written(tmp_path_factory: pytest.TempPathFactory, beams: tuple[Beams, ...], make_sample: Make) -> Path:
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two shards of training samples, the second of three."""
     path = tmp_path_factory.mktemp("checksums") / "data"
-    store = begin(path, PLAN, beams, {"ogm": "0"})
+    store = begin(path, PLAN, BEAMS, {"ogm": "0"})
     for shard, numbers in enumerate((range(10), range(10, 13))):
-        store.write("training", shard, [make_sample(None, "training", i) for i in numbers])
+        store.write("training", shard, [stand_in(None, "training", i) for i in numbers])
     return path
 
 
@@ -57,13 +57,14 @@ def test_flipped_bits_are_found(store: Store) -> None:
     for file in sorted(one for one in store.path.rglob("*") if one.is_file()):
         place = file.relative_to(store.path).parts  # training/steps/c/SHARD/...
         numbers = ((0, 12)[int(place[3])],) if len(place) > 3 and place[2] == "c" else (0, 12)
-        found += check_flips(file, partial(read, *numbers), 6, str(store.path))
-    assert found["refused"] > 60
+        found += check_flips(file, partial(read, *numbers), 3, str(store.path))
+    assert found["refused"] > 30
 
 
-@pytest.mark.parametrize(("at", "size"), [(4, 2**31), (8, 0), (8, 2**30), (12, 2**31), (12, 1), (0, 0)])
-def test_blosc_never_unpacks_a_chunk_whose_sizes_are_wrong(store: Store, at: int, size: int) -> None:
+@each("at, size", [(4, 2**31), (8, 0), (8, 2**30), (12, 2**31), (12, 1), (0, 0)])
+def test_blosc_never_unpacks_a_chunk_whose_sizes_are_wrong(written: Path, tmp_path: Path, at: int, size: int) -> None:
     """Checksums are right; ``at`` 0 stands for a chunk that ends within its header."""
+    store = Store.open(shutil.copytree(written, tmp_path / "data"))
     file = next(one for one in (store.path / "training/steps/c").rglob("0") if one.is_file())
     data = bytearray(file.read_bytes())
     assert data[-4:] == sum_of(data[-164:-4])  # of the index of ten chunks
@@ -84,13 +85,12 @@ def sum_of(data: bytes | bytearray) -> bytes:
     return struct.pack("<I", google_crc32c.value(bytes(data)))
 
 
-@pytest.mark.parametrize("array", ["steps", "intensities", "truth", "heights", "objects", "facts"])
-def test_an_exchanged_file_is_found_by_reading_and_by_resuming(
-    store: Store, array: str, tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make
-) -> None:
+@each("array", ["steps", "intensities", "truth", "heights", "objects", "facts"])
+def test_an_exchanged_file_is_found_by_reading_and_by_resuming(written: Path, array: str, tmp_path: Path) -> None:
     """Its chunks are whole, but of other samples."""
-    other = begin(tmp_path / "other", PLAN, beams, {"ogm": "0"})
-    other.write("training", 0, [replace(make_sample(None, "training", i + 40), index=i) for i in range(10)])
+    store = Store.open(shutil.copytree(written, tmp_path / "data"))
+    other = begin(tmp_path / "other", PLAN, BEAMS, {"ogm": "0"})
+    other.write("training", 0, [replace(stand_in(None, "training", i + 40), index=i) for i in range(10)])
     shutil.copytree(
         other.path / "training" / array / "c" / "0", store.path / "training" / array / "c" / "0", dirs_exist_ok=True
     )
@@ -99,7 +99,7 @@ def test_an_exchanged_file_is_found_by_reading_and_by_resuming(
         Damaged, match=rf"sample 3 of training in .*data: {array} damaged on disk .its checksum differs"
     ):
         split[3]
-    assert content(split[12]) == content(make_sample(None, "training", 12))
+    assert content(split[12]) == content(stand_in(None, "training", 12))
     with pytest.raises(
         Damaged, match=rf"sample . of training .*{array} damaged .*; . more are damaged: sample . of tr"
     ):
@@ -121,19 +121,17 @@ def test_a_changed_plan_is_found(store: Store) -> None:
             Store.open(store.path)
 
 
-def test_data_sets_of_older_versions_are_read_and_grow(
-    store: Store, beams: tuple[Beams, ...], make_sample: Make
-) -> None:
+def test_data_sets_of_older_versions_are_read_and_grow(store: Store) -> None:
     """They have no checksums; samples that are added have."""
     shutil.rmtree(store.path / "training" / "checksums")
     text = json.loads((store.path / "zarr.json").read_text())
     del text["attributes"]["sha256"]
     (store.path / "zarr.json").write_text(json.dumps(text))
     old = Store.open(store.path)
-    assert [content(one) for one in old["training"]] == [content(make_sample(None, "training", i)) for i in range(13)]
+    assert [content(one) for one in old["training"]] == [content(stand_in(None, "training", i)) for i in range(13)]
     counts = PLAN.counts | {"training": 21}
-    grown = Store.create(store.path, asdict(PLAN), counts, beams, {"ogm": "0"})
-    grown.write("training", 2, [make_sample(None, "training", 20)])
+    grown = Store.create(store.path, asdict(PLAN), counts, BEAMS, {"ogm": "0"})
+    grown.write("training", 2, [stand_in(None, "training", 20)])
     assert not [*grown["training"].damage()]
     file = grown.path / "training" / "truth" / "c" / "0"
     shutil.copytree(file, file.with_name("2"), dirs_exist_ok=True)

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
+from stand_in import BEAMS, stand_in
 
 from ogm import open_dataset
 from ogm.pose import inverse, pose
@@ -38,11 +40,11 @@ def with_sweeps(sample: Any, index: int) -> Any:
 
 
 @pytest.fixture(scope="session")
-def written(tmp_path_factory: pytest.TempPathFactory, beams: Any, make_sample: Any) -> Path:
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = DatasetPlan(samples=0, validation=10, test=0, radars=TWO, mounts=(LidarMount("small"),))
     path = tmp_path_factory.mktemp("sweeps") / "data"
-    store = Store.create(path, asdict(plan), {"validation": 10}, beams, {"ogm": "0"})
-    store.write("validation", 0, [with_sweeps(make_sample(None, "validation", i), i) for i in range(10)])
+    store = Store.create(path, asdict(plan), {"validation": 10}, BEAMS, {"ogm": "0"})
+    store.write("validation", 0, [with_sweeps(stand_in(None, "validation", i), i) for i in range(10)])
     return path
 
 
@@ -76,7 +78,7 @@ def test_a_plan_with_radars_survives_json_and_does_not_become_another() -> None:
         plan.grown(DatasetPlan())
 
 
-@pytest.mark.parametrize("rate", [13.0, 20.0, 7.3])
+@each("rate", [13.0, 20.0, 7.3])
 def test_every_sweep_of_a_drive_belongs_to_one_sample(rate: float) -> None:
     pytest.importorskip("open3d")
     from ogm.simulation.sweeps import sweep_times
@@ -91,11 +93,11 @@ def test_every_sweep_of_a_drive_belongs_to_one_sample(rate: float) -> None:
     assert sweep_times("test", 31.7, rate) == [31.7]
 
 
-def test_sweeps_come_back_as_they_were_written(store: Store, make_sample: Any) -> None:
+def test_sweeps_come_back_as_they_were_written(store: Store) -> None:
     assert store.format == "ogm.samples/5"
     assert [one.name for one in store.radars] == ["ars548-front", "corner-rear-left"]
     for i in (0, 9):
-        wanted, found = with_sweeps(make_sample(None, "validation", i), i), store["validation"][i]
+        wanted, found = with_sweeps(stand_in(None, "validation", i), i), store["validation"][i]
         np.testing.assert_array_equal(found.steps, wanted.steps)
         assert len(found.sweeps) == 3
         for got, sweep in zip(found.sweeps, wanted.sweeps, strict=True):
@@ -107,8 +109,9 @@ def test_sweeps_come_back_as_they_were_written(store: Store, make_sample: Any) -
                 np.testing.assert_array_equal(column, other)
 
 
-@pytest.mark.parametrize("array", ["sweeps", "detections"])
-def test_damaged_sweeps_are_found(store: Store, array: str) -> None:
+@each("array", ["sweeps", "detections"])
+def test_damaged_sweeps_are_found(written: Path, tmp_path: Path, array: str) -> None:
+    store = Store.open(shutil.copytree(written, tmp_path / "data"))
     file = next(one for one in (store.path / "validation" / array / "c").rglob("*") if one.is_file())
     data = bytearray(file.read_bytes())
     data[len(data) // 3] ^= 4
@@ -153,13 +156,11 @@ def test_frames_of_lidar_and_radars(store: Store) -> None:
         open_dataset(store.path, sensors="side")
 
 
-def test_sweeps_between_the_turns_of_a_drive_come_in_time_and_without_truth(
-    tmp_path: Path, beams: Any, make_sample: Any
-) -> None:
-    made = Store.create(tmp_path / "d", asdict(DatasetPlan(radars=TWO)), {"sequences": 10}, beams, {})
-    samples = [replace(with_sweeps(make_sample(None, "sequences", i), i), stamp=20 + i / 10) for i in range(10)]
+def test_sweeps_between_the_turns_of_a_drive_come_in_time_and_without_truth(tmp_path: Path) -> None:
+    made = Store.create(tmp_path / "d", asdict(DatasetPlan(radars=TWO)), {"sequences": 10}, BEAMS, {})
+    samples = [replace(with_sweeps(stand_in(None, "sequences", i), i), stamp=20 + i / 10) for i in range(10)]
     for k, one in enumerate(samples):
-        late = one.stamp - make_sample(None, "sequences", k).stamp
+        late = one.stamp - stand_in(None, "sequences", k).stamp
         samples[k] = replace(one, sweeps=[sweep._replace(stamp=sweep.stamp + late) for sweep in one.sweeps])
     made.write("sequences", 0, samples)
     every = open_dataset(made.path, sensors=("radar", "lidar"))
@@ -172,9 +173,9 @@ def test_sweeps_between_the_turns_of_a_drive_come_in_time_and_without_truth(
         every[between].truth  # noqa: B018
 
 
-def test_data_sets_without_radars_have_none(tmp_path: Path, beams: Any, make_sample: Any) -> None:
-    store = Store.create(tmp_path / "d", {"radars": ()}, {"test": 1}, beams, {})
-    store.write("test", 0, [make_sample(None, "test", 0)])
+def test_data_sets_without_radars_have_none(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "d", {"radars": ()}, {"test": 1}, BEAMS, {})
+    store.write("test", 0, [stand_in(None, "test", 0)])
     assert store.format == "ogm.samples/3"
     assert store["test"][0].sweeps == ()
     with pytest.raises(OgmError, match="has no radar"):

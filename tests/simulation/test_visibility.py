@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import GridSpec
 from ogm.pose import pose
@@ -71,7 +72,7 @@ def test_a_part_sees_where_its_beams_are() -> None:
     np.testing.assert_array_equal(found[~edge & ~near], wanted[~edge & ~near])
 
 
-@pytest.mark.parametrize("extinction", [0.0, 0.02, 0.1])
+@each("extinction", [0.0, 0.02, 0.1])
 def test_sight_ends_where_a_bright_wall_or_bright_ground_is_lost(extinction: float) -> None:
     distance = np.linspace(0.3, 250, 5000).astype(np.float32)
     rays = np.tile(np.float32([1, 0, 0]), (5000, 1))
@@ -137,8 +138,8 @@ def test_truth_stays_unknown_where_no_ray_could_tell() -> None:
 # --- steep ground ---
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.3, 0.5, 0.9])
-@pytest.mark.parametrize("tilt", [0.0, 0.1])
+@each("slope", [0.0, 0.3, 0.5, 0.9])
+@each("tilt", [0.0, 0.1])
 def test_ground_too_steep_to_drive_on_is_occupied_as_high_as_it_rises(slope: float, tilt: float) -> None:
     bank = ground(lambda x, y: slope * np.clip(x - 4.0, 0, 3.0))
     T = pose(0, 0, 1.9, pitch=tilt)

@@ -14,16 +14,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from stand_in import stand_in
+from cases import each
+from stand_in import BEAMS, stand_in
 
 from ogm.simulation import workers
 from ogm.simulation.plan import DatasetPlan, LidarMount
-from ogm.simulation.sample import Beams, SimulatedSample
+from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, make_shards, missing_shards
 from ogm.storage import workers as processes
 
 PLAN = DatasetPlan(samples=23, validation=4, test=1, mounts=(LidarMount("small"), LidarMount("tall")))
+FOLDERS = [str(Path(__file__).parents[k]) for k in (0, 1)]  # of modules that other processes import
 SampleFunction = Callable[[DatasetPlan, str, int, int], SimulatedSample]
 
 
@@ -31,25 +33,21 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def run(path: Path, beams: tuple[Beams, ...], function: SampleFunction, plan: DatasetPlan = PLAN) -> list:
-    store = begin(path, plan, beams, {"ogm": "0"})
+def run(path: Path, function: SampleFunction = stand_in, plan: DatasetPlan = PLAN) -> list:
+    store = begin(path, plan, BEAMS, {"ogm": "0"})
     return list(make_shards(store, plan, function, workers=1))
 
 
 @pytest.fixture(scope="session")
-def whole(
-    tmp_path_factory: pytest.TempPathFactory, beams: tuple[Beams, ...], make_sample: SampleFunction
-) -> dict[str, bytes]:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """All files of the data set, made in one go."""
     folder = tmp_path_factory.mktemp("workers") / "whole"
-    run(folder, beams, make_sample)
+    run(folder)
     return contents(folder)
 
 
-def test_an_estimate_comes_first_then_every_shard(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction
-) -> None:
-    estimate, *made = run(tmp_path / "data", beams, make_sample)
+def test_an_estimate_comes_first_then_every_shard(tmp_path: Path) -> None:
+    estimate, *made = run(tmp_path / "data")
     assert isinstance(estimate, Estimate)
     assert estimate.samples == 28
     assert all(isinstance(one, Made) for one in made)
@@ -58,50 +56,46 @@ def test_an_estimate_comes_first_then_every_shard(
     real = sum(one.size for one in made)
     assert real / 3 < estimate.size < 3 * real
     assert missing_shards(Store.open(tmp_path / "data")) == []
-    assert run(tmp_path / "data", beams, make_sample) == []
+    assert run(tmp_path / "data") == []
 
 
-def test_a_run_that_breaks_is_taken_up_where_it_was(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
-) -> None:
+def test_a_run_that_breaks_is_taken_up_where_it_was(tmp_path: Path, whole: dict[str, bytes]) -> None:
     def breaks(plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
         if index == 17:
             raise KeyboardInterrupt
-        return make_sample(plan, split, index, threads)
+        return stand_in(plan, split, index, threads)
 
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "data", beams, breaks)
+        run(tmp_path / "data", breaks)
     assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
     asked = []
 
     def told(plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
         asked.append((split, index))
-        return make_sample(plan, split, index, threads)
+        return stand_in(plan, split, index, threads)
 
-    run(tmp_path / "data", beams, told)
+    run(tmp_path / "data", told)
     assert ("training", 3) not in asked
     assert contents(tmp_path / "data") == whole
 
 
-def test_a_grown_data_set_is_as_one_made_in_one_go(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
-) -> None:
-    run(tmp_path / "data", beams, make_sample, replace(PLAN, samples=4, validation=0))
-    run(tmp_path / "data", beams, make_sample)
+def test_a_grown_data_set_is_as_one_made_in_one_go(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    run(tmp_path / "data", plan=replace(PLAN, samples=4, validation=0))
+    run(tmp_path / "data")
     assert contents(tmp_path / "data") == whole
 
 
-def test_another_plan_is_refused(tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction) -> None:
-    run(tmp_path / "data", beams, make_sample, replace(PLAN, samples=1, validation=0))
+def test_another_plan_is_refused(tmp_path: Path) -> None:
+    run(tmp_path / "data", plan=replace(PLAN, samples=1, validation=0))
     before = contents(tmp_path / "data")
     with pytest.raises(ValueError, match="begun with seed = 1, got 2"):
-        run(tmp_path / "data", beams, make_sample, replace(PLAN, seed=2))
+        run(tmp_path / "data", plan=replace(PLAN, seed=2))
     assert contents(tmp_path / "data") == before
 
 
 KILLED = """
 import sys, time
-sys.path.insert(0, {tests!r})
+sys.path[:0] = {tests!r}
 from stand_in import SMALL, TALL, stand_in
 from test_workers import PLAN
 from ogm.simulation.workers import begin, make_shards
@@ -123,24 +117,20 @@ list(make_shards(data, PLAN, stand_in, workers=1))
 """
 
 
-def test_a_killed_run_is_taken_up_where_it_was(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
-) -> None:
+def test_a_killed_run_is_taken_up_where_it_was(tmp_path: Path, whole: dict[str, bytes]) -> None:
     path = tmp_path / "data"
-    code = KILLED.format(tests=str(Path(__file__).parent), path=str(path))
+    code = KILLED.format(tests=FOLDERS, path=str(path))
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         assert child.stdout.readline() == "now\n"
         child.send_signal(signal.SIGKILL)
     assert list(path.rglob("*.partial"))
     assert Store.open(path)["training"].finished.tolist() == list(range(10))
-    run(path, beams, make_sample)
+    run(path)
     assert contents(path) == whole
 
 
-def test_a_full_disk_is_reported(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write = Store.write
 
     def full(self: Store, split: str, shard: int, samples: list[SimulatedSample]) -> int:
@@ -150,46 +140,38 @@ def test_a_full_disk_is_reported(
 
     monkeypatch.setattr(Store, "write", full)
     with pytest.raises(OSError, match="is full; finished shards are complete: free some of it.*--resume"):
-        run(tmp_path / "data", beams, make_sample)
+        run(tmp_path / "data")
     assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
 
 
-def test_what_will_not_fit_is_not_begun(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_will_not_fit_is_not_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Usage:
         free = 1000
 
     monkeypatch.setattr(workers.shutil, "disk_usage", lambda _: Usage)
     with pytest.raises(OSError, match=r"28 samples need about .* left; free some"):
-        run(tmp_path / "data", beams, make_sample)
+        run(tmp_path / "data")
 
 
-@pytest.mark.parametrize("workers", [0, -1, 10**6])
-def test_impossible_numbers_of_workers_are_reported(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, workers: int
-) -> None:
-    store = begin(tmp_path / "data", PLAN, beams, {})
+@each("workers", [0, -1, 10**6])
+def test_impossible_numbers_of_workers_are_reported(tmp_path: Path, workers: int) -> None:
+    store = begin(tmp_path / "data", PLAN, BEAMS, {})
     with pytest.raises(ValueError, match="workers must be in 1 ..."):
-        next(make_shards(store, PLAN, make_sample, workers=workers))
+        next(make_shards(store, PLAN, stand_in, workers=workers))
 
 
-def test_other_versions_that_go_on_are_named(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction
-) -> None:
-    begin(tmp_path / "data", PLAN, beams, {"ogm": "0", "numpy": "2"})
+def test_other_versions_that_go_on_are_named(tmp_path: Path) -> None:
+    begin(tmp_path / "data", PLAN, BEAMS, {"ogm": "0", "numpy": "2"})
     for _ in range(2):
-        begin(tmp_path / "data", PLAN, beams, {"ogm": "1", "numpy": "2"})
+        begin(tmp_path / "data", PLAN, BEAMS, {"ogm": "1", "numpy": "2"})
     assert Store.open(tmp_path / "data").versions == {"ogm": "0, 1", "numpy": "2"}
 
 
-def test_an_unreachable_scheduler_is_reported(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unreachable_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "SCHEDULER_TIMEOUT", 0.5)
-    store = begin(tmp_path / "data", PLAN, beams, {})
+    store = begin(tmp_path / "data", PLAN, BEAMS, {})
     with pytest.raises(OSError, match="tcp://127.0.0.1:9"):
-        next(make_shards(store, PLAN, make_sample, workers=1, scheduler="tcp://127.0.0.1:9"))
+        next(make_shards(store, PLAN, stand_in, workers=1, scheduler="tcp://127.0.0.1:9"))
 
 
 class DiesOnce(NamedTuple):
@@ -209,21 +191,10 @@ class DiesOnce(NamedTuple):
         return stand_in(plan, split, index, threads)
 
 
-def test_two_workers_make_every_shard(tmp_path: Path, beams: tuple[Beams, ...], whole: dict[str, bytes]) -> None:
-    """There are more shards than are handed out at first."""
-    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
-    events = list(make_shards(store, PLAN, stand_in, workers=2))
-    assert sum(one.job.samples for one in events[1:]) == 28
-    assert missing_shards(Store.open(tmp_path / "data")) == []
-    assert contents(tmp_path / "data") == whole
-
-
-def test_two_workers_make_the_same_bytes_though_one_dies(
-    tmp_path: Path, beams: tuple[Beams, ...], whole: dict[str, bytes]
-) -> None:
+def test_two_workers_make_the_same_bytes_though_one_dies(tmp_path: Path, whole: dict[str, bytes]) -> None:
     died = tmp_path / "died"
     died.mkdir()
-    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    store = begin(tmp_path / "data", PLAN, BEAMS, {"ogm": "0"})
     dies_once = DiesOnce(died, (0, 14))  # while the first sample is measured, and in the middle
     events = list(make_shards(store, PLAN, dies_once, workers=2))
     assert {file.name for file in died.iterdir()} == {"0", "14"}
@@ -233,10 +204,10 @@ def test_two_workers_make_the_same_bytes_though_one_dies(
     assert contents(tmp_path / "data") == whole
 
 
-def test_workers_that_die_again_and_again_are_an_error(tmp_path: Path, beams: tuple[Beams, ...]) -> None:
+def test_workers_that_die_again_and_again_are_an_error(tmp_path: Path) -> None:
     died = tmp_path / "died"
     died.mkdir()
-    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    store = begin(tmp_path / "data", PLAN, BEAMS, {"ogm": "0"})
     with pytest.raises(OSError, match=r"workers died .*: use fewer --workers, then `ogm simulate .*--resume`"):
         list(make_shards(store, PLAN, DiesOnce(died, (14, 15, 16)), workers=2))
 
@@ -257,7 +228,7 @@ def wait_for(path: Path) -> None:
         time.sleep(0.02)
 
 
-def test_an_interrupt_ends_busy_workers_at_once(tmp_path: Path, beams: tuple[Beams, ...]) -> None:
+def test_an_interrupt_ends_busy_workers_at_once(tmp_path: Path) -> None:
     begun, sent = tmp_path / "begun", []
 
     def interrupt() -> None:
@@ -265,7 +236,7 @@ def test_an_interrupt_ends_busy_workers_at_once(tmp_path: Path, beams: tuple[Bea
         sent.append(time.monotonic())
         os.kill(os.getpid(), signal.SIGINT)
 
-    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    store = begin(tmp_path / "data", PLAN, BEAMS, {"ogm": "0"})
     threading.Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
         list(make_shards(store, PLAN, Sleeps(begun), workers=2))
@@ -273,11 +244,10 @@ def test_an_interrupt_ends_busy_workers_at_once(tmp_path: Path, beams: tuple[Bea
     assert not multiprocessing.active_children()
 
 
-def test_an_interrupt_ends_workers_that_are_starting(
-    tmp_path: Path, beams: tuple[Beams, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.slow
+def test_an_interrupt_ends_workers_that_are_starting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "_end_with_parent", SleepsFirst(tmp_path / "starting"))
-    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    store = begin(tmp_path / "data", PLAN, BEAMS, {"ogm": "0"})
     sent = []
 
     def interrupt() -> None:
@@ -304,7 +274,7 @@ class SleepsFirst(NamedTuple):
 
 LEADER = """
 import sys
-sys.path.insert(0, {tests!r})
+sys.path[:0] = {tests!r}
 from pathlib import Path
 from stand_in import SMALL, TALL
 from test_workers import PLAN, Sleeps
@@ -318,8 +288,7 @@ if __name__ == "__main__":
 
 def test_workers_end_when_their_leader_is_killed(tmp_path: Path) -> None:
     begun = tmp_path / "begun"
-    tests = str(Path(__file__).parent)
-    (tmp_path / "leader.py").write_text(LEADER.format(tests=tests, path=str(tmp_path / "data"), begun=str(begun)))
+    (tmp_path / "leader.py").write_text(LEADER.format(tests=FOLDERS, path=str(tmp_path / "data"), begun=str(begun)))
     with subprocess.Popen([sys.executable, tmp_path / "leader.py"]) as leader:
         wait_for(begun)
         leader.kill()

@@ -4,11 +4,13 @@ import json
 import math
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from cases import each
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm.grid import EvidentialGrid, GridSpec
@@ -21,6 +23,7 @@ rasterio = pytest.importorskip("rasterio")
 SPEC = GridSpec(0.16, (700, 530), (-1.7, -28.16))
 
 
+@cache
 def grid() -> EvidentialGrid:
     rng = np.random.default_rng(2)
     mass = rng.dirichlet((1, 1, 1), SPEC.shape)[..., :2].astype(np.float32)
@@ -44,7 +47,7 @@ def test_it_comes_back_exactly(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5, math.pi / 2])
+@each("yaw", [0.0, -2.5])
 def test_gdal_finds_corner_size_bands_system_and_every_value(tmp_path: Path, yaw: float) -> None:
     T = pose(367_000.25, 5_600_000.5, 80.0, yaw=yaw)
     placed, path = PlacedGrid(grid(), T, "utm", 1_700_000_000.25, "EPSG:25832"), tmp_path / "map.tif"
@@ -97,6 +100,7 @@ def test_what_gdal_makes_of_it_is_read(tmp_path: Path) -> None:
     assert warped.at(x, y).free in grid().mass[..., 0]
 
 
+@settings(max_examples=20)
 @given(st.integers(1, 9), st.integers(1, 9), st.floats(1e-2, 1e3), st.floats(-1e6, 1e6), st.floats(-3.1, 3.1))
 def test_any_place_comes_back(
     tmp_path_factory: pytest.TempPathFactory, nx: int, ny: int, size: float, x: float, yaw: float
@@ -111,15 +115,12 @@ def test_any_place_comes_back(
     assert np.array_equal(again.grid.mass, mass)
 
 
-@pytest.mark.parametrize(
-    ("crs", "message"),
-    [
+@each("crs, message", [
         ("EPSG:4326", "not in metres on a plane"),
         ("EPSG:2263", "not in metres on a plane"),
         ("EPSG:99999999", "no coordinate reference system"),
         ("here", "no coordinate reference system"),
-    ],
-)
+    ])  # fmt: skip
 def test_a_system_that_is_not_in_metres_is_refused(tmp_path: Path, crs: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         write_grid(tmp_path / "map.tif", PlacedGrid(grid(), crs=crs))
@@ -135,30 +136,26 @@ def test_what_is_no_grid_is_refused(tmp_path: Path) -> None:
                 image.write(np.full((3, 4), value, dtype), band)
                 image.set_band_description(band, one)
 
-    both = ("free", "occupied")
-    write("a.tif", ("height",))
-    write("b.tif", both, "uint8")
-    write("c.tif", both, value=0.7)
-    write("d.tif", both, value=math.nan)
-    write("e.tif", both, transform=rasterio.Affine(0.5, 0, 0, 0, -0.4, 0))
-    write("f.tif", both, transform=rasterio.Affine(0.5, 0.1, 0, 0, -0.5, 0))
-    write("k.tif", both, crs="EPSG:4326")
-    (tmp_path / "i.tif").write_bytes(b"II*\0")
-    (tmp_path / "j.tif").write_text("<VRTDataset rasterXSize='1' rasterYSize='1'></VRTDataset>")
-    for name, message in {
-        "a.tif": "bands with the names free and occupied, got height",
-        "b.tif": "bands of float",
-        "c.tif": "mass must be",
-        "d.tif": "mass must be",
-        "e.tif": "wanted squares",
-        "f.tif": "wanted squares",
-        "k.tif": "not in metres on a plane",
-        "i.tif": "damaged or no GeoTIFF",
-        "j.tif": "damaged or no GeoTIFF",
-    }.items():
+    def refused(message: str) -> None:
         with pytest.raises(OgmError, match=message) as caught:
-            read_grid(tmp_path / name)
-        assert name in str(caught.value)
+            read_grid(tmp_path / "a.tif")
+        assert "a.tif" in str(caught.value)
+
+    both = ("free", "occupied")
+    for message, options in (
+        ("bands with the names free and occupied, got height", {"names": ("height",)}),
+        ("bands of float", {"dtype": "uint8"}),
+        ("mass must be", {"value": 0.7}),
+        ("mass must be", {"value": math.nan}),
+        ("wanted squares", {"transform": rasterio.Affine(0.5, 0, 0, 0, -0.4, 0)}),
+        ("wanted squares", {"transform": rasterio.Affine(0.5, 0.1, 0, 0, -0.5, 0)}),
+        ("not in metres on a plane", {"crs": "EPSG:4326"}),
+    ):
+        write("a.tif", **{"names": both} | options)
+        refused(message)
+    for content in (b"II*\0", b"<VRTDataset rasterXSize='1' rasterYSize='1'></VRTDataset>"):
+        (tmp_path / "a.tif").write_bytes(content)
+        refused("damaged or no GeoTIFF")
 
 
 def test_a_raster_without_a_place_is_refused(tmp_path: Path) -> None:

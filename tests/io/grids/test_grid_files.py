@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from moving import street
 
 from ogm.dynamic_grid import DynamicGrid
@@ -22,7 +23,6 @@ from ogm.io.grids import (
     to_xarray,
     write_grid,
 )
-from ogm.io.grids.paths import whole_path
 from ogm.pose import pose
 from ogm.state import predict_state
 from ogm.storage.files import OgmError
@@ -31,7 +31,7 @@ for package in ("rasterio", "xarray", "netCDF4", "zarr", "rosbags", "yaml"):
     pytest.importorskip(package)
 
 SPEC = GridSpec(0.1, (7, 4), (-0.35, 12.2))
-EVERY = pytest.mark.parametrize("ending", MAP_ENDINGS)
+EVERY = each("ending", MAP_ENDINGS)
 EXACT = (".npz", ".tif", ".tiff", ".nc", ".zarr")
 
 
@@ -91,7 +91,13 @@ def test_an_error_while_writing_leaves_the_old_map_and_nothing_else(
     if ending == ".zarr":
         import xarray
 
-        monkeypatch.setattr(xarray.Dataset, "to_zarr", full)
+        real = xarray.Dataset.to_zarr
+
+        def fails(*given: Any, **options: Any) -> None:
+            real(*given, **options)
+            full()
+
+        monkeypatch.setattr(xarray.Dataset, "to_zarr", fails)
     else:
         monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space left"):
@@ -99,24 +105,6 @@ def test_an_error_while_writing_leaves_the_old_map_and_nothing_else(
     monkeypatch.undo()
     assert sorted(tmp_path.rglob("*")) == files
     assert read_grid(path, SPEC) == before
-
-
-def test_a_folder_stays_if_writing_its_replacement_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    xarray = pytest.importorskip("xarray")
-    path = tmp_path / "m.zarr"
-    write_grid(path, grid())
-    real = xarray.Dataset.to_zarr
-
-    def fails(*given: Any, **options: Any) -> None:
-        real(*given, **options)
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(xarray.Dataset, "to_zarr", fails)
-    with pytest.raises(OSError, match="Input/output"):
-        write_grid(path, grid(1))
-    monkeypatch.undo()
-    assert read_grid(path) == grid()
-    assert [one.name for one in tmp_path.iterdir()] == ["m.zarr"]
 
 
 @EVERY
@@ -135,9 +123,7 @@ def test_missing_folders_and_wrong_kinds_of_paths(tmp_path: Path, ending: str) -
 
 
 @EVERY
-@pytest.mark.parametrize(
-    "content", [b"", b"x", b"\x00" * 5000, b"\x89HDF\r\n\x1a\n" + bytes(200), b"II*\x00\xff\xff\xff\xff"]
-)
+@each("content", [b"", b"x", b"\x00" * 5000, b"\x89HDF\r\n\x1a\n" + bytes(200), b"II*\x00\xff\xff\xff\xff"])
 def test_what_is_no_grid_is_refused_by_its_name(tmp_path: Path, ending: str, content: bytes) -> None:
     path = tmp_path / f"m{ending}"
     if ending == ".zarr":
@@ -150,7 +136,7 @@ def test_what_is_no_grid_is_refused_by_its_name(tmp_path: Path, ending: str, con
     assert str(caught.value).count(path.name) == 1
 
 
-@pytest.mark.parametrize("name", ["pipe.yaml", "pipe.tif", "pipe.bag"])
+@each("name", ["pipe.yaml", "pipe.tif", "pipe.bag"])
 def test_pipes_are_not_read(tmp_path: Path, name: str) -> None:
     os.mkfifo(tmp_path / name)
     with pytest.raises(OgmError, match="device"):
@@ -179,16 +165,7 @@ def test_places_that_are_none_are_refused() -> None:
         _ = PlacedGrid(grid(), pose(roll=np.pi)).corner
 
 
-def test_a_path_is_whole_or_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "m.x"
-    with whole_path(path) as temporary:
-        temporary.write_text("new")
-        assert temporary.suffix == ".x"
-        assert not path.exists()
-    assert path.read_text() == "new"
-
-
-@EVERY
+@pytest.mark.parametrize("ending", sorted({*MAP_ENDINGS} - {".tiff", ".yml"}))
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # rasterio's log of texts that are none
 def test_damage_is_an_error_of_ours_or_no_harm(tmp_path: Path, ending: str) -> None:
     """Cut files and changed bytes, most of them in the headers."""
@@ -197,7 +174,7 @@ def test_damage_is_an_error_of_ours_or_no_harm(tmp_path: Path, ending: str) -> N
     files = [one for one in (path, path.with_suffix(".pgm"), *path.rglob("*")) if one.is_file()]
     whole = [one.read_bytes() for one in files]
     refused = 0
-    for _ in range(80):
+    for _ in range(50):
         k = int(rng.integers(len(files)))
         data = bytearray(whole[k])
         if rng.integers(4):
@@ -211,14 +188,14 @@ def test_damage_is_an_error_of_ours_or_no_harm(tmp_path: Path, ending: str) -> N
         except OgmError as error:
             refused += str(path.name) in str(error)
         files[k].write_bytes(whole[k])
-    assert refused > 20
+    assert refused > 12
     assert read_grid(path, SPEC).spec.shape == SPEC.shape
 
 
 HOLDS_LAYERS = [(ending, None) for ending in EXACT] + [(".mcap", "grid-map"), (".mcap", "foxglove-grid")]
 
 
-@pytest.mark.parametrize(("ending", "message"), [*HOLDS_LAYERS, (".db3", "grid-map"), (".bag", "grid-map")])
+@each("ending, message", [*HOLDS_LAYERS, (".db3", "grid-map"), (".bag", "grid-map")])
 def test_all_of_a_dynamic_grid_comes_back_where_a_format_has_layers(
     tmp_path: Path, ending: str, message: GridMessage | None
 ) -> None:
@@ -233,7 +210,7 @@ def test_all_of_a_dynamic_grid_comes_back_where_a_format_has_layers(
     assert np.array_equal(DynamicGrid.load(again).velocity, dynamic.velocity, equal_nan=True)
 
 
-@pytest.mark.parametrize("ending", [".yaml", ".png", ".mcap", ".bag"])
+@each("ending", [".yaml", ".png", ".mcap", ".bag"])
 def test_a_dynamic_grid_is_an_occupancy_grid_where_a_format_has_no_layers(tmp_path: Path, ending: str) -> None:
     dynamic = street()
     write_grid(tmp_path / f"a{ending}", dynamic)

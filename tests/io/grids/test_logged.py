@@ -1,11 +1,11 @@
-"""Grids in logs, read by other libraries: mcap-ros2-support, mcap-protobuf-support, rosbags, Debian's rosbag."""
+"""Grids in logs, read by other libraries: mcap-ros2-support, rosbags."""
 
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
@@ -66,8 +66,8 @@ def by_ros2(path: Path) -> dict[str, list[Any]]:
     return found
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
-@pytest.mark.parametrize("message", ["occupancy-grid", "grid-map", "foxglove-grid"])
+@each("ending", ENDINGS)
+@each("message", ["occupancy-grid", "grid-map", "foxglove-grid"])
 def test_a_grid_comes_back(tmp_path: Path, ending: str, message: str) -> None:
     path, placed = tmp_path / f"map{ending}", PlacedGrid(l_shape(), pose(z=0.5), "odom", 12.5)
     if message == "foxglove-grid":
@@ -88,7 +88,7 @@ def test_a_grid_comes_back(tmp_path: Path, ending: str, message: str) -> None:
     assert [one.name for one in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("ending", [".mcap", ".db3"])
+@each("ending", [".mcap", ".db3"])
 def test_ros_2_finds_every_cell_where_it_is(tmp_path: Path, ending: str) -> None:
     path, placed = tmp_path / f"map{ending}", PlacedGrid(l_shape(), T, "odom", 1_700_000_000.25)
     with GridLog(path) as log:
@@ -105,59 +105,6 @@ def test_ros_2_finds_every_cell_where_it_is(tmp_path: Path, ending: str) -> None
     ((tf, _),) = topics["/tf"]
     assert tf.transforms[0].child_frame_id == "base_link"
     assert tf.transforms[0].transform.translation.y == -3.0
-
-
-def test_debians_rosbag_finds_every_cell_where_it_is(tmp_path: Path) -> None:
-    path, placed = tmp_path / "map.bag", PlacedGrid(l_shape(), T, "odom", 12.5)
-    with GridLog(path) as log:
-        log.write(placed, [StampedTransform("odom", "base_link", 12.5, T)])
-    code = (
-        "import rosbag, sys\n"
-        f"for topic, message, t in rosbag.Bag({str(path)!r}).read_messages():\n"
-        "    if topic == '/map':\n"
-        "        o = message.info.origin\n"
-        "        print(topic, t.to_nsec(), message.header.frame_id, message.info.width, message.info.height,\n"
-        "              message.info.resolution, o.position.x, o.position.y, o.orientation.z, o.orientation.w,\n"
-        "              *message.data)\n"
-        "    else:\n"
-        "        print(topic, message.transforms[0].child_frame_id)\n"
-    )
-    done = subprocess.run(["/usr/bin/python3", "-c", code], capture_output=True, text=True, check=False)
-    if "No module named" in done.stderr or done.returncode == 127:
-        pytest.skip("Debian's rosbag is not installed (python3-rosbag)")
-    assert done.returncode == 0, done.stderr
-    tf, line = done.stdout.splitlines()
-    assert tf.split() == ["/tf", "base_link"]
-    topic, time, frame, width, height, resolution, x0, y0, z, w, *data = line.split()
-    assert (topic, time, frame, width, height, float(resolution)) == ("/map", "12500000000", "odom", "9", "5", 0.25)
-    yaw = 2 * np.arctan2(float(z), float(w))
-    for x, y, ix, iy in looked_up(placed):
-        dx, dy = x - float(x0), y - float(y0)
-        column = int((np.cos(yaw) * dx + np.sin(yaw) * dy) // 0.25)
-        row = int((np.cos(yaw) * dy - np.sin(yaw) * dx) // 0.25)
-        assert int(data[row * 9 + column]) == occupancy_values(placed.grid)[ix, iy]
-
-
-def test_the_masses_of_a_foxglove_grid_through_protobuf(tmp_path: Path) -> None:
-    reader = pytest.importorskip("mcap_protobuf.reader")
-    pytest.importorskip("foxglove")
-    path, placed = tmp_path / "map.mcap", PlacedGrid(l_shape(), T, "odom", 12.5)
-    write_grid(path, placed, message="foxglove-grid")
-    (one,) = list(reader.read_protobuf_messages(str(path)))
-    grid = one.proto_msg
-    cells = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.row_stride)
-    offsets = {field.name: field.offset for field in grid.fields}
-    yaw = 2 * np.arctan2(grid.pose.orientation.z, grid.pose.orientation.w)
-    for x, y, ix, iy in looked_up(placed):
-        dx, dy = x - grid.pose.position.x, y - grid.pose.position.y
-        column = int((np.cos(yaw) * dx + np.sin(yaw) * dy) // grid.cell_size.x)
-        row = int((np.cos(yaw) * dy - np.sin(yaw) * dx) // grid.cell_size.y)
-        cell = cells[row, column * grid.cell_stride :][: grid.cell_stride].tobytes()
-        for name, value in zip(("free", "occupied"), placed.grid.mass[ix, iy], strict=True):
-            assert np.frombuffer(cell, "<f4", 1, offsets[name])[0] == value
-    again = read_placed_grid(path)
-    assert again.corner == pytest.approx(placed.corner, abs=1e-9)
-    assert np.array_equal(again.grid.mass, placed.grid.mass)
 
 
 def test_the_last_map_of_a_topic_is_read(tmp_path: Path) -> None:
@@ -222,7 +169,7 @@ def test_a_cut_log_gives_the_last_whole_map(tmp_path: Path, caplog: pytest.LogCa
     assert "cut.mcap" in caplog.text
 
 
-@pytest.mark.parametrize("damage", ["cut", "huge", "wire", "empty", "name", "float"])
+@each("damage", ["cut", "huge", "wire", "empty", "name", "float"])
 def test_a_damaged_foxglove_grid_is_refused(tmp_path: Path, damage: str) -> None:
     writer = pytest.importorskip("mcap.writer")
     foxglove = pytest.importorskip("foxglove")
@@ -231,13 +178,9 @@ def test_a_damaged_foxglove_grid_is_refused(tmp_path: Path, damage: str) -> None
     good = bytes(foxglove_grid(l_shape(), frame_id="map").encode())
     assert foxglove
     bad = {
-        "cut": good[: len(good) // 2],
-        "huge": good[:-3] + b"\x48\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff",
-        "wire": b"\x0b" + good,
-        "empty": b"",
-        "name": b"\x12\x02\xff\xfe" + b"",
-        "float": b"\x20\x01" + good,
-    }[damage]
+        "cut": good[: len(good) // 2], "huge": good[:-3] + b"\x48\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff",
+        "wire": b"\x0b" + good, "empty": b"", "name": b"\x12\x02\xff\xfe" + b"", "float": b"\x20\x01" + good,
+    }[damage]  # fmt: skip
     with open(tmp_path / "m.mcap", "wb") as file:
         out = writer.Writer(file)
         out.start()

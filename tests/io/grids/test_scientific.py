@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +20,7 @@ xarray = pytest.importorskip("xarray")
 netCDF4 = pytest.importorskip("netCDF4")
 
 SPEC = GridSpec(1 / 3, (9, 5), (-1.7, 2.3))
-BOTH = pytest.mark.parametrize("ending", [".nc", ".zarr"])
+BOTH = each("ending", [".nc", ".zarr"])
 
 
 def grid() -> EvidentialGrid:
@@ -66,7 +67,7 @@ def test_xarray_finds_cells_by_their_coordinates(tmp_path: Path, ending: str) ->
 
 
 @BOTH
-@pytest.mark.parametrize("turn", [pose(yaw=0.4), pose(5.0, 6.0, 7.0, yaw=-2.0), pose(1, 2, 3, pitch=0.1)])
+@each("turn", [pose(yaw=0.4), pose(5.0, 6.0, 7.0, yaw=-2.0), pose(1, 2, 3, pitch=0.1)])
 def test_turned_and_tilted_grids_keep_their_transform(tmp_path: Path, ending: str, turn: np.ndarray) -> None:
     path = tmp_path / f"map{ending}"
     write_grid(path, PlacedGrid(grid(), turn, crs="EPSG:25832"))

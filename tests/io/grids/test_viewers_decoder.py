@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 
 from ogm import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid
@@ -44,7 +45,7 @@ def l_shape() -> EvidentialGrid:
     return EvidentialGrid(SPEC, mass)
 
 
-@pytest.mark.parametrize("message", ["occupancy-grid", "grid-map"])
+@each("message", ["occupancy-grid", "grid-map"])
 def test_viewers_see_the_map_where_it_is(tmp_path: Path, message: Any) -> None:
     grid, T = l_shape(), pose(2.0, -1.0, yaw=0.5)
     with GridLog(tmp_path / "m.mcap", message) as log:

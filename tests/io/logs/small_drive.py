@@ -13,6 +13,7 @@ from ogm.scan import Scan
 CLOUD, TF = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 START = 1_700_000_000.0  # [s] all times are multiples of 2**-4 s from here, which seconds and nanoseconds hold exactly
 SCANS = 12
+KINDS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]  # names and packings of logs
 
 
 def scan(k: int, points: int = 4000) -> Scan:

@@ -8,17 +8,16 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from cases import each
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
-from small_drive import SCANS, drive
+from small_drive import KINDS, SCANS, drive
 
 from ogm.io.logs import LogWriter, open_log
 from ogm.storage.files import OgmError
-
-KINDS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]
 
 
 def sent() -> list[tuple[str, float]]:
@@ -45,7 +44,7 @@ def whole_before(data: bytes) -> int:
     return count
 
 
-@pytest.mark.parametrize(("name", "compression"), KINDS)
+@each("name, compression", KINDS)
 def test_a_log_that_is_cut_at_60_percent_is_read_up_to_there(
     write: Callable[..., Path], name: str, compression: str
 ) -> None:
@@ -65,7 +64,7 @@ def test_a_log_that_is_cut_at_60_percent_is_read_up_to_there(
     assert not isinstance(other.value, OgmError)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0, 1), kind=st.sampled_from(KINDS))
 def test_cut_anywhere_the_beginning_is_read(
     tmp_path_factory: pytest.TempPathFactory, share: float, kind: tuple[str, str]
@@ -89,7 +88,7 @@ def test_cut_anywhere_the_beginning_is_read(
         assert len(messages) >= whole_before(cut)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(kind=st.sampled_from(KINDS), data=st.data())
 def test_bytes_overwritten_anywhere_raise_nothing_else(
     tmp_path_factory: pytest.TempPathFactory, kind: tuple[str, str], data: st.DataObject
@@ -122,7 +121,7 @@ def chunks(path: Path) -> list[tuple[int, int]]:
     return found
 
 
-@pytest.mark.parametrize("compression", ["", "zstd"])
+@each("compression", ["", "zstd"])
 def test_of_a_damaged_chunk_alone_messages_are_lost(write: Callable[..., Path], compression: str) -> None:
     path = write("a.mcap", compression, points=100_000)  # a scan is larger than a chunk
     all_chunks = chunks(path)
@@ -154,7 +153,7 @@ def test_a_checksum_that_does_not_fit_is_noticed(write: Callable[..., Path]) -> 
         list(StreamReader(io.BytesIO(bytes(content)), validate_crcs=True).records)
 
 
-@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+@each("name", ["a.mcap", "a.db3", "a.bag"])
 def test_the_first_bytes_decide_whatever_the_name(write: Callable[..., Path], name: str) -> None:
     path = write(name, points=10)
     for other in (".mcap", ".db3", ".bag"):
@@ -162,18 +161,15 @@ def test_the_first_bytes_decide_whatever_the_name(write: Callable[..., Path], na
         path = path.with_suffix(other)
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
+@each("content, reason", [
         (b"", "holds 0 bytes"),
         (b"stamp,x,y,z\n1,2,3,4\n", "is no log: it begins with b'stamp"),
         (bytes(range(256)) * 100, "is no log"),
         (b"\x28\xb5\x2f\xfd" + bytes(100), "unpack it first: zstd -d"),
         (b"SQLite format 3\0" + bytes(5000), "no ROS 2 bag"),
         (b"#ROSBAG V1.2\n" + bytes(100), "begins with b'#ROSBAG V1.2"),
-    ],
-)
-@pytest.mark.parametrize("ending", [".mcap", ".db3", ".bag"])
+    ])  # fmt: skip
+@each("ending", [".mcap", ".db3", ".bag"])
 def test_what_is_no_log_is_refused(tmp_path: Path, content: bytes, reason: str, ending: str) -> None:
     path = tmp_path / f"a{ending}"
     path.write_bytes(content)

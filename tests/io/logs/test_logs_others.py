@@ -5,17 +5,20 @@ import shutil
 import sqlite3
 import subprocess
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
-from small_drive import CLOUD, SCANS, START, TF, drive, plain, scan
+from small_drive import CLOUD, KINDS, SCANS, START, TF, drive, plain, scan
 
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.logs.definitions import message_types
@@ -23,20 +26,19 @@ from ogm.io.messages import scan_from_point_cloud2
 from ogm.storage.files import OgmError
 
 ROS1_PYTHON = Path("/usr/bin/python3")  # that of Debian, for which its ROS packages are
-OURS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]
 
 
 def stamped(seconds: float) -> int:
     return round(seconds * 16) * 10**9 // 16
 
 
-def check(path: Path, kinds: dict[str, str] | None = None) -> None:
+def check(path: Path) -> None:
     """Compare a log with the drive."""
     with open_log(path) as log:
         assert not log.warnings
-        assert {name: facts.type for name, facts in log.topics.items()} == (
-            kinds or {"/points": CLOUD, "/tf": TF, "/tf_static": TF}
-        )
+        assert {name: facts.type for name, facts in log.topics.items()} == {
+            "/points": CLOUD, "/tf": TF, "/tf_static": TF,
+        }  # fmt: skip
         sent = sorted(drive(), key=lambda row: row[3])
         for one, (topic, _, message, stamp) in zip(log.messages(), sent, strict=True):
             assert (one.topic, one.log_time) == (topic, stamp)
@@ -46,7 +48,7 @@ def check(path: Path, kinds: dict[str, str] | None = None) -> None:
 # --- Other readers -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "compression"), OURS)
+@each("name, compression", KINDS)
 def test_rosbags_reads_ours(write: Callable[..., Path], name: str, compression: str) -> None:
     sent = sorted(drive(), key=lambda row: row[3])
     with AnyReader([write(name, compression)]) as reader:
@@ -57,7 +59,7 @@ def test_rosbags_reads_ours(write: Callable[..., Path], name: str, compression: 
     assert [plain(one[3]) for one in got] == [plain(row[2]) for row in sent]
 
 
-@pytest.mark.parametrize("compression", ["", "zstd"])
+@each("compression", ["", "zstd"])
 def test_mcap_ros2_support_reads_ours(write: Callable[..., Path], compression: str) -> None:
     with open(write("a.mcap", compression), "rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -94,6 +96,7 @@ def ros1(code: str, *arguments: object) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_ros1_reads_ours(write: Callable[..., Path]) -> None:
     code = """
 import sys, rosbag
@@ -123,7 +126,8 @@ for topic, message, time in rosbag.Bag(sys.argv[1]).read_messages():
 # --- Other writers -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("packing", ["none", "bz2", "lz4"])
+@pytest.mark.slow
+@each("packing", ["none", "bz2", "lz4"])
 def test_bags_of_ros1_are_read(write: Callable[..., Path], tmp_path: Path, packing: str) -> None:
     code = """
 import sys, rosbag
@@ -135,7 +139,7 @@ with rosbag.Bag(sys.argv[2], "w", compression=sys.argv[3], chunk_threshold=10000
     check(tmp_path / "b.bag")
 
 
-@pytest.mark.parametrize("packing", ["", "BZ2", "LZ4"])
+@each("packing", ["", "BZ2", "LZ4"])
 def test_bags_of_rosbags_are_read(tmp_path: Path, packing: str) -> None:
     store = message_types(1)
     from ogm.io.logs.writer import _for_ros1
@@ -153,11 +157,10 @@ def test_bags_of_rosbags_are_read(tmp_path: Path, packing: str) -> None:
     check(tmp_path / "a.bag")
 
 
-@pytest.mark.parametrize(
-    ("plugin", "packing", "version"),
-    [("MCAP", "", 9), ("MCAP", "STORAGE", 8), ("SQLITE3", "", 8), ("SQLITE3", "MESSAGE", 9)],
+@each(
+    "plugin, packing, version", [("MCAP", "", 9), ("MCAP", "STORAGE", 8), ("SQLITE3", "", 8), ("SQLITE3", "MESSAGE", 9)]
 )
-@pytest.mark.parametrize("alone", [False, True])
+@each("alone", [False, True])  # in their folder, or without it
 def test_ros2_bags_of_rosbags_are_read(tmp_path: Path, plugin: str, packing: str, version: int, alone: bool) -> None:
     """In their folder or without it; big-endian too."""
     store = message_types(2)
@@ -180,28 +183,23 @@ def test_ros2_bags_of_rosbags_are_read(tmp_path: Path, plugin: str, packing: str
         assert [log.head(ref).stamp for ref in log.refs(["/points"])] == [START + k / 8 for k in range(SCANS)]
 
 
-@pytest.mark.parametrize("packing", list(CompressionType))
-@pytest.mark.parametrize("form", ["whole", "without index", "without chunks", "without summary"])
-@pytest.mark.parametrize("ros", [1, 2])
-def test_mcaps_of_any_form_are_read(tmp_path: Path, packing: CompressionType, form: str, ros: int) -> None:
+BARE = ("repeat_channels", "repeat_schemas", "use_statistics", "use_summary_offsets")
+FORMS: dict[str, dict[str, Any]] = {
+    "whole": {},
+    "without index": {"index_types": IndexType.NONE},
+    "without chunks": {"use_chunking": False},
+    "without summary": {"index_types": IndexType.NONE} | dict.fromkeys(BARE, False),
+}
+
+
+@each("form, packing, ros", [*product(FORMS, CompressionType, [2]), *product(FORMS, [CompressionType.NONE], [1])])
+def test_mcaps_of_any_form_are_read(tmp_path: Path, form: str, packing: CompressionType, ros: int) -> None:
     """In the profiles of ROS 1 and ROS 2."""
     from ogm.io.logs.writer import _for_ros1
 
     store, encoding = message_types(ros), ("ros1", "cdr")[ros - 1]
-    options = {
-        "whole": {},
-        "without index": {"index_types": IndexType.NONE},
-        "without chunks": {"use_chunking": False},
-        "without summary": {
-            "index_types": IndexType.NONE,
-            "repeat_channels": False,
-            "repeat_schemas": False,
-            "use_statistics": False,
-            "use_summary_offsets": False,
-        },
-    }[form]
     with open(tmp_path / "a.mcap", "wb") as file:
-        writer = Writer(file, compression=packing, chunk_size=200_000, **options)
+        writer = Writer(file, compression=packing, chunk_size=200_000, **FORMS[form])
         writer.start(profile=f"ros{ros}")
         known: dict[str, int] = {}
         for topic, kind, message, stamp in drive():
@@ -257,17 +255,14 @@ def test_foxglove_messages_go_into_mcap(tmp_path: Path) -> None:
 # --- Types -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "md5"),
-    [
+@each("name, md5", [
         ("tf2_msgs/msg/TFMessage", "94810edda583a504dfda3829e70d7eec"),
         ("tf/msg/tfMessage", "94810edda583a504dfda3829e70d7eec"),
         ("velodyne_msgs/msg/VelodyneScan", "50804fc9533a0e579e6322c04ae70566"),
         ("livox_ros_driver/msg/CustomMsg", "e4d6829bdfe657cb6c21a746c86b21a6"),
         ("grid_map_msgs/msg/GridMap", "95681e052b1f73bf87b7eb984382b401"),
         ("nav_msgs/msg/OccupancyGrid", "3381f2d731d4076ec5c71b0759edbe4e"),
-    ],
-)
+    ])  # fmt: skip
 def test_shipped_definitions_have_the_checksums_of_ros1(name: str, md5: str) -> None:
     assert message_types(1).generate_msgdef(name)[1] == md5
 

@@ -6,17 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_drive import CLOUD, SCANS, START, TF, drive, plain
+from cases import each
+from small_drive import CLOUD, KINDS, SCANS, START, TF, drive, plain
 
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.messages import tf_message
 from ogm.io.messages.plain import ros_stamp
 from ogm.storage.files import OgmError
 
-KINDS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]
 
-
-@pytest.mark.parametrize(("name", "compression"), KINDS)
+@each("name, compression", KINDS)
 def test_what_is_written_is_read_in_the_order_of_log_times(
     write: Callable[..., Path], name: str, compression: str
 ) -> None:
@@ -24,11 +23,8 @@ def test_what_is_written_is_read_in_the_order_of_log_times(
     with open_log(write(name, compression)) as log:
         got = list(log.messages())
         assert not log.warnings
-        assert {topic: (facts.type, facts.count) for topic, facts in log.topics.items()} == {
-            "/points": (CLOUD, SCANS),
-            "/tf": (TF, SCANS),
-            "/tf_static": (TF, 1),
-        }
+        counts = {"/points": (CLOUD, SCANS), "/tf": (TF, SCANS), "/tf_static": (TF, 1)}
+        assert {topic: (facts.type, facts.count) for topic, facts in log.topics.items()} == counts
         assert log.topics["/points"].rate == 8.0
         assert np.isnan(log.topics["/tf_static"].rate)
         assert [(one.topic, one.type, one.log_time) for one in got] == [
@@ -38,7 +34,7 @@ def test_what_is_written_is_read_in_the_order_of_log_times(
             assert plain(one.decode()) == plain(message)
 
 
-@pytest.mark.parametrize(("name", "compression"), KINDS)
+@each("name, compression", KINDS)
 def test_topics_and_start_choose_messages(write: Callable[..., Path], name: str, compression: str) -> None:
     with open_log(write(name, compression)) as log:
         times = [one.log_time for one in log.messages(["/points"], start=START + 1.0)]
@@ -47,7 +43,7 @@ def test_topics_and_start_choose_messages(write: Callable[..., Path], name: str,
             next(log.messages(["/nope"]))
 
 
-@pytest.mark.parametrize(("name", "compression"), KINDS)
+@each("name, compression", KINDS)
 def test_headers_are_read_without_the_rest(write: Callable[..., Path], name: str, compression: str) -> None:
     with open_log(write(name, compression)) as log:
         heads = [log.head(ref) for ref in log.refs(["/points"])]
@@ -89,7 +85,7 @@ def test_an_error_leaves_the_file_that_was_there(write: Callable[..., Path], nam
     assert [one.name for one in path.parent.iterdir()] == [name]
 
 
-@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+@each("name", ["a.mcap", "a.db3", "a.bag"])
 def test_messages_that_do_not_fit_their_type_are_refused(tmp_path: Path, name: str) -> None:
     with LogWriter(tmp_path / name) as log:
         with pytest.raises(OgmError, match=r"/a \(no_msgs/msg/None\) cannot be written: its type is not known"):
@@ -121,13 +117,10 @@ def test_a_decoded_ros2_message_goes_into_a_ros1_bag(write: Callable[..., Path],
     layout = SimpleNamespace(dim=[], data_offset=0)
     sheet = SimpleNamespace(
         header=SimpleNamespace(stamp=ros_stamp(START), frame_id="map"),
-        info=SimpleNamespace(resolution=0.5, length_x=2.0, length_y=1.0, pose=pose),
-        layers=["free"],
-        basic_layers=[],
+        info=SimpleNamespace(resolution=0.5, length_x=2.0, length_y=1.0, pose=pose), layers=["free"], basic_layers=[],
         data=[SimpleNamespace(layout=layout, data=np.arange(8, dtype=np.float32))],
-        outer_start_index=0,
-        inner_start_index=0,
-    )
+        outer_start_index=0, inner_start_index=0,
+    )  # fmt: skip
     with open_log(write("a.db3", points=10)) as log, LogWriter(tmp_path / "b.bag") as copy:
         for one in log.messages():
             copy.write(one.topic, one.type, one.decode(), one.log_time)

@@ -5,11 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io import PlacedGrid
 from ogm.io.messages import (
     foxglove_grid,
     grid_from_foxglove_grid,
@@ -46,7 +48,7 @@ def corners(T):
     return (np.stack([x, y, 0 * x, 1 + 0 * x], -1) @ T.T)[..., :2]
 
 
-@pytest.mark.parametrize("T", [np.eye(4), TURNED])
+@each("T", [np.eye(4), TURNED])
 def test_occupancy_grid_by_every_reader(T, sent, by_mcap, ros1_class, stores):
     grid = ell()
     plain = occupancy_grid(grid, frame_id="map", stamp=3.5, T_frame_grid=T)
@@ -179,7 +181,7 @@ def decoded_by_protobuf(grid):
     return message
 
 
-@pytest.mark.parametrize("T", [np.eye(4), TURNED])
+@each("T", [np.eye(4), TURNED])
 def test_foxglove_grid(T):
     pytest.importorskip("foxglove")
     grid = ell()
@@ -210,6 +212,7 @@ def test_foxglove_grid(T):
         np.testing.assert_allclose([x, y], corners(T)[i, j], atol=1e-9)
     back, T_back = grid_from_foxglove_grid(message)
     np.testing.assert_array_equal(back.mass, grid.mass)
+    assert PlacedGrid(back, T_back).corner == pytest.approx(PlacedGrid(grid, T).corner, abs=1e-9)
     if T is not TURNED:
         assert back.spec == SPEC
         assert np.array_equal(T_back, np.eye(4))
@@ -232,17 +235,14 @@ def broken_occupancy(**changes):
     return message
 
 
-@pytest.mark.parametrize(
-    ("changes", "error"),
-    [
+@each("changes, error", [
         ({"width": 8}, "54 values of int8, wanted int8 for 8 x 6 cells"),
         ({"width": 0, "height": 0, "data": np.zeros(0, np.int8)}, "0 x 0 cells"),
         ({"data": np.zeros(54)}, "float64"),
         ({"resolution": 0.0}, "has no cells: resolution must be positive"),
         ({"origin": SimpleNamespace(position=SimpleNamespace(x=np.nan, y=0.0, z=0.0),
                                     orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0))}, "finite position"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_occupancy_grids_that_are_none(changes, error):
     with pytest.raises(OgmError, match=error):
         grid_from_occupancy_grid(broken_occupancy(**changes))
@@ -254,29 +254,20 @@ def test_an_origin_whose_rotation_was_not_set():
     assert grid_from_occupancy_grid(message)[0].spec == SPEC
 
 
-def test_grid_maps_that_are_none():
+@each("change, error", [
+        (lambda m: m.layers.__setitem__(0, "elevation"),
+         "GridMap of map at 0.000000 s has no layer free, only elevation, occupied, unknown"),
+        (lambda m: m.data.pop(), "3 names for 2 layers"),
+        (lambda m: setattr(m.data[1], "data", m.data[1].data[:-1]),
+         "layer occupied of GridMap .* has 53 values, wanted 9 x 6"),
+        (lambda m: setattr(m.data[1], "data", m.data[1].data + 1), "layers that are no masses"),
+        (lambda m: setattr(m.info, "resolution", 0.0), "1.44 x 0.96 m in cells of 0 m"),
+    ])  # fmt: skip
+def test_grid_maps_that_are_none(change, error):
     message = grid_map(ell(), frame_id="map")
-    message.layers[0] = "elevation"
-    with pytest.raises(
-        OgmError, match="GridMap of map at 0.000000 s has no layer free, only elevation, occupied, unknown"
-    ):
+    change(message)
+    with pytest.raises(OgmError, match=error):
         grid_from_grid_map(message)
-    message = grid_map(ell(), frame_id="map")
-    message.data.pop()
-    with pytest.raises(OgmError, match="3 names for 2 layers"):
-        layers_from_grid_map(message)
-    message = grid_map(ell(), frame_id="map")
-    message.data[1].data = message.data[1].data[:-1]
-    with pytest.raises(OgmError, match="layer occupied of GridMap .* has 53 values, wanted 9 x 6"):
-        grid_from_grid_map(message)
-    message = grid_map(ell(), frame_id="map")
-    message.data[1].data = message.data[1].data + 1
-    with pytest.raises(OgmError, match="layers that are no masses"):
-        grid_from_grid_map(message)
-    message = grid_map(ell(), frame_id="map")
-    message.info.resolution = 0.0
-    with pytest.raises(OgmError, match="1.44 x 0.96 m in cells of 0 m"):
-        layers_from_grid_map(message)
 
 
 def plain_foxglove(**changes):

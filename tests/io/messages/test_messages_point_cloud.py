@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,16 +42,9 @@ def message(columns, *, height=1, big=False, gap=0, padding=0, header=None):
     rows = np.full((height, width * step + padding), 0xCD, np.uint8)
     rows[:, : width * step] = records.reshape(height, -1)
     return SimpleNamespace(
-        header=header or stamped(),
-        height=height,
-        width=width,
-        fields=fields,
-        is_bigendian=big,
-        point_step=step,
-        row_step=rows.shape[1],
-        data=rows.reshape(-1),
-        is_dense=False,
-    )
+        header=header or stamped(), height=height, width=width, fields=fields, is_bigendian=big, point_step=step,
+        row_step=rows.shape[1], data=rows.reshape(-1), is_dense=False,
+    )  # fmt: skip
 
 
 def columns(number=60, **more):
@@ -59,18 +53,11 @@ def columns(number=60, **more):
     return xyz | more
 
 
-real_types = st.sampled_from(["f4", "f8"])
-
-
 @given(
-    st.permutations(["x", "y", "z", "ring", "intensity", "time", "junk"]),
-    st.sampled_from(["f4", "f8"]),
-    st.sampled_from(["u1", "i2", "u2", "i4", "u4", "f4", "f8"]),
-    st.sampled_from(["u4", "i4", "f4", "f8"]),
-    st.booleans(),
-    st.integers(0, 5),
-    st.sampled_from([(1, 0), (1, 7), (6, 0), (6, 3)]),
-)
+    st.permutations(["x", "y", "z", "ring", "intensity", "time", "junk"]), st.sampled_from(["f4", "f8"]),
+    st.sampled_from(["u1", "i2", "u2", "i4", "u4", "f4", "f8"]), st.sampled_from(["u4", "i4", "f4", "f8"]),
+    st.booleans(), st.integers(0, 5), st.sampled_from([(1, 0), (1, 7), (6, 0), (6, 3)]),
+)  # fmt: skip
 def test_any_layout_gives_the_same_scan(order, real, whole, clock, big, gap, rows):
     rng = np.random.default_rng(1)
     plain = columns(ring=np.arange(60) % 6, intensity=rng.integers(0, 128, 60), junk=rng.random((60, 3)))
@@ -91,17 +78,14 @@ def test_any_layout_gives_the_same_scan(order, real, whole, clock, big, gap, row
     assert not np.shares_memory(scan.time, laid.data)
 
 
-@pytest.mark.parametrize("ros", [1, 2])
+@each("ros", [1, 2])
 def test_rosbags_carries_scans_there_and_back(ros, sent):
     rng = np.random.default_rng(0)
     scan = Scan(
-        np.c_[rng.normal(0, 20, (50, 3)), rng.random(50)].astype(np.float32),
-        stamp=T0 + 0.123456789,
-        time=np.linspace(-0.05, 0.05, 50),
-        ring=np.arange(50) % 16,
-        doppler=rng.normal(size=50),
+        np.c_[rng.normal(0, 20, (50, 3)), rng.random(50)].astype(np.float32), stamp=T0 + 0.123456789,
+        time=np.linspace(-0.05, 0.05, 50), ring=np.arange(50) % 16, doppler=rng.normal(size=50),
         rcs=rng.normal(size=50),
-    )
+    )  # fmt: skip
     arrived = sent(point_cloud2(scan, frame_id="lidar"), CLOUD, ros)
     assert arrived.header.frame_id == "lidar"
     back = scan_from_point_cloud2(arrived)
@@ -134,15 +118,10 @@ def test_an_empty_scan(sent):
 
 def test_bytes_come_in_many_shapes():
     wanted = scan_from_point_cloud2(message(columns())).points
-    for form in (
-        bytes,
-        bytearray,
-        lambda a: array.array("B", a.tobytes()),
-        np.ndarray.tolist,
-        lambda a: a.view(np.int8),
-    ):
-        other = message(columns())
-        other.data = form(other.data)
+    data = message(columns()).data
+    other = message(columns())
+    for form in (bytes(data), bytearray(data), array.array("B", data.tobytes()), data.tolist(), data.view(np.int8)):
+        other.data = form
         np.testing.assert_array_equal(scan_from_point_cloud2(other).points, wanted)
     other.data = "text"
     with pytest.raises(OgmError, match="data that are no bytes, but str"):
@@ -170,10 +149,7 @@ def sweep(unit, kind, base=0.0, number=64):
     return seconds, ((base + seconds) / unit).astype(kind)
 
 
-@pytest.mark.parametrize("name", ["time", "t", "timestamp", "offset_time", "time_offset", "Time"])
-@pytest.mark.parametrize(
-    ("unit", "kind", "base", "given", "late", "tolerance"),
-    [
+@each("unit, kind, base, given, late, tolerance", [
         (1.0, "f4", 0.0, None, 0.0, 1e-7),  # Velodyne, since the stamp
         (1e-9, "u4", 0.0, None, 0.0, 1e-9),  # Ouster, Livox
         (1e-6, "u4", 0.0, 1e-6, 0.0, 1e-6),
@@ -184,13 +160,13 @@ def sweep(unit, kind, base=0.0, number=64):
         (1.0, "f8", T0 - 0.1, None, -0.1, 1e-6),
         (1e-9, "f8", T0, None, 0.0, 1e-6),  # livox_ros_driver2
         (1e-3, "f8", T0 + 0.05, None, 0.05, 1e-6),
-    ],
-)  # fmt: skip
-def test_times_under_all_their_names_and_units(name, unit, kind, base, given, late, tolerance):
+    ])  # fmt: skip
+def test_times_under_all_their_names_and_units(unit, kind, base, given, late, tolerance):
     seconds, raw = sweep(unit, kind, base)
-    scan = scan_from_point_cloud2(message(columns(64) | {name: raw}), time_unit=given)
-    assert scan.stamp == T0
-    np.testing.assert_allclose(scan.time, seconds + late, atol=tolerance)
+    for name in ("time", "t", "timestamp", "offset_time", "time_offset", "Time"):
+        scan = scan_from_point_cloud2(message(columns(64) | {name: raw}), time_unit=given)
+        assert scan.stamp == T0
+        np.testing.assert_allclose(scan.time, seconds + late, atol=tolerance)
 
 
 def test_times_of_another_clock_count_from_the_earliest():
@@ -203,7 +179,7 @@ def test_times_of_another_clock_count_from_the_earliest():
     np.testing.assert_allclose(unset.time, seconds, atol=1e-9)
 
 
-@pytest.mark.parametrize("start", [0.0, 0.25, 5.0, 9.5, 123.0])
+@each("start", [0.0, 0.25, 5.0, 9.5, 123.0])
 def test_simulated_time_that_begins_at_zero(start):
     seconds, raw = sweep(1.0, "f8", start)
     scan = scan_from_point_cloud2(message(columns(64) | {"timestamp": raw}, header=stamped(start)))
@@ -246,7 +222,7 @@ def raster(rows=16, width=128):
     return way.astype("f4"), returned
 
 
-@pytest.mark.parametrize("nothing", [0.0, np.nan])
+@each("nothing", [0.0, np.nan])
 def test_beams_without_echo_of_organised_clouds(nothing):
     way, returned = raster()
     xyz = np.where(returned[..., None], 7 * way, nothing).astype("f4").reshape(-1, 3)
@@ -280,9 +256,7 @@ def wrong(**changes):
     return broken
 
 
-@pytest.mark.parametrize(
-    ("broken", "error"),
-    [
+@each("broken, error", [
         (wrong(width=61), r"720 bytes, wanted 1 rows of 61 points of 12 bytes"),
         (wrong(width=59, row_step=708), r"720 bytes, wanted 1 rows of 59 points"),
         (wrong(data=np.zeros(719, np.uint8)), "719 bytes"),
@@ -302,8 +276,7 @@ def wrong(**changes):
         (message(columns(ring=np.full(60, 0.5, "f4"))), "rings"),
         (wrong(header=SimpleNamespace(stamp=3.0, frame_id="a")), "a stamp must have sec and nanosec"),
         (SimpleNamespace(), "PointCloud2 must have a header with stamp and frame_id, got SimpleNamespace"),
-    ],
-)  # fmt: skip
+    ])  # fmt: skip
 def test_wrong_messages_are_refused_in_words(broken, error):
     with pytest.raises(OgmError, match=error) as caught:
         scan_from_point_cloud2(broken)

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cases import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -52,7 +53,7 @@ def test_stamps_there_and_back(sec, nanosec):
         assert stamp_seconds(back) == seconds
 
 
-@pytest.mark.parametrize("ros", [1, 2])
+@each("ros", [1, 2])
 def test_odometry(ros, sent):
     kind = "nav_msgs/msg/Odometry"
     nothing = N(linear=N(x=0.0, y=0.0, z=0.0), angular=N(x=0.0, y=0.0, z=0.0))

@@ -33,14 +33,8 @@ def test_radar_scan(sent):
 
 def test_continental_detections():
     def row(azimuth: float, elevation: float, **more: object) -> dict[str, object]:
-        return {
-            "range": 10.0,
-            "azimuth_angle": azimuth,
-            "elevation_angle": elevation,
-            "range_rate": -3.0,
-            "rcs": 7,
-            **more,
-        }
+        angles = {"azimuth_angle": azimuth, "elevation_angle": elevation}
+        return {"range": 10.0, **angles, "range_rate": -3.0, "rcs": 7, **more}
 
     message = {
         "header": {"stamp": {"sec": 4, "nanosec": 500_000_000}, "frame_id": "radar"},

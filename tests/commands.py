@@ -1,0 +1,14 @@
+"""The command line, run in this process."""
+
+from click.testing import Result
+from typer.testing import CliRunner
+
+from ogm.cli import app
+
+
+def ogm(*words: object) -> Result:
+    """Run a command on a terminal of 200 columns; errors that it does not turn into an exit code are raised."""
+    result = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "200"})
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
