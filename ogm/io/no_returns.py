@@ -74,8 +74,7 @@ def _median(angle: np.ndarray, returned: np.ndarray) -> np.ndarray:
     number = np.count_nonzero(returned, axis=1)[:, None]
     ordered = np.sort(np.where(returned, angle, angle.dtype.type(np.inf)), axis=1)
     low, high = (np.take_along_axis(ordered, at, axis=1) for at in ((number - 1) // 2, number // 2))
-    middle: np.ndarray = (low + high) / 2
-    return middle
+    return np.asarray((low + high) / 2)
 
 
 def _unit(way: np.ndarray) -> np.ndarray:

@@ -295,8 +295,7 @@ def _of_sensor(path: Path, poses: NDArray[np.float64], T_camera_sensor: ArrayLik
         _refuse_camera(path, poses)
         return poses
     T = check_pose(T_camera_sensor, "T_camera_sensor")
-    of_sensor: NDArray[np.float64] = inverse(T) @ poses @ T
-    return of_sensor
+    return inverse(T) @ poses @ T
 
 
 def _refuse_camera(path: Path, poses: NDArray[np.float64]) -> None:

@@ -52,10 +52,7 @@ class Mesh(NamedTuple):
         a, b, c = (self.vertices[self.triangles[:, k]].astype(np.float64) for k in range(3))
         normals = np.cross(b - a, c - a)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        unit: NDArray[np.float32] = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0).astype(
-            np.float32
-        )
-        return unit
+        return np.asarray(np.divide(normals, length, out=np.zeros_like(normals), where=length > 0).astype(np.float32))
 
 
 def _mesh(vertices: ArrayLike, triangles: ArrayLike, material: int | ArrayLike) -> Mesh:

@@ -129,8 +129,7 @@ class Camera(NamedTuple):
         u = reach * np.linspace(-1, 1, self.width)
         v = reach * self.height / self.width * np.linspace(1, -1, self.height)
         rays = forward + u[None, :, None] * right + v[:, None, None] * np.cross(right, forward)
-        unit: NDArray[np.float32] = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
-        return unit
+        return np.asarray((rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32))
 
 
 def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[np.uint8]]]) -> None:

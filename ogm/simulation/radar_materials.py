@@ -46,12 +46,10 @@ IS_GROUND[list(GROUND)] = True
 def cross_section(material: NDArray[np.uint8], cosine: NDArray[np.float32]) -> Floats:
     """Return the radar cross section per area across the beam."""
     angle = np.arccos(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
-    section: Floats = _TABLE[material, 0] + _TABLE[material, 1] * np.exp(-((angle / FLASH) ** 2))
-    return section
+    return np.asarray(_TABLE[material, 0] + _TABLE[material, 1] * np.exp(-((angle / FLASH) ** 2)))
 
 
 def mirror_share(material: NDArray[np.uint8], cosine: NDArray[np.float32]) -> Floats:
     """Return the share of the power that goes on as from a mirror; of the ground only at a grazing angle."""
     grazing = np.arcsin(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
-    share: Floats = _TABLE[material, 2] * np.where(IS_GROUND[material], np.exp(-((grazing / GRAZING) ** 2)), 1.0)
-    return share
+    return np.asarray(_TABLE[material, 2] * np.where(IS_GROUND[material], np.exp(-((grazing / GRAZING) ** 2)), 1.0))

@@ -199,8 +199,7 @@ class SimulatedSample:
     def no_returns(self) -> NDArray[np.float32]:
         """Unit directions of the beams that were measured and gave no return, (M, 3) float32."""
         silent = self.steps == 0
-        ways: NDArray[np.float32] = self.beams.directions[silent if self.measured is None else silent & self.measured]
-        return ways
+        return np.asarray(self.beams.directions[silent if self.measured is None else silent & self.measured])
 
     @property
     def ring(self) -> NDArray[np.uint16]:

@@ -77,14 +77,12 @@ def middle(distance: float) -> float:
 def rectangle(x0: float, x1: float, y0: float, y1: float, *, whole: bool = False) -> Mask:
     """Return the cells that a rectangle [m] touches, or the cells that lie in it as a whole; (nx, ny)."""
     (x, y), grow = SPEC.cell_centers, (0.5 - 1e-6) * SPEC.resolution * (-1 if whole else 1)
-    mask: Mask = (x > x0 - grow) & (x < x1 + grow) & (y > y0 - grow) & (y < y1 + grow)
-    return mask
+    return (x > x0 - grow) & (x < x1 + grow) & (y > y0 - grow) & (y < y1 + grow)
 
 
 def within(distance: float) -> Mask:
     """Return the cells whose middles lie within a distance of the sensor [m]."""
-    mask: Mask = np.hypot(*SPEC.cell_centers) < distance
-    return mask
+    return np.asarray(np.hypot(*SPEC.cell_centers) < distance)
 
 
 def cells_of(xyz: NDArray[np.floating]) -> Mask:

@@ -94,5 +94,4 @@ def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
     image = np.broadcast_to(SKY, directions.shape).copy()
     image[hit] = colours * (1 - haze) + SKY * haze
     shape = (camera.height, camera.width, 3)
-    rounded: NDArray[np.uint8] = np.round(255 * np.clip(image, 0, 1)).astype(np.uint8).reshape(shape)
-    return rounded
+    return np.asarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8).reshape(shape))

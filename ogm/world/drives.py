@@ -67,8 +67,7 @@ class SubMap:
         inverse = np.eye(4)
         inverse[:3, :3] = self.made[:3, :3].T
         inverse[:3, 3] = -self.made[:3, :3].T @ self.made[:3, 3]
-        result: NDArray[np.float64] = self.pose @ inverse
-        return result
+        return self.pose @ inverse
 
 
 @dataclass

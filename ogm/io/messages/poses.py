@@ -81,5 +81,4 @@ def transform_of_pose(placed: Any, where: str) -> NDArray[np.float64]:
 def _rigid(position: Any, q: Any, where: str) -> NDArray[np.float64]:
     """Return the transform (4, 4) of a position and a quaternion."""
     placed = np.array([[position.x, position.y, position.z]], np.float64)
-    T: NDArray[np.float64] = from_quaternions(placed, np.array([[q.x, q.y, q.z, q.w]], np.float64), lambda _: where)[0]
-    return T
+    return np.asarray(from_quaternions(placed, np.array([[q.x, q.y, q.z, q.w]], np.float64), lambda _: where)[0])
