@@ -16,8 +16,6 @@ from ogm.metrics import ConfusionSums, MotionSums, ObjectCells, PredictionSums
 from ogm.storage.archive import UNREADABLE
 from ogm.storage.files import OgmError, atomic_write, update_hint
 
-__all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
-
 _FORMAT = "ogm.frames/1"
 _MOTION: dict[str, Any] = {  # parts of a FrameMotion
     "motion": MotionSums, "objects": ObjectCells, "predicted": PredictionSums,

@@ -23,8 +23,6 @@ from ogm.io.grids import read_grid
 from ogm.models.named import describe_model, load_model, with_radar
 from ogm.scan import Frame, InverseSensorModel
 
-__all__ = ["FusedMethod", "Method", "MethodRunner", "PrecomputedGrids", "SingleScanMethod", "as_methods"]
-
 DETECTION = 0.5  # mass above which a scan shows a cell as occupied
 
 

@@ -13,8 +13,6 @@ from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, ConfusionSums, score
 
-__all__ = ["Evaluation", "FrameInfo"]
-
 
 class FrameInfo(NamedTuple):
     """Name, sequence and stamp [s] of an evaluated frame."""

@@ -8,8 +8,6 @@ import numpy as np
 
 from ogm.storage.files import OgmError
 
-__all__ = ["check_rings", "check_whole", "scale_intensities", "split_times", "times_from_stamp"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 _SWEEP = 10.0  # [s] longer than any sweep: times that begin later are a clock's

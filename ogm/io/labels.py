@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from ogm.scan import Boxes
 from ogm.storage.files import OgmError
 
-__all__ = ["REACH", "BoxRow", "LabelledPoints", "boxes_of"]
-
 REACH = 1e5  # [m] beyond which float32 is coarser than a centimetre, and no lidar measures
 
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["directions_without_return"]
-
 _MOST = 2**20  # cells of a raster; that of a lidar of 512 lasers has as many, and the search takes 100 bytes for each
 _PER_ROW, _PER_COLUMN = 8, 2  # returns at least, before the angle of a row or a column is believed
 _TOLERANCE = np.radians(1.0)  # [rad] within which 9 of 10 returns must lie on the raster

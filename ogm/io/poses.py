@@ -17,8 +17,6 @@ from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lin
 from ogm.pose import LATEST, Trajectory, check_pose, inverse, matrix_to_quaternion
 from ogm.storage.files import OgmError, atomic_write, update_hint
 
-__all__ = ["Poses", "read_poses", "write_poses"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 _OURS = "ogm.poses/1"

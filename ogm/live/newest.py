@@ -6,8 +6,6 @@ from collections.abc import Iterator
 
 from ogm.scan import Frame
 
-__all__ = ["NewestFrames"]
-
 
 class NewestFrames:
     """Frames on their way from the thread that reads to the one that maps; at most one of each sensor waits.

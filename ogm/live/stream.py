@@ -32,8 +32,6 @@ from ogm.pose import check_pose
 from ogm.scan import Frame, Mount, Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["frame_bytes", "receive_frames"]
-
 MAGIC = b"OGM1"
 HEADER = struct.Struct("<4sI13d")
 MAX_POINTS = 2**22

@@ -12,8 +12,6 @@ from ogm.simulation.mounts import FULL_TURN
 from ogm.simulation.recipe import DataRecipe, Faults, Skies
 from ogm.simulation.sample import Beams, Weather
 
-__all__ = ["Conditions", "draw_conditions", "draw_weather", "layer_errors"]
-
 Mask = NDArray[np.bool_]
 DUST_REACH = 40.0  # [m] from the sensor, within which there are clouds of dust
 FAST = 3.0  # [m/s] what drives faster raises dust

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from ogm.scan import Scan
 
-__all__ = ["DETECTION", "Origin", "PlacedSweep", "RadarSweep"]
-
 # columns of a detection in a data set, in this order; the first three are x, y, z in the sensor's frame
 DETECTION = ("x", "y", "z", "doppler", "compensated", "rcs", "snr", "origin", "object")
 

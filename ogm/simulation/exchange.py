@@ -24,8 +24,6 @@ from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import OgmError, atomic_write
 
-__all__ = ["PAPER_GRID", "Pair", "PairFolder", "export", "read_label", "write_label", "write_pcd"]
-
 PAPER_GRID = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 FOLDERS = {"training": "train", "validation": "valid", "test": "test"}
 

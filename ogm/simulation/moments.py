@@ -17,8 +17,6 @@ from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic import Object, Traffic, TrafficState, ego_body
 
-__all__ = ["SceneSetup", "World", "put_in_place", "set_up", "the_ego_body", "traffic_of"]
-
 REACH = 120.0  # [m] around the ego vehicle, within which moving things are put in place
 DRIVES_KEPT = 12  # drives whose traffic is kept in memory, to go on from where they were
 

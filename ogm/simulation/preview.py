@@ -19,8 +19,6 @@ from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import atomic_write
 
-__all__ = ["Camera", "contact_sheet", "materials_panel", "sample_panels", "save_views", "truth_panel"]
-
 MOST, COLUMNS = 24, 6  # samples of a contact sheet, and those side by side
 GREY = (0.45, 0.45, 0.45)  # cells to be ignored
 # The kinds that the picture of HD points distinguishes, each by one colour.

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import GROUND, Material
 
-__all__ = ["IS_GROUND", "cross_section", "mirror_share"]
-
 FLASH = math.radians(4.0)  # width of specular reflection: facades and panels are not flat
 GRAZING = math.radians(6.0)  # at which the ground ceases to be a mirror
 

@@ -19,10 +19,6 @@ from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS
 from ogm.state import CellState, Truth
 
-__all__ = [
-    "MOUNT", "SPEC", "HandBuiltScene", "cells_of", "middle", "rectangle", "scan_shapes", "within",
-]  # fmt: skip
-
 SPEC = GridSpec.centered()  # 512 x 352 cells of 0.16 m
 MOUNT = Mount(1.9)  # of the lidar of every scene
 RANGE_NOISE, RANGE_MAX = 0.02, 100.0  # [m]

@@ -14,8 +14,6 @@ from ogm.simulation.survey import aimed_truth
 from ogm.state import CellState, Truth
 from ogm.truth import TRUTH_SPEC
 
-__all__ = ["static_truth"]
-
 
 def static_truth(plan: DatasetPlan, split: str, numbers: Iterable[int], spec: GridSpec, *, threads: int = 0) -> Truth:
     """Return the truth of a town without vehicles and people, moving or parked, in cells of the world.

@@ -17,8 +17,6 @@ from ogm.simulation.preview import SKY, SUN, Camera, materials_panel, sample_pan
 from ogm.simulation.sensors import hd_directions
 from ogm.simulation.traffic import ego_vehicle
 
-__all__ = ["hd_points", "preview", "render"]
-
 FAR = 900.0  # [m] at which the air hides a third of what is there
 
 

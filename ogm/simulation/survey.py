@@ -23,8 +23,6 @@ from ogm.state import Truth
 from ogm.truth import HEIGHT_LIMITS, OBSTACLE_SEEN, Kind, finalize_truth
 from ogm.truth.rays import observe_rays
 
-__all__ = ["KINDS", "Known", "Limits", "aimed_truth", "hd_truth"]
-
 BATCH = 2**19  # rays per call: their hits stay small, however many rays there are
 
 KINDS = np.full(256, Kind.OTHER, np.uint8)  # `ogm.truth.Kind` of each material, OTHER for 255, no hit

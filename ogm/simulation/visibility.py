@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from ogm.jit import kernel
 
-__all__ = ["View", "beams_in_dust", "in_view", "lose_sight", "make_view"]
-
 BINS = 3600  # of azimuth
 # Shares of what a white target sends back: of grass or gravel at grazing incidence, of a bright wall or leaf head-on.
 BRIGHT_GROUND, BRIGHT_WALL = 0.1, 0.3

@@ -31,8 +31,6 @@ from ogm.world.tasks import MakeSubMap, MapPlace, RenderTile, SubMapJob
 from ogm.world.tiles import TileStore
 from ogm.world.world_map import WorldMap
 
-__all__ = ["Progress", "build_world", "rebuild_world"]
-
 
 class Progress(NamedTuple):
     """How far a build is.

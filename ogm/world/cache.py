@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from ogm.world.layout import TileIndex, WorldLayout
 
-__all__ = ["TileCache", "Tiles"]
-
 
 class Tiles(Protocol):
     """Where tiles come from and go to, such as `ogm.world.tiles.TileStore`."""

@@ -8,8 +8,6 @@ from ogm.storage.files import atomic_write
 from ogm.world.stores import keys, read_object, reading
 from ogm.world.writer import WRITER
 
-__all__ = ["copy_to_zip"]
-
 
 def copy_to_zip(store: Any, path: Path) -> None:
     """Write all objects of a Zarr store to a new archive, which appears when it is whole."""

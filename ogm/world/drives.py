@@ -22,11 +22,6 @@ from ogm.world.packing import checked_array, codecs
 from ogm.world.stores import children, erase, keys, local_path, read_object, reading, writing
 from ogm.world.tiles import TileStore
 
-__all__ = [
-    *("Drive", "SubMap", "begin_drive", "drive_array", "drive_names", "has_drive", "load_drive", "lost_tiles"),
-    *("remove_drive", "save_drive", "split_drive", "submap_key"),
-]
-
 _GROUP, _FORMAT = "drives", "ogm.drive/1"
 _MEND = "remove its folder, or prefix, and build it again"
 

@@ -14,8 +14,6 @@ from ogm.world.layout import LAYERS, Box, TileIndex, corners
 from ogm.world.packing import mass_of
 from ogm.world.stores import reading, size
 
-__all__ = ["cells", "damage", "describe", "layers", "levels", "tile", "tiles", "window"]
-
 _MASSES = slice(0, 2)
 
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from ogm.world.kernels import CONFLICT_STEPS, COUNT_LIMIT, MASS_STEPS
 from ogm.world.layout import LAYERS, WorldLayout
 
-__all__ = ["checked_array", "checked_layers", "codecs", "mass_of"]
-
 _LEVEL = 3  # of zstd
 
 

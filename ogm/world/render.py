@@ -17,8 +17,6 @@ from ogm.world.packing import checked_layers
 from ogm.world.stores import reading
 from ogm.world.tiles import TileStore
 
-__all__ = ["Part", "fingerprint", "parts_of_tiles", "render_tile"]
-
 
 class Part(NamedTuple):
     """A sub-map that may have cells in a tile.

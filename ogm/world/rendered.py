@@ -10,8 +10,6 @@ from ogm.world.packing import checked_array
 from ogm.world.stores import read_object, reading, writing
 from ogm.world.tiles import TileStore
 
-__all__ = ["Rendered"]
-
 _NAME, _SIDE = "rendered", 64  # [tiles] along a side of a chunk
 _OFTEN = 64  # tiles after which their numbers are written
 _MEND = f"remove {_NAME}/, and build again: all tiles are made anew"

@@ -10,11 +10,6 @@ from typing import Any, Literal
 from ogm.storage.files import OgmError, naming
 from ogm.storage.remote import is_remote, object_store
 
-__all__ = [
-    *("Mode", "Url", "children", "erase", "is_zip", "keys", "load_zarr", "local_path", "open_store"),
-    *("read_object", "reading", "size", "writing"),
-]
-
 Url = str | os.PathLike[str]
 Mode = Literal["r", "r+"]
 

@@ -15,8 +15,6 @@ from ogm.world.render import Part, render_tile
 from ogm.world.stores import writing
 from ogm.world.tiles import TileStore
 
-__all__ = ["MadeSubMap", "MakeSubMap", "MapPlace", "RenderTile", "SubMapJob"]
-
 
 class MapPlace(NamedTuple):
     """Where workers find the map, and the token of its writer."""

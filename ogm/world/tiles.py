@@ -15,8 +15,6 @@ from ogm.world.packing import checked_array, checked_layers, codecs
 from ogm.world.stores import Mode, Url, erase, keys, load_zarr, local_path, open_store, reading, writing
 from ogm.world.writer import WRITER, check_writer
 
-__all__ = ["FORMAT", "TileStore"]
-
 FORMAT = "ogm.world/1"
 _MEND = "`ogm world rebuild` makes it anew if the map is built from drives; else restore it from a copy"
 

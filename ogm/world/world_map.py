@@ -21,8 +21,6 @@ from ogm.world.stores import Mode, Url, is_zip, local_path, open_store
 from ogm.world.tiles import TileStore
 from ogm.world.writer import one_writer
 
-__all__ = ["MEMORY", "WorldMap"]
-
 MEMORY = 512e6  # [byte] of tiles that a map keeps
 
 

@@ -21,16 +21,6 @@ from ogm.io.reading import optional
 from ogm.storage.archive import stated_format
 from ogm.storage.files import OgmError
 
-__all__ = [
-    "GRID_ENDINGS",
-    "MAP_ENDINGS",
-    "check_grid_output",
-    "read_any_grid",
-    "read_grid",
-    "read_placed_grid",
-    "write_grid",
-]
-
 GRID_ENDINGS = (".npz", ".npy", ".png")  # of files that hold the grid of one frame
 _YAML, _TIFF, _SCIENTIFIC = (".yaml", ".yml"), (".tif", ".tiff"), (".nc", ".zarr")
 MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # of what `write_grid` writes

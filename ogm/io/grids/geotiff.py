@@ -16,8 +16,6 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError, atomic_write
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["check_crs", "read_geotiff", "write_geotiff"]
-
 _COLOURS = ("green", "red", "blue")  # of the first bands, where a program shows them as a picture
 _CACHE = 2**24  # [byte] of blocks that GDAL keeps; by default a twentieth of the memory
 _SQUARE = 1e-6  # departure of a pixel from a square that rounding can make

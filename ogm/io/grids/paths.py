@@ -9,8 +9,6 @@ from pathlib import Path
 
 from ogm.storage.files import naming, temporary_folder
 
-__all__ = ["reason", "whole_path"]
-
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 

@@ -9,8 +9,6 @@ from typing import Any
 
 from ogm.storage.files import OgmError
 
-__all__ = ["decode_foxglove_grid"]
-
 _SIZES = {1: 8, 5: 4}  # [byte] of the wire types of fixed length
 _XY, _XYZ, _XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
 

@@ -24,8 +24,6 @@ from ogm.storage.limits import current_limits, too_large
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
-__all__ = ["check_scientific", "from_xarray", "read_scientific", "to_xarray", "write_scientific"]
-
 _FORMAT = "ogm.EvidentialGrid/1"
 _LAYERS = {
     "free": "belief mass of free",

@@ -15,8 +15,6 @@ from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits
 
-__all__ = ["BAG_MAGIC", "BagFile"]
-
 BAG_MAGIC = b"#ROSBAG V"
 _VERSION = BAG_MAGIC + b"2.0\n"
 _MESSAGE, _FILE_HEADER, _INDEX, _CHUNK, _, _CONNECTION = (bytes([op]) for op in range(2, 8))

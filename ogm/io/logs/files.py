@@ -8,8 +8,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Channel", "LogFile", "Place", "RandomAccess", "index_of", "ros2_name"]
-
 Place = tuple[int, int]
 """Where a message lies: two numbers that its file understands."""
 

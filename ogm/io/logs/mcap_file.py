@@ -16,8 +16,6 @@ from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits
 
-__all__ = ["MCAP_MAGIC", "McapFile"]
-
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX = range(2, 8)
 _RECORD = struct.Struct("<BQ")  # opcode, length

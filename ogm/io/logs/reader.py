@@ -12,8 +12,6 @@ from ogm.io.logs.definitions import decode
 from ogm.io.logs.files import Channel, LogFile
 from ogm.storage.files import OgmError
 
-__all__ = ["LogMessage", "LogReader", "MessageHead", "MessageRef", "TopicFacts"]
-
 _ROWS = 10_000  # of the index that become objects at once
 _HEAD = 512  # [byte] in which the header of a message ends, if its frame has a name of usual length
 

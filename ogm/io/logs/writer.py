@@ -15,8 +15,6 @@ from ogm.io.messages.plain import ros_stamp
 from ogm.io.reading import optional
 from ogm.storage.files import OgmError, atomic_write, naming, temporary_folder
 
-__all__ = ["LogWriter"]
-
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _TRANSIENT_LOCAL = (  # what a topic that is kept for late subscribers has in a ROS 2 log
     "- history: 1\n  depth: 100\n  reliability: 1\n  durability: 1\n  deadline: {0}\n  lifespan: {0}\n"

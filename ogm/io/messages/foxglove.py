@@ -16,8 +16,6 @@ from ogm.io.reading import optional
 from ogm.plot.colours import colours
 from ogm.storage.files import OgmError
 
-__all__ = ["foxglove_grid", "grid_from_foxglove_grid"]
-
 _COLOURS = ("red", "green", "blue", "alpha")
 _TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}  # foxglove.PackedElementField
 

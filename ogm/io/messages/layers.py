@@ -16,8 +16,6 @@ from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 
-__all__ = ["grid_from_grid_map", "grid_map", "layers_from_grid_map"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 _LABELS = ("column_index", "row_index")  # of an Eigen matrix in the order of its memory: column by column

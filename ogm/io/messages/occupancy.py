@@ -13,15 +13,6 @@ from ogm.pose import check_pose, inverse, pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError
 
-__all__ = [
-    "corner_pose",
-    "grid_from_occupancy_grid",
-    "mass_from_occupancy",
-    "occupancy_grid",
-    "occupancy_values",
-    "split_corner",
-]
-
 
 def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
     """Return what an occupancy grid of ROS holds: -1 for unknown, else 0 (free) to 100 (occupied).

@@ -15,8 +15,6 @@ from ogm.storage.files import OgmError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-__all__ = ["as_bytes", "describe_message", "frame_of", "header", "reads_message", "ros_stamp", "stamp_seconds"]
-
 _LATEST = 2**31  # [s] at which the seconds of ROS 2 end
 
 

@@ -12,8 +12,6 @@ from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
 from ogm.pose import check_pose, matrix_to_quaternion
 
-__all__ = ["pose_message", "tf_message", "transform_from_odometry", "transform_of_pose", "transforms_from_tf"]
-
 
 @reads_message
 def transforms_from_tf(message: Any) -> list[StampedTransform]:

@@ -14,8 +14,6 @@ from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["scan_from_continental", "scan_from_radar_scan"]
-
 _FIELDS = ("range", "azimuth", "elevation", "doppler_velocity")
 
 

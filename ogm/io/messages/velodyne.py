@@ -18,8 +18,6 @@ from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["PACKET_BYTES", "VELODYNE_MODELS", "Packet", "VelodyneDecoder", "scan_from_velodyne_scan"]
-
 # Names of Velodynes, and those that velodyne-decoder has for them
 VELODYNE_MODELS = {
     "VLP-16": "VLP16",

@@ -19,8 +19,6 @@ from ogm.simulation.town.plants import grass_tufts
 from ogm.simulation.town.terrain import Raster, mask, raster
 from ogm.simulation.town.yard import Yard
 
-__all__ = ["CountryBank", "CountryField", "lay_fields", "plant_fields", "turn_rural"]
-
 STEP = 2.0  # [m] of the rasters of where a bank holds
 BLEND = 3.0  # [m] over which one bank passes into another
 LEAST = 0.7  # a bank's height varies along the road, down to this share
