@@ -76,11 +76,6 @@ class RandomAccess:
         return os.pread(self._file, size, start)
 
 
-def index_of(parts: dict[int, list[NDArray[np.int64]]]) -> dict[int, NDArray[np.int64]]:
-    """Join the parts of an index."""
-    return {number: np.concatenate(rows) for number, rows in parts.items()}
-
-
 def ros2_name(name: str) -> str:
     """Return a type's name as ROS 2 writes it: sensor_msgs/PointCloud2 is sensor_msgs/msg/PointCloud2."""
     package, slash, rest = name.partition("/")
