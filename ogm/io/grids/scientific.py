@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
-from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import PlacedGrid, nanometres
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
-from ogm.io.reading import optional
+from ogm.io.reading import optional, reason
 from ogm.pose import pose
 from ogm.storage.files import OgmError, update_hint
 from ogm.storage.limits import current_limits, too_large
+from ogm.storage.whole_path import whole_path
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset

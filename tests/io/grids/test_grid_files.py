@@ -22,10 +22,10 @@ from ogm.io.grids import (
     to_xarray,
     write_grid,
 )
-from ogm.io.grids.paths import whole_path
 from ogm.pose import pose
 from ogm.state import predict_state
 from ogm.storage.files import OgmError
+from ogm.storage.whole_path import whole_path
 
 for package in ("rasterio", "xarray", "netCDF4", "zarr", "rosbags", "yaml"):
     pytest.importorskip(package)
