@@ -48,26 +48,16 @@ class MadeSubMap(NamedTuple):
     mapped: int
 
 
-class MakeSubMap:
-    """The task that makes a sub-map."""
-
-    place: MapPlace
-    ism: SensorModels
-
-    def __init__(self, place: MapPlace, ism: SensorModels) -> None:
-        self.place, self.ism = place, ism
-
-    def __call__(self, job: SubMapJob) -> MadeSubMap:
-        """Make a sub-map."""
-        store = self.place.open()
-        submap = SubMapTiles(store, job.drive, job.number)
-        cache, mapped = TileCache(submap, float("inf")), 0
-        for frame, grid in map_scans([one for one in job.frames if one.T_map_sensor is not None], self.ism):
-            integrate_grid(cache, grid, grid_pose(frame), stamp=frame.stamp)
-            mapped += 1
-        tiles = tuple(cache.changed)
-        cache.flush()
-        return MadeSubMap(tiles, mapped)
+def make_submap(place: MapPlace, ism: SensorModels, job: SubMapJob) -> MadeSubMap:
+    """Make a sub-map."""
+    submap = SubMapTiles(place.open(), job.drive, job.number)
+    cache, mapped = TileCache(submap, float("inf")), 0
+    for frame, grid in map_scans([one for one in job.frames if one.T_map_sensor is not None], ism):
+        integrate_grid(cache, grid, grid_pose(frame), stamp=frame.stamp)
+        mapped += 1
+    tiles = tuple(cache.changed)
+    cache.flush()
+    return MadeSubMap(tiles, mapped)
 
 
 class SubMapTiles:
@@ -92,13 +82,7 @@ class SubMapTiles:
             self._array[self._number, :, i + offset : k + offset, j + offset : m + offset] = tile
 
 
-class RenderTile:
-    """The task that makes a tile of the map from sub-maps."""
-
-    def __init__(self, place: MapPlace) -> None:
-        self.place = place
-
-    def __call__(self, job: tuple[TileIndex, list[Part]]) -> None:
-        """Make a tile."""
-        store = self.place.open()
-        store.write_tile(job[0], render_tile(store, *job))
+def make_tile(place: MapPlace, job: tuple[TileIndex, list[Part]]) -> None:
+    """Make a tile of the map from sub-maps."""
+    store = place.open()
+    store.write_tile(job[0], render_tile(store, *job))
