@@ -59,10 +59,6 @@ class ResultCache:
         If the folder holds an unfinished run with other settings, or a run.json that is not from here.
     """
 
-    folder: Path
-    settings: Mapping[str, Any]
-    key: str
-
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
         self.folder, self.settings = folder, settings
         self.key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()

@@ -247,10 +247,6 @@ class MethodRunner:
         The evaluated cells.
     """
 
-    methods: Mapping[str, Method]
-    spec: GridSpec
-    fused: list[FusedMethod]
-
     def __init__(self, methods: Mapping[str, Method], spec: GridSpec) -> None:
         self.methods, self.spec = methods, spec
         self.fused = [one for one in methods.values() if isinstance(one, FusedMethod)]

@@ -52,9 +52,6 @@ class FoxglovePublisher:
     ...         publisher(step, mapper)
     """
 
-    host: str
-    port: int
-
     def __init__(self, host: str = "127.0.0.1", port: int = 8765, *, name: str = "ogm") -> None:
         modules = "foxglove", "foxglove.channels"
         foxglove, channels = (optional(name, Path("a map"), "live", "served") for name in modules)

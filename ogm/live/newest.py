@@ -21,9 +21,6 @@ class NewestFrames:
         When the frame that was taken last became available, by `time.monotonic` [s].
     """
 
-    dropped: int
-    due: float
-
     def __init__(self) -> None:
         self.dropped = 0
         self.due = 0.0

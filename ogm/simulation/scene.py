@@ -46,9 +46,6 @@ class Scene:
         while it casts, so two scenes in two threads of one process gain nothing: use processes, or `threads`.
     """
 
-    threads: int
-    things: int
-
     def __init__(self, static: Mesh, *, threads: int = 0) -> None:
         if threads < 0:
             raise ValueError(f"threads must be 0 (all cores) or a number of cores, got {threads}")

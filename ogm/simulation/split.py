@@ -30,11 +30,6 @@ class Split(Sequence[SimulatedSample]):
     pickled and used by several processes at once.
     """
 
-    path: Any  # Path or ObjectPath
-    name: str
-    contents: Contents
-    columns: tuple[str, ...]
-
     def __init__(self, path: Any, name: str, count: int, contents: Contents) -> None:
         self.path, self.name, self.contents = path, name, contents
         self.columns = contents.facts

@@ -49,12 +49,6 @@ _LEVEL = 5  # of zstd: above it, files shrink by 2 % and writing takes four time
 class Store:
     """A data set on disk. Open one with `Store.open`; the parts are ``store["training"]`` and so on."""
 
-    format: str
-    beams: tuple[Beams, ...]
-    radars: tuple[StoredRadar, ...] | tuple[()]
-    counts: dict[str, int]
-    contents: Contents
-
     def __init__(self, path: Any, attributes: Mapping[str, Any]) -> None:
         self.path = path
         self.format = str(attributes["format"])

@@ -30,9 +30,6 @@ class TileCache:
         [byte]; at least four tiles are kept.
     """
 
-    tiles: Tiles
-    most: float
-
     def __init__(self, tiles: Tiles, memory: float) -> None:
         layout = tiles.layout
         self.tiles, self.most = tiles, max(4.0, memory / layout.empty_tile().nbytes)

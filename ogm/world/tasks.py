@@ -10,7 +10,7 @@ from ogm.scan import Frame, SensorModels
 from ogm.world.cache import TileCache
 from ogm.world.drives import drive_array
 from ogm.world.integration import integrate_grid
-from ogm.world.layout import TileIndex, WorldLayout
+from ogm.world.layout import TileIndex
 from ogm.world.render import Part, render_tile
 from ogm.world.stores import writing
 from ogm.world.tiles import TileStore
@@ -62,8 +62,6 @@ def make_submap(place: MapPlace, ism: SensorModels, job: SubMapJob) -> MadeSubMa
 
 class SubMapTiles:
     """The tiles of a sub-map that is made, for a `TileCache`."""
-
-    layout: WorldLayout
 
     def __init__(self, store: TileStore, drive: str, number: int) -> None:
         self.layout, self._store, self._number = store.layout, store, number

@@ -35,14 +35,6 @@ class TileStore:
         Token of `ogm.world.writer.one_writer` that writing needs to be current; "" for no check.
     """
 
-    url: str
-    layout: WorldLayout
-    crs: str | None
-    writer: str
-    storage: dict[str, str]
-    root: Any  # zarr.Group
-    store: Any  # zarr.abc.store.Store
-
     def __init__(
         self, url: Url, root: Any, attributes: Mapping[str, Any], storage: Mapping[str, str] | None = None
     ) -> None:

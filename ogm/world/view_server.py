@@ -38,12 +38,6 @@ class WorldPage:
         If the map is empty, or too large to be shown without overviews.
     """
 
-    world: WorldMap
-    title: str
-    low: list[int]
-    high: list[int]
-    shape: tuple[int, ...]
-
     def __init__(self, world: WorldMap, title: str = "") -> None:
         tiles = world.tiles()
         if not tiles:

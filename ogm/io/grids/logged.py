@@ -74,8 +74,6 @@ class GridLog:
     ...         log.write(PlacedGrid(mapper.grid, stamp=mapper.stamp))
     """
 
-    topic: str
-
     def __init__(self, path: str | os.PathLike[str], message: GridMessage = "occupancy-grid", topic: str = "/map"):
         path = Path(path)
         check_logged(path, message)

@@ -38,8 +38,6 @@ class Db3File:
         If it is no such file, or so damaged that nothing can be read.
     """
 
-    channels: dict[int, Channel]
-
     def __init__(self, path: Path) -> None:
         self.path = path
         self.warnings: list[str] = []

@@ -62,8 +62,6 @@ class LogFile(Protocol):
 class RandomAccess:
     """A file that threads and forked processes may read at the same time; it is closed with its last reference."""
 
-    size: int
-
     def __init__(self, path: Path) -> None:
         file = os.open(path, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
         self._file, self.size = file, os.fstat(file).st_size

@@ -106,11 +106,6 @@ class LogReader:
         What is damaged or missing; reading may add some.
     """
 
-    paths: tuple[Path, ...]
-    format: str
-    warnings: list[str]
-    topics: dict[str, TopicFacts]
-
     def __init__(self, paths: Sequence[Path], files: Sequence[LogFile]) -> None:
         self.paths, self._files = tuple(paths), list(files)
         self.format = ", ".join(dict.fromkeys(file.format for file in self._files))

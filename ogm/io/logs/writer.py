@@ -52,8 +52,6 @@ class LogWriter:
     ...     log.write("/map", "nav_msgs/msg/OccupancyGrid", occupancy_grid(grid, frame_id="map"), stamp)
     """
 
-    path: Path
-
     def __init__(self, path: str | os.PathLike[str], compression: str = "") -> None:
         self.path, self._compression = Path(path), compression
         ending = self.path.suffix.lower()

@@ -113,9 +113,6 @@ class VelodyneDecoder:
         What they are of, for errors.
     """
 
-    library: Any
-    config: Any
-
     def __init__(
         self, packets: Sequence[Packet], model: str | None, calibration: str | os.PathLike[str] | None, where: str
     ) -> None:

@@ -139,9 +139,6 @@ def lay_fields(plan: TownLayout, built: BaseGeometry, country: Country, rng: Gen
 class CountryBank:
     """Height of the land over the road's level, with the banks and ditches of fields."""
 
-    bank: HeightAt
-    fields: Sequence[CountryField]
-
     def __init__(self, bank: HeightAt, fields: Sequence[CountryField], plan: TownLayout, rng: Generator) -> None:
         self.bank, self.fields = bank, fields
         rings = shapely.get_parts(shapely.boundary(plan.corridor))
