@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.io.images import open_image
+from ogm.simulation.arrays import Floats32
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import OgmError, atomic_write
@@ -63,7 +63,7 @@ def export(
     return count
 
 
-def write_pcd(path: str | os.PathLike[str], points: NDArray[np.float32]) -> None:
+def write_pcd(path: str | os.PathLike[str], points: Floats32) -> None:
     """Write a cloud (N, 4): x, y, z [m] and intensity [0, 1], which the file counts 0 ... 255."""
     n = len(points)
     header = (

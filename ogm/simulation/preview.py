@@ -12,6 +12,7 @@ from ogm import plot
 from ogm.grid import GridSpec
 from ogm.plot.colours import colours
 from ogm.plot.drawing import font, plain
+from ogm.simulation.arrays import Floats32
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
 from ogm.simulation.sample import SimulatedSample
@@ -52,7 +53,7 @@ def sample_panels(sample: SimulatedSample, spec: GridSpec = PAPER_GRID) -> tuple
     return cloud, truth_panel(sample.truth.crop(spec))
 
 
-def materials_panel(points: NDArray[np.float32], material: NDArray[np.uint8], spec: GridSpec, title: str) -> plot.Panel:
+def materials_panel(points: Floats32, material: NDArray[np.uint8], spec: GridSpec, title: str) -> plot.Panel:
     """Show points from above, coloured by what they hit.
 
     Parameters
@@ -117,7 +118,7 @@ class Camera(NamedTuple):
     height: int = 900
     field: float = np.pi / 3
 
-    def directions(self) -> NDArray[np.float32]:
+    def directions(self) -> Floats32:
         """Return the unit direction of every pixel, (height, width, 3) float32."""
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
+from ogm.simulation.arrays import Floats
 from ogm.simulation.contents import FACTS, OBJECTS, OF_RADARS, POSES, SHARD, SWEEP, UNMEASURED, Contents
 from ogm.simulation.detections import PlacedSweep, RadarSweep
 from ogm.simulation.sample import OBJECT, SimulatedSample, Weather
@@ -105,12 +106,12 @@ class Split(Sequence[SimulatedSample]):
             result.append(PlacedSweep(int(row[1]), row[2], T, row[16:], RadarSweep.of_table(table[start:stop])))
         return tuple(result)
 
-    def sweep_rows(self, index: int) -> NDArray[np.float64]:
+    def sweep_rows(self, index: int) -> Floats:
         """Read what is known of a sample's sweeps beside their detections, (sweeps, `SWEEP`)."""
         if not self.contents.radars:
             return np.zeros((0, SWEEP))
         i, _ = self._row(index)
-        rows: NDArray[np.float64] = self._shard("sweeps", i // SHARD)[i % SHARD]
+        rows: Floats = self._shard("sweeps", i // SHARD)[i % SHARD]
         self._compare("sweeps", i, rows[None])
         rows = rows[rows[:, 0] > 0]
         most = self.contents.layout["detections"][0][0]
@@ -138,7 +139,7 @@ class Split(Sequence[SimulatedSample]):
             except ValueError:
                 continue  # has not been made yet
 
-    def _row(self, index: int) -> tuple[int, NDArray[np.float64]]:
+    def _row(self, index: int) -> tuple[int, Floats]:
         """Return the number of a sample that is made, counted from 0, and its facts."""
         i = operator.index(index)
         i += len(self) if i < 0 else 0
@@ -159,7 +160,7 @@ class Split(Sequence[SimulatedSample]):
         return i, row
 
     @property
-    def facts(self) -> NDArray[np.float64]:
+    def facts(self) -> Floats:
         """What is known of every sample beside its arrays, (n, `columns`); zeros where it is not made."""
         if isinstance(self.path, ObjectPath):  # all at once, zeros for shards that are not there
             return np.asarray(self._array("facts")[: len(self)], np.float64)

@@ -26,6 +26,7 @@ from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
 from ogm.io.reading import decode_json
+from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
@@ -279,7 +280,7 @@ def _counts(splits: Mapping[str, int]) -> dict[str, int]:
     return dict(splits)
 
 
-def _put_sweeps(sample: SimulatedSample, rows: NDArray[np.float64], table: NDArray[np.float32]) -> None:
+def _put_sweeps(sample: SimulatedSample, rows: Floats, table: Floats32) -> None:
     """Write the sweeps of a sample into its rows."""
     tables = [one.detections.table for one in sample.sweeps]
     for row, one, detections in zip(rows, sample.sweeps, tables, strict=False):

@@ -8,6 +8,7 @@ import open3d
 from numpy.typing import NDArray
 
 from ogm import plot
+from ogm.simulation.arrays import Floats32
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material
@@ -48,7 +49,7 @@ def preview(path: str | os.PathLike[str], town_path: str | os.PathLike[str], pla
     save_views(town_path, views)
 
 
-def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[Floats32, NDArray[np.uint8]]:
     """Return what an HD lidar hits, (N, 3) float32 in the sensor's frame [m], and the materials (N,)."""
     rays = hd_directions(here.spec, layers).reshape(-1, 3)
     hits = here.world.scene.cast(here.T_world_sensor, rays)
