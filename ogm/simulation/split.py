@@ -10,6 +10,7 @@ import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
+from ogm.extras import import_extra
 from ogm.simulation.arrays import Floats
 from ogm.simulation.contents import FACTS, OBJECTS, OF_RADARS, POSES, SHARD, SWEEP, UNMEASURED, Contents
 from ogm.simulation.detections import PlacedSweep, RadarSweep
@@ -247,14 +248,9 @@ def shard_file(split: Any, name: str, shard: int) -> Any:
 
 def load_zarr() -> Any:
     """Return the module, which unpacks Blosc by `CheckedBlosc`, or raise ImportError with the way to install it."""
-    try:
-        import zarr
+    zarr = import_extra("zarr", "sim")
+    from ogm.simulation.blosc import CheckedBlosc
 
-        from ogm.simulation.blosc import CheckedBlosc
-    except ImportError as error:
-        raise ImportError(
-            f'data sets are kept with zarr, which is missing ({error}): pip install "ogm-toolkit[sim]"'
-        ) from error
     zarr.registry.register_codec("blosc", CheckedBlosc)
     zarr.config.set({"codecs.blosc": f"{CheckedBlosc.__module__}.{CheckedBlosc.__qualname__}"})
     return zarr

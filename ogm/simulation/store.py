@@ -172,10 +172,8 @@ class Store:
                 raise ValueError(f"{path} holds other files; give a new or empty folder")
             path.mkdir(parents=True, exist_ok=True)
             root = zarr.open_group(path, mode="a", zarr_format=3, attributes={"format": BEGUN})
-        gaps, radars = (
-            bool(plan.get("recipe")),
-            tuple(StoredRadar.of_mount(RadarMount(**one)) for one in plan.get("radars", ())),
-        )
+        gaps = bool(plan.get("recipe"))
+        radars = tuple(StoredRadar.of_mount(RadarMount(**one)) for one in plan.get("radars", ()))
         for name, count in counts.items():
             _grow(root, name, count, Contents(tuple(beams), radars, gaps=gaps))
         # Last: until then it is no data set, and is begun again.

@@ -9,7 +9,8 @@ from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.simulation import dataset, moments
 from ogm.simulation.lidar import RangeImage, to_points
-from ogm.simulation.plan import DatasetPlan, LidarMount, only
+from ogm.simulation.mounts import LidarMount, only
+from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.sample import LABELS, RANGE_STEP, SimulatedSample
 from ogm.simulation.sensors import LIDARS
 from ogm.state import CellState

@@ -14,7 +14,8 @@ import google_crc32c
 import pytest
 from damage import check_flips
 
-from ogm.simulation.plan import DatasetPlan, LidarMount
+from ogm.simulation.mounts import LidarMount
+from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Damaged, Store
 from ogm.simulation.workers import begin, missing_shards
