@@ -85,7 +85,7 @@ def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> Scene
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
     spec = replace(LIDARS[mount.lidar], unit=at.traffic)  # another vehicle, another sensor of this kind
     here = SceneSetup(world, state, near, spec, T_vehicle_sensor, state.ego @ T_vehicle_sensor)
-    return here if recipe is None else _by_recipe(here, recipe, mount.view, _condition_rng(plan, split, index))
+    return here if recipe is None else _by_recipe(here, recipe, mount.view, _sequence_rng(plan, split, index, 2))
 
 
 def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, tuple[float, float, float, float]]:
@@ -93,7 +93,7 @@ def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, t
 
     All samples of a sequence have the same.
     """
-    rng = sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, 0)
+    rng = _sequence_rng(plan, split, index, 0)
     shares = np.cumsum([mount.share for mount in plan.mounts])
     choice = int(np.searchsorted(shares, rng.random() * shares[-1], side="right"))
     mount = plan.mounts[min(choice, len(plan.mounts) - 1)]
@@ -116,9 +116,9 @@ def put_in_place(world: World, state: TrafficState) -> tuple[Object, ...]:
     return near
 
 
-def _condition_rng(plan: DatasetPlan, split: str, index: int) -> Generator:
-    """Return the random numbers of a scan's conditions; all scans of a sequence have the same."""
-    return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, 2)
+def _sequence_rng(plan: DatasetPlan, split: str, index: int, purpose: int) -> Generator:
+    """Return the random numbers of one sample and one purpose; all samples of a sequence have the same."""
+    return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, purpose)
 
 
 def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator) -> SceneSetup:

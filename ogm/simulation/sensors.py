@@ -143,11 +143,6 @@ class LidarSpec:
         """Layers and columns of a range image."""
         return self.layers, self.azimuths
 
-    @property
-    def first_azimuth(self) -> float:
-        """Azimuth of column 0 for a layer without offset [rad]; column k is k * azimuth_step further right."""
-        return _first_azimuth(self.azimuth_step)
-
     @cached_property
     def times(self) -> Floats:
         """When each column fires [s], (azimuths,); 0 is the middle of the turn."""
@@ -174,7 +169,7 @@ class LidarSpec:
 @lru_cache(maxsize=64)
 def beams_of(spec: LidarSpec) -> Beams:
     """Return what turns a lidar's range images into points, without the simulator."""
-    azimuth = tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets)
+    azimuth = tuple(_first_azimuth(spec.azimuth_step) + offset for offset in spec.azimuth_offsets)
     origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
     return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
 
@@ -215,6 +210,7 @@ def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float
 
 
 def _first_azimuth(step: float) -> float:
+    """Return the azimuth of column 0 for a layer without offset [rad]; column k is k * step further right."""
     return math.pi - step / 2
 
 
