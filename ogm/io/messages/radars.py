@@ -11,7 +11,7 @@ from ogm.io.formats.table import Table
 from ogm.io.messages.plain import describe_message, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
-from ogm.storage.files import OgmError
+from ogm.storage.files import OgmError, error_context
 
 _FIELDS = ("range", "azimuth", "elevation", "doppler_velocity")
 
@@ -77,10 +77,8 @@ def scan_from_continental(message: Any) -> Scan:
 def _scan(message: Any, kind: str, rows: Sequence[Sequence[Any]], others: Sequence[str]) -> Scan:
     """Return the scan of detections: range, azimuth and elevation of each, and other columns by their names."""
     where = describe_message(message, kind)
-    try:
+    with error_context(f"{where} has detections that are no numbers", TypeError, ValueError, OverflowError):
         columns = np.array(rows, np.float64).reshape(-1, 3 + len(others)).T
-    except (TypeError, ValueError, OverflowError) as error:
-        raise OgmError(f"{where} has detections that are no numbers: {error}") from error
     distance, azimuth, elevation = columns[:3]
     flat = distance * np.cos(elevation)
     xyz = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
