@@ -13,10 +13,13 @@ from ogm.fusion import map_scans
 from ogm.fusion.pipeline import grid_pose
 from ogm.grid import GridSpec
 from ogm.models import load_model
+from ogm.pose import pose
+from ogm.simulation.cells import measure_ground
+from ogm.simulation.moments import set_up
 from ogm.simulation.plan import SEQUENCE, DatasetPlan
-from ogm.simulation.static_truth import static_truth
-from ogm.state import Truth
-from ogm.truth import cells_in_boxes
+from ogm.simulation.survey import aimed_truth
+from ogm.state import CellState, Truth
+from ogm.truth import TRUTH_SPEC, cells_in_boxes
 from ogm.world import WorldMap
 from ogm.world.layout import TileIndex
 
@@ -70,7 +73,39 @@ def truth_of(spec: GridSpec, drives: dict[str, Dataset], plan: DatasetPlan, spli
                 words = ref.name.split()  # "test 12", or "sequence 3 frame 12"
                 numbers.append(int(words[-1]) + (SEQUENCE * int(words[1]) if split == "sequences" else 0))
     print(f"  truth from {len(numbers)} places")
-    return static_truth(plan, split, numbers, spec, threads=1)
+    return static_truth(plan, split, numbers, spec)
+
+
+def static_truth(plan: DatasetPlan, split: str, numbers: Iterable[int], spec: GridSpec) -> Truth:
+    """Return the truth of a town without vehicles and people, moving or parked, in cells of its map.
+
+    Rays are aimed from above the ground where the lidar was, by the rules of `ogm.simulation.survey`. The sensor stands
+    upright and is moved by less than half a cell, so that the cells of all places are those of `spec`, and nothing is
+    resampled. A cell that is occupied from one place is occupied; one where ground alone was hit is free; the others
+    are unknown.
+    """
+    side, state = TRUTH_SPEC.resolution, np.full(spec.shape, CellState.UNKNOWN, np.uint8)
+    corner = np.rint(np.array([TRUTH_SPEC.origin, spec.origin]) / side).astype(int)
+    for number in numbers:
+        here = set_up(plan, split, number, 1)
+        here.world.scene.place([])  # without the traffic
+        x, y, z = here.T_world_sensor[:3, 3]
+        at = np.rint(np.array([x, y]) / side).astype(int)
+        below = measure_ground(here.world.ground, pose(at[0] * side, at[1] * side, z))
+        seen = aimed_truth(here.world.scene, below, (here.spec.elevations[0], here.spec.elevations[-1])).state
+        keep_seen(state, seen, at + corner[0] - corner[1])
+    return Truth(spec, state)
+
+
+def keep_seen(state: NDArray[np.uint8], seen: NDArray[np.uint8], at: NDArray[np.int_]) -> None:
+    """Put what was seen in the cells from `at` on into the state, in place; occupied wins over free."""
+    low, high = np.maximum(at, 0), np.minimum(at + seen.shape, state.shape)
+    if (low >= high).any():
+        return
+    there = state[low[0] : high[0], low[1] : high[1]]
+    new = seen[low[0] - at[0] : high[0] - at[0], low[1] - at[1] : high[1] - at[1]]
+    there[(new == CellState.FREE) & (there == CellState.UNKNOWN)] = CellState.FREE
+    there[new == CellState.OCCUPIED] = CellState.OCCUPIED
 
 
 def parked_cells(part: Dataset, spec: GridSpec) -> NDArray[np.bool_]:

@@ -30,7 +30,8 @@ from ogm.simulation import dataset  # noqa: E402
 from ogm.simulation import workers as crew
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up  # noqa: E402
 from ogm.simulation.mesh import merge  # noqa: E402
-from ogm.simulation.plan import DatasetPlan, only  # noqa: E402
+from ogm.simulation.mounts import only  # noqa: E402
+from ogm.simulation.plan import DatasetPlan  # noqa: E402
 from ogm.simulation.sensors import hd_directions  # noqa: E402
 from ogm.simulation.store import Store  # noqa: E402
 from ogm.simulation.traffic import ego_vehicle  # noqa: E402

@@ -8,7 +8,7 @@ and its figures are those of REPORT. One core. Writes benchmarks/results/world_r
 docs/pictures/world_rules.png.
 
 Definitions
-* static truth: `ogm.simulation.static_truth`, the town without vehicles and people, in the cells of the map;
+* static truth: `static_truth` of `_world_towns.py`, the town without vehicles and people, in the cells of the map;
 * known: static truth is free or occupied there, and a scan had a belief about the cell. All figures are of these;
 * occupied, free: mass above 1/2. Ghosts: free in the static truth, occupied in the map; false free: the reverse;
 * log loss: -ln of the probability (mass + unknown / 2) of the true state, which is at least 0.01;

@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 import ogm.storage.files
 from ogm.cli import app, console
 from ogm.cli.console import SafeFormatter, printable, report_errors
-from ogm.io.grids.paths import whole_path
 from ogm.storage.files import atomic_write, error_text, finish_zarr, temporary_folder
+from ogm.storage.whole_path import whole_path
 
 ESCAPE = "a\x1b[31m\x07\u202eb\x9bc"
 

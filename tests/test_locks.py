@@ -11,10 +11,10 @@ import pytest
 from cases import each
 
 import ogm.storage.files
-from ogm.io.grids.paths import whole_path
 from ogm.storage import locks
 from ogm.storage.files import atomic_write, temporary_folder
 from ogm.storage.locks import locked, sweep
+from ogm.storage.whole_path import whole_path
 
 pytestmark = pytest.mark.skipif(locks.fcntl is None, reason="this system has no flock")
 

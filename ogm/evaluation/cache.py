@@ -16,8 +16,6 @@ from ogm.metrics import ConfusionSums, MotionSums, ObjectCells, PredictionSums
 from ogm.storage.archive import UNREADABLE
 from ogm.storage.files import OgmError, atomic_write, update_hint
 
-__all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
-
 _FORMAT = "ogm.frames/1"
 _MOTION: dict[str, Any] = {  # parts of a FrameMotion
     "motion": MotionSums, "objects": ObjectCells, "predicted": PredictionSums,
@@ -60,10 +58,6 @@ class ResultCache:
     OgmError
         If the folder holds an unfinished run with other settings, or a run.json that is not from here.
     """
-
-    folder: Path
-    settings: Mapping[str, Any]
-    key: str
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
         self.folder, self.settings = folder, settings

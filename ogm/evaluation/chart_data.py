@@ -7,8 +7,6 @@ from typing import Any
 
 from ogm.evaluation.text import as_json
 
-__all__ = ["HEADLINE", "chart_data", "frame_keys", "group_metrics"]
-
 HEADLINE = (
     "nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "missed_obstacles",
     "free_recall_1", "ece_relative", "auroc_unknown", "ause",

@@ -16,8 +16,6 @@ from ogm.plot import Panel
 from ogm.plot.colours import colours
 from ogm.storage.files import atomic_write
 
-__all__ = ["draw_frames", "draw_metrics", "frame_panels"]
-
 SHOWN = (
     "nll", "brier", "ece_relative", "auroc_unknown",
     "iou_free", "iou_occupied", "iou_unknown", "missed_occupied",

@@ -12,8 +12,6 @@ from ogm.grid import GridSpec
 from ogm.plot.colours import colours
 from ogm.state import predict_state
 
-__all__ = ["ERRORS", "Shade", "draw_frame", "error_classes", "height_legend", "true_states"]
-
 STEPS = 8  # of a mass, so that pictures without loss stay small
 SHARPEST = 0.85  # a picture with loss is taken where it is smaller than this share of the one without
 SMALL = 0.02  # bytes per mass: a smaller picture is not encoded a second time

@@ -23,8 +23,6 @@ from ogm.io.grids import read_grid
 from ogm.models.named import describe_model, load_model, with_radar
 from ogm.scan import Frame, InverseSensorModel
 
-__all__ = ["FusedMethod", "Method", "MethodRunner", "PrecomputedGrids", "SingleScanMethod", "as_methods"]
-
 DETECTION = 0.5  # mass above which a scan shows a cell as occupied
 
 
@@ -248,10 +246,6 @@ class MethodRunner:
     spec : GridSpec
         The evaluated cells.
     """
-
-    methods: Mapping[str, Method]
-    spec: GridSpec
-    fused: list[FusedMethod]
 
     def __init__(self, methods: Mapping[str, Method], spec: GridSpec) -> None:
         self.methods, self.spec = methods, spec

@@ -29,16 +29,6 @@ from ogm.metrics import (
 from ogm.scan import Boxes
 from ogm.state import Motion
 
-__all__ = [
-    "MOTION_HEADLINE",
-    "FrameMotion",
-    "MotionCollector",
-    "MotionResult",
-    "compare_motion",
-    "group_motion",
-    "motion_record",
-]
-
 MOTION_HEADLINE = (
     "motion_ap", "motion_iou", "motion_precision", "motion_recall", "static_moving", "velocity_rmse", "velocity_median",
     "heading_median", "inside_95", "moving_occupied", "moving_free",

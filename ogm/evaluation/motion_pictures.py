@@ -14,8 +14,6 @@ from ogm.metrics.motion import MOVING
 from ogm.plot.colours import colours
 from ogm.state import Motion
 
-__all__ = ["ARROWS", "draw_motion"]
-
 DOTS = 2  # of the picture per cell
 BLOCK = 8  # [cells] along each side, that share an estimated arrow
 LEAST, LEAST_MASS = 2, 0.3  # cells of a block that are predicted moving with a mass of dynamic, for an arrow

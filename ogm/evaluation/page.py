@@ -20,8 +20,6 @@ from ogm.evaluation.summary import best_value, summarize
 from ogm.evaluation.text import format_number, join_words, pluralize
 from ogm.storage.files import atomic_write
 
-__all__ = ["write_page"]
-
 Record = Mapping[str, Any]
 Pictures = Mapping[int, Mapping[str, bytes]]
 MOST = 13_500_000  # bytes of pictures, so that the page stays under 15 MB

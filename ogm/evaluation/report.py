@@ -24,8 +24,6 @@ from ogm.evaluation.text import as_json, clean, pluralize
 from ogm.metrics import METRICS, RANGES, ConfusionSums, by_range, reasons
 from ogm.storage.files import atomic_write
 
-__all__ = ["describe_extent", "describe_intervals", "evaluation_record", "write_csv", "write_report"]
-
 RANKED_BY = "nll"
 WORST, BEST = 0.5, 0.25  # shares of the frames in the page; the rest is spread evenly over the ranks
 ROWS = 6  # of the contact sheet

@@ -13,8 +13,6 @@ from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, ConfusionSums, score
 
-__all__ = ["Evaluation", "FrameInfo"]
-
 
 class FrameInfo(NamedTuple):
     """Name, sequence and stamp [s] of an evaluated frame."""
@@ -111,8 +109,7 @@ class Evaluation:
             raise KeyError(f"there is no method {method!r} here, only {', '.join(self.methods)}")
         if metric not in self.values:
             raise KeyError(f"there is no metric {metric!r}, only {', '.join(self.values)}")
-        values: NDArray[np.float64] = self.values[metric][self.methods.index(method)]
-        return values
+        return np.asarray(self.values[metric][self.methods.index(method)])
 
     def select(self, methods: Sequence[str]) -> Self:
         """Return the evaluation of some of the methods."""

@@ -22,8 +22,6 @@ from ogm.scan import Frame
 from ogm.storage.locks import locked
 from ogm.storage.remote import ObjectPath
 
-__all__ = ["REPORT_FILES", "evaluate", "package_versions"]
-
 REPORT_FILES = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
 PACKAGES = ("ogm-toolkit", "numpy", "numba", "scipy", "torch", "zarr")
 

@@ -11,8 +11,6 @@ from ogm.fusion.resample import ResampleMethod
 from ogm.grid import GridSpec
 from ogm.models.named import short_names
 
-__all__ = ["choose_frames", "named_methods"]
-
 
 def named_methods(
     models: Sequence[str],

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.extras import import_extra
 
-__all__ = ["MIN_DRIVES", "Comparison", "Interval", "compare_paired", "has_parts", "mean_interval", "ratio_interval"]
-
 Drives = Sequence[str] | NDArray[Any] | None
 LEVEL = 0.95
 MIN_DRIVES = 4  # that an interval needs, and the parts that one drive is cut into

@@ -5,8 +5,6 @@ from typing import Any, NamedTuple
 
 from ogm.evaluation.chart_data import HEADLINE
 
-__all__ = ["Leader", "best_value", "leaders", "summarize"]
-
 Record = Mapping[str, Any]
 SMALL_IOU = 0.05  # a method with a lower IoU hardly ever predicts the state
 

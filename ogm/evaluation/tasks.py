@@ -24,8 +24,6 @@ from ogm.pose import transform_points
 from ogm.scan import Frame
 from ogm.storage.workers import deaths_explained, work_off
 
-__all__ = ["Draw", "FrameTask", "Progress"]
-
 _TOGETHER = 20  # frames that a worker evaluates at a time, where they do not depend on each other
 
 Draw = Callable[..., dict[str, bytes]]

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["as_json", "clean", "format_number", "join_words", "pluralize"]
-
 
 def as_json(value: Any, digits: int = 7) -> Any:
     """Return a record as JSON can hold it: lists, dicts, numbers with some digits, NaN and infinity as None."""

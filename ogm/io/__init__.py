@@ -26,7 +26,8 @@ from ogm.io.grids import (
 )
 from ogm.io.kitti import read_calibration
 from ogm.io.poses import Poses, read_poses, write_poses
-from ogm.io.scan import FileFacts, describe, read_points, read_scan, read_scan_file
+from ogm.io.scan import describe, read_points, read_scan, read_scan_file
+from ogm.io.scan_table import FileFacts
 from ogm.io.sensor_height import estimate_sensor_height
 from ogm.io.transforms import StampedTransform, TransformBuffer
 

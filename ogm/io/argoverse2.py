@@ -18,7 +18,7 @@ from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import from_quaternions, need, need_numbers, numbers, optional, parse_array, read_bytes, read_json
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
-from ogm.storage.files import OgmError
+from ogm.storage.files import OgmError, error_context
 
 __all__ = ["Argoverse2Log", "Argoverse2Map", "read_argoverse2"]
 
@@ -139,10 +139,8 @@ def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
     sweeps = sorted(folder.glob("sensors/lidar/*.feather"))
     if not sweeps:
         raise FileNotFoundError(f"{folder} has no sensors/lidar/*.feather: give the folder of one log")
-    try:
+    with error_context(f"sweeps of {folder} must be named by their times [ns]"):
         stamps = tuple(int(one.stem) for one in sweeps)
-    except ValueError as error:
-        raise OgmError(f"sweeps of {folder} must be named by their times [ns]: {error}") from error
     file = folder / "city_SE3_egovehicle.feather"
     table = _table(file, ("timestamp_ns", *_POSITION, *_QUATERNION))
     row = {int(stamp): n for n, stamp in enumerate(table.columns["timestamp_ns"])}

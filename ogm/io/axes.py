@@ -4,8 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["AXES", "Axes", "rotation_to_flu"]
-
 AXES: dict[str, tuple[str, str, str]] = {
     "flu": ("+x", "+y", "+z"),  # forward, left, up: REP 103
     "ros": ("+x", "+y", "+z"),

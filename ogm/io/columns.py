@@ -8,8 +8,6 @@ import numpy as np
 
 from ogm.storage.files import OgmError
 
-__all__ = ["check_rings", "check_whole", "scale_intensities", "split_times", "times_from_stamp"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 _SWEEP = 10.0  # [s] longer than any sweep: times that begin later are a clock's
@@ -158,8 +156,7 @@ def _known_unit(raw: np.ndarray, unit: float | None, path: Path | str) -> float:
 def _since_earliest(raw: np.ndarray) -> np.ndarray:
     """Subtract the earliest time before whole numbers of 64 bits become floats, which cannot hold them."""
     exact = raw if raw.dtype.itemsize == 8 else raw.astype(np.float64)
-    since: np.ndarray = (exact - exact.min()).astype(np.float64)
-    return since
+    return np.asarray((exact - exact.min()).astype(np.float64))
 
 
 def check_whole(raw: np.ndarray | None, what: str, path: Path | str) -> np.ndarray | None:

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from ogm.io.reading import from_quaternions, read_lines
 from ogm.storage.files import OgmError
 
-__all__ = ["read_g2o"]
-
 _VERTICES = {"VERTEX_SE3:QUAT": 7, "VERTEX_SE2": 3}  # tag: numbers after the identifier
 _MOST = 2**53  # identifiers beyond which float64 would not hold them
 

@@ -12,8 +12,6 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["read_hdf5_table"]
-
 _DEFLATE, _SHUFFLE, _FLETCHER, _LZF = 1, 2, 3, 32000  # filters by their numbers in HDF5
 _EXPANSION = 1032  # what deflate can unpack a byte to, at most; LZF less
 _WAY_OUT = "write the file anew, such as by h5repack -f GZIP=4"

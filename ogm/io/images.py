@@ -9,8 +9,6 @@ from typing import Any
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["open_image"]
-
 _BYTES = {"1": 1, "L": 1, "P": 1, "LA": 2, "PA": 2, "I;16": 2, "RGB": 4, "I": 4, "F": 4}  # of a pixel in Pillow, else 4
 
 

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.scan import Boxes
-from ogm.storage.files import OgmError
-
-__all__ = ["REACH", "BoxRow", "LabelledPoints", "boxes_of"]
+from ogm.storage.files import OgmError, error_context
 
 REACH = 1e5  # [m] beyond which float32 is coarser than a centimetre, and no lidar measures
 
@@ -42,10 +40,8 @@ def boxes_of(rows: Sequence[BoxRow], where: object) -> Boxes:
     if not rows:
         return Boxes.empty()
     center, size, yaw, label, track = zip(*rows, strict=True)
-    try:
+    with error_context(where):
         boxes = Boxes(np.array(center), np.array(size), np.array(yaw), label=label, track=track)
-    except ValueError as error:
-        raise OgmError(f"{where}: {error}") from error
     far = np.abs(np.column_stack([boxes.center, boxes.size])).max(axis=1) > REACH
     if far.any():
         k = int(np.argmax(far))

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, LayeredGrid
 
-__all__ = ["AnyGrid", "evidential", "grid_from_layers", "layers_of", "needed_layers"]
-
 AnyGrid = EvidentialGrid | DynamicGrid
 _MASSES = ("free", "occupied")
 _MOVING = (

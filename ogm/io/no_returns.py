@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["directions_without_return"]
-
 _MOST = 2**20  # cells of a raster; that of a lidar of 512 lasers has as many, and the search takes 100 bytes for each
 _PER_ROW, _PER_COLUMN = 8, 2  # returns at least, before the angle of a row or a column is believed
 _TOLERANCE = np.radians(1.0)  # [rad] within which 9 of 10 returns must lie on the raster
@@ -74,8 +72,7 @@ def _median(angle: np.ndarray, returned: np.ndarray) -> np.ndarray:
     number = np.count_nonzero(returned, axis=1)[:, None]
     ordered = np.sort(np.where(returned, angle, angle.dtype.type(np.inf)), axis=1)
     low, high = (np.take_along_axis(ordered, at, axis=1) for at in ((number - 1) // 2, number // 2))
-    middle: np.ndarray = (low + high) / 2
-    return middle
+    return np.asarray((low + high) / 2)
 
 
 def _unit(way: np.ndarray) -> np.ndarray:

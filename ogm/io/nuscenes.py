@@ -223,8 +223,7 @@ def _pose(row: Mapping[str, Any], where: str) -> NDArray[np.float64]:
     """Read a translation and a quaternion with w first."""
     quaternion = need_numbers(row, "rotation", 4, where)[[1, 2, 3, 0]]
     position = need_numbers(row, "translation", 3, where)
-    T: NDArray[np.float64] = from_quaternions(position[None], quaternion[None], lambda _: where)[0]
-    return T
+    return np.asarray(from_quaternions(position[None], quaternion[None], lambda _: where)[0])
 
 
 _T_FLU_LIDAR = np.eye(4)

@@ -17,8 +17,6 @@ from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lin
 from ogm.pose import LATEST, Trajectory, check_pose, inverse, matrix_to_quaternion
 from ogm.storage.files import OgmError, atomic_write, update_hint
 
-__all__ = ["Poses", "read_poses", "write_poses"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 _OURS = "ogm.poses/1"
@@ -295,8 +293,7 @@ def _of_sensor(path: Path, poses: NDArray[np.float64], T_camera_sensor: ArrayLik
         _refuse_camera(path, poses)
         return poses
     T = check_pose(T_camera_sensor, "T_camera_sensor")
-    of_sensor: NDArray[np.float64] = inverse(T) @ poses @ T
-    return of_sensor
+    return inverse(T) @ poses @ T
 
 
 def _refuse_camera(path: Path, poses: NDArray[np.float64]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from ogm.io.axes import Axes, rotation_to_flu
 from ogm.io.labels import LabelledPoints
 from ogm.io.reading import parse_array, read_bytes
-from ogm.storage.files import OgmError
+from ogm.storage.files import OgmError, error_context
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
 
@@ -70,7 +70,5 @@ def read_range_image(
     with np.errstate(over="ignore"):  # refused by `LabelledPoints`
         points[:, :3] = image[:, :3] @ rotation_to_flu(axes).T
     points[:, 3] = np.clip(image[:, 3] / intensity_max, 0, 1)
-    try:
+    with error_context(path):
         return LabelledPoints(points, classes, names)
-    except ValueError as error:
-        raise OgmError(f"{path}: {error}") from error

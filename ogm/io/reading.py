@@ -121,6 +121,11 @@ def optional(module: str, path: Path, extra: str = "io", verb: str = "read") -> 
         ) from error
 
 
+def reason(error: BaseException, path: Path) -> str:
+    """Return the text of a library's error without the path, which ours begins with."""
+    return str(error).replace(str(path), "it").replace(f"{path.name}: ", "") or type(error).__name__
+
+
 def read_text(path: Path, wanted: str) -> str:
     """Read a text file, UTF-8; an empty file is an empty text.
 

@@ -14,8 +14,6 @@ from ogm.io.scan_table import FileFacts, check_scales, scan_from_table
 from ogm.io.sensor_height import estimate_sensor_height
 from ogm.scan import Scan
 
-__all__ = ["FileFacts", "describe", "read_points", "read_scan", "read_scan_file"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 

@@ -16,8 +16,6 @@ from ogm.pose import rotate
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["FileFacts", "check_scales", "scan_from_table"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 _BLOCK = 2**18  # rows that are converted at a time

@@ -13,7 +13,7 @@ import numpy as np
 from ogm.io.formats.raw import parse_kitti
 from ogm.io.labels import LabelledPoints
 from ogm.io.reading import read_bytes
-from ogm.storage.files import OgmError
+from ogm.storage.files import OgmError, error_context
 
 __all__ = ["SEMANTIC_KITTI", "SEMANTIC_KITTI_MOVING", "SEMANTIC_KITTI_TRAINING", "read_semantic_kitti"]
 
@@ -76,7 +76,5 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
     both = np.frombuffer(numbers, _LABEL).astype(np.int64)
     kept = np.isfinite(rows).all(axis=1) & np.any(rows[:, :3] != 0, axis=1)
     rows[:, 3] = rows[:, 3].clip(0, 1)
-    try:
+    with error_context(f"{scan} with {named}"):
         return LabelledPoints(rows[kept], both[kept] & 0xFFFF, SEMANTIC_KITTI)
-    except ValueError as error:
-        raise OgmError(f"{scan} with {named}: {error}") from error

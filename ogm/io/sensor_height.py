@@ -4,8 +4,6 @@ import numpy as np
 
 from ogm.storage.files import OgmError
 
-__all__ = ["PLAUSIBLE_HEIGHTS", "plausible_sensor_height", "estimate_sensor_height"]
-
 PLAUSIBLE_HEIGHTS = (0.5, 5.0)  # [m] of a sensor above ground: from a small robot's to one on a truck or a mast
 _SQUARES = 30  # square metres that must agree before a height is estimated from them
 

@@ -107,9 +107,6 @@ class TransformBuffer:
     array([5. , 0. , 1.8])
     """
 
-    max_gap: float
-    keep: float | None
-
     def __init__(self, max_gap: float = 2.0, keep: float | None = None) -> None:
         self.max_gap, self.keep = max_gap, keep
         self._edges: dict[tuple[str, str], _Edge] = {}

@@ -16,8 +16,6 @@ from ogm.io.reading import optional
 from ogm.pose import inverse, pose
 from ogm.scan import Frame
 
-__all__ = ["FoxglovePublisher"]
-
 MAP, VEHICLE, SENSOR = "map", "vehicle", "sensor"  # frames of coordinates
 BACKLOG = 12  # messages that wait for a slow viewer, the oldest of which is dropped: some 40 MB
 PATIENCE = 2.0  # [s] for which closing waits for the port to be free
@@ -53,9 +51,6 @@ class FoxglovePublisher:
     ...     for step in fuse(frames, ism, mapper):
     ...         publisher(step, mapper)
     """
-
-    host: str
-    port: int
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8765, *, name: str = "ogm") -> None:
         modules = "foxglove", "foxglove.channels"

@@ -2,8 +2,6 @@
 
 import ctypes
 
-__all__ = ["return_large_blocks"]
-
 _M_MMAP_THRESHOLD = -3  # malloc.h of glibc
 
 

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 
 from ogm.scan import Frame
 
-__all__ = ["NewestFrames"]
-
 
 class NewestFrames:
     """Frames on their way from the thread that reads to the one that maps; at most one of each sensor waits.
@@ -22,9 +20,6 @@ class NewestFrames:
     due : float
         When the frame that was taken last became available, by `time.monotonic` [s].
     """
-
-    dropped: int
-    due: float
 
     def __init__(self) -> None:
         self.dropped = 0

@@ -18,8 +18,6 @@ from ogm.live.playback import play, read_ahead
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan, SensorModels
 
-__all__ = ["LiveReport", "Publish", "serve", "warm_up"]
-
 Publish = Callable[[FusionStep, Mapper], object]
 KEPT = 10_000  # latencies from which quantiles are computed: memory stays flat
 

@@ -10,8 +10,6 @@ from ogm.live.newest import NewestFrames
 from ogm.scan import Frame
 from ogm.storage.files import OgmError
 
-__all__ = ["play", "read_ahead"]
-
 LEAD = 0.2  # [s] from the start, or a new sequence, to its first frame, which must be read first
 LATE = 0.05  # [s] after which frames that are due are dropped unread, until one is not due yet
 BACK = 1.0  # [s] by which stamps may go back without being a new recording

@@ -30,9 +30,7 @@ from ogm.io.formats.table import Table
 from ogm.io.scan_table import scan_from_table
 from ogm.pose import check_pose
 from ogm.scan import Frame, Mount, Scan
-from ogm.storage.files import OgmError
-
-__all__ = ["frame_bytes", "receive_frames"]
+from ogm.storage.files import OgmError, error_context
 
 MAGIC = b"OGM1"
 HEADER = struct.Struct("<4sI13d")
@@ -169,10 +167,8 @@ class _Connection:
         """Return scan and pose, and wait for the next header."""
         _, _, stamp, *rows = HEADER.unpack(self._header)
         where = f"scan {self.scans + 1} of {self.name}"
-        try:
+        with error_context(where):
             T = check_pose(np.append(np.reshape(rows, (3, 4)), [[0, 0, 0, 1]], axis=0), "T_map_sensor")
-        except ValueError as error:
-            raise OgmError(f"{where}: {error}") from error
         columns = dict(zip(_COLUMNS, self._points.reshape(-1, 4).T, strict=True))
         scan = scan_from_table(Table("message", columns, None, 1.0), where, stamp=stamp)[0]
         self.scans += 1

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from ogm.metrics.motion import MOVING, STILL
 from ogm.state import Motion
 
-__all__ = ["Detection", "ObjectCells", "detection_times", "object_cells"]
-
 SHARE = 0.5  # of an object's occupied cells: from there on it is detected
 LEAST_SCANS = 5  # in which an undetected object is in sight and moves: with fewer it is left out
 

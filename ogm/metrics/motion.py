@@ -218,8 +218,7 @@ def _squared_distances(error: NDArray[np.float64], covariance: NDArray[np.float6
 def _angle_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the angle from `b` to `a`, (n,) in [-π, π]."""
     cross, dot = b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0], (a * b).sum(axis=-1)
-    angle: NDArray[np.float64] = np.arctan2(cross, dot)
-    return angle
+    return np.asarray(np.arctan2(cross, dot))
 
 
 def _histogram(errors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,8 +22,7 @@ def distances(spec: GridSpec) -> NDArray[np.float32]:
         Horizontal distance [m].
     """
     x, y = spec.cell_centers
-    ranges: NDArray[np.float32] = np.hypot(x, y).astype(np.float32)
-    return ranges
+    return np.asarray(np.hypot(x, y).astype(np.float32))
 
 
 def by_range(counts: ConfusionSums) -> dict[str, NDArray[np.float64]]:

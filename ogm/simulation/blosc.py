@@ -5,8 +5,6 @@ from typing import Any
 
 from zarr.codecs import BloscCodec
 
-__all__ = ["CheckedBlosc"]
-
 _HEADER = 16  # [byte]: versions, flags, size of a number, then the size unpacked, of a block and packed, 4 each
 
 

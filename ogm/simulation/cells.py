@@ -3,12 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import minimum_filter
 
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.pose import check_pose
+from ogm.simulation.arrays import Floats, Floats32, Mask
 from ogm.simulation.scene import Scene
 from ogm.truth import HEIGHT_LIMITS, TRUTH_SPEC
 
@@ -32,11 +33,11 @@ class Below(NamedTuple):
     T_world_sensor : (4, 4) float64
     """
 
-    z: NDArray[np.float32]
-    ground: NDArray[np.float32]
-    rise: NDArray[np.float32]
+    z: Floats32
+    ground: Floats32
+    rise: Floats32
     spec: GridSpec
-    T_world_sensor: NDArray[np.float64]
+    T_world_sensor: Floats
 
 
 def measure_ground(
@@ -71,7 +72,7 @@ def measure_ground(
     return Below(z, ground, rise.astype(np.float32), spec, T)
 
 
-def _mend(z: NDArray[np.float32]) -> None:
+def _mend(z: Floats32) -> None:
     """Close holes of single cells, where a ray slipped between two triangles, with what is around them."""
     ix, iy = (index[:, None] for index in np.nonzero(np.isnan(z)))
     across, along = np.repeat((-1, 0, 1), 3), np.tile((-1, 0, 1), 3)
@@ -81,7 +82,7 @@ def _mend(z: NDArray[np.float32]) -> None:
     z[ix[closed, 0], iy[closed, 0]] = np.nanmedian(around[closed], axis=1) if closed.any() else np.nan
 
 
-def _steps_along(z: NDArray[np.float32]) -> NDArray[np.float64]:
+def _steps_along(z: Floats32) -> Floats:
     """Return how much more the ground rises from cell i - 1 to i + 1 of a row than further out, on the flatter side."""
     change = np.abs(z[:, 2:] - z[:, :-2]).astype(np.float64)  # around cells 1 to n - 2
     before, after = np.full_like(change, np.inf), np.full_like(change, np.inf)
@@ -92,7 +93,7 @@ def _steps_along(z: NDArray[np.float32]) -> NDArray[np.float64]:
     return rise
 
 
-def steep_cells(below: Below, steepest: float) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+def steep_cells(below: Below, steepest: float) -> tuple[Mask, Floats32]:
     """Return the cells whose ground rises or falls more than `steepest`, and how far it does over three cells [m].
 
     The slope is that against the horizon, however the sensor is tilted. A cell's is the lesser of those over three and
@@ -150,9 +151,7 @@ AIMS: dict[str, tuple[Aim, ...]] = {
 }
 
 
-def aimed_directions(
-    z: NDArray[np.float32], spec: GridSpec, aim: Aim, elevations: tuple[float, float], chosen: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+def aimed_directions(z: Floats32, spec: GridSpec, aim: Aim, elevations: tuple[float, float], chosen: Mask) -> Floats32:
     """Return the unit vectors from the sensor to one point of every chosen cell in its field of view.
 
     Parameters
@@ -177,13 +176,7 @@ def aimed_directions(
 
 @kernel
 def _aim(
-    out: NDArray[np.float32],
-    z: NDArray[np.float32],
-    chosen: NDArray[np.bool_],
-    grid: tuple[float, float, float],
-    aim: Aim,
-    low: float,
-    high: float,
+    out: Floats32, z: Floats32, chosen: Mask, grid: tuple[float, float, float], aim: Aim, low: float, high: float
 ) -> int:
     resolution, x0, y0 = grid
     nx, ny = z.shape

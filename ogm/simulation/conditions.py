@@ -5,16 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Mask
 from ogm.simulation.mounts import FULL_TURN
 from ogm.simulation.recipe import DataRecipe, Faults, Skies
 from ogm.simulation.sample import Beams, Weather
 
-__all__ = ["Conditions", "draw_conditions", "draw_weather", "layer_errors"]
-
-Mask = NDArray[np.bool_]
 DUST_REACH = 40.0  # [m] from the sensor, within which there are clouds of dust
 FAST = 3.0  # [m/s] what drives faster raises dust
 

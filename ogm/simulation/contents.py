@@ -12,8 +12,6 @@ from ogm.simulation.radars import RADARS
 from ogm.simulation.sample import OBJECT, Beams
 from ogm.truth import TRUTH_SPEC
 
-__all__ = ["FACTS", "OBJECTS", "OF_RADARS", "POSES", "SHARD", "SWEEP", "UNMEASURED", "Contents", "StoredRadar"]
-
 SHARD = 10  # samples per shard: they become complete together
 OBJECTS = 160  # rows for objects per sample; of more, the first are kept
 POSES = [f"T_{name}_sensor_{row}{column}" for name in ("world", "vehicle") for row in range(3) for column in range(4)]

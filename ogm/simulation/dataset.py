@@ -201,8 +201,7 @@ def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     rows["returns"] = returns
     distance = np.hypot(rows["x"], rows["y"])
     order = np.argsort(distance, kind="stable")
-    listed: NDArray[Any] = rows[order[distance[order] < LISTED]]
-    return listed
+    return np.asarray(rows[order[distance[order] < LISTED]])
 
 
 def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.scan import Scan
-
-__all__ = ["DETECTION", "Origin", "PlacedSweep", "RadarSweep"]
+from ogm.simulation.arrays import Floats, Floats32
 
 # columns of a detection in a data set, in this order; the first three are x, y, z in the sensor's frame
 DETECTION = ("x", "y", "z", "doppler", "compensated", "rcs", "snr", "origin", "object")
@@ -44,11 +43,11 @@ class RadarSweep(NamedTuple):
         Number of the moving thing in the list given to `Scene.place`; -1 for none.
     """
 
-    xyz: NDArray[np.float32]
-    doppler: NDArray[np.float32]
-    compensated: NDArray[np.float32]
-    rcs: NDArray[np.float32]
-    snr: NDArray[np.float32]
+    xyz: Floats32
+    doppler: Floats32
+    compensated: Floats32
+    rcs: Floats32
+    snr: Floats32
     origin: NDArray[np.uint8]
     object: NDArray[np.int32]
 
@@ -61,12 +60,12 @@ class RadarSweep(NamedTuple):
         )
 
     @property
-    def table(self) -> NDArray[np.float32]:
+    def table(self) -> Floats32:
         """The columns `DETECTION`, (N, 9)."""
         return np.column_stack([self.xyz, *self[1:]]).astype(np.float32)
 
     @classmethod
-    def of_table(cls, table: NDArray[np.float32]) -> "RadarSweep":
+    def of_table(cls, table: Floats32) -> "RadarSweep":
         """Make from what `table` returned."""
         doppler, compensated, rcs, snr, origin, number = table[:, 3:].T
         return cls(table[:, :3], doppler, compensated, rcs, snr, origin.astype(np.uint8), number.astype(np.int32))
@@ -90,6 +89,6 @@ class PlacedSweep(NamedTuple):
 
     radar: int
     stamp: float
-    T_world_sensor: NDArray[np.float64]
-    velocity: NDArray[np.float64]
+    T_world_sensor: Floats
+    velocity: Floats
     detections: RadarSweep

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.jit import kernel
+from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.kernels import Hits, uniform
 from ogm.simulation.materials import Material
 
@@ -53,7 +54,7 @@ class Device(NamedTuple):
     layers: int
     columns: int
     sideways: float
-    upwards: NDArray[np.float64]
+    upwards: Floats
     shift: NDArray[np.int64]
     near: float
     far: float
@@ -61,8 +62,8 @@ class Device(NamedTuple):
     noise: float
     step: float
     divergence: float
-    bias: NDArray[np.float64]
-    gain: NDArray[np.float64]
+    bias: Floats
+    gain: Floats
 
 
 class Air(NamedTuple):
@@ -88,8 +89,8 @@ class RangeImage(NamedTuple):
         `Material`; 255 for no return and for drops in the air.
     """
 
-    range: NDArray[np.float32]
-    intensity: NDArray[np.float32]
+    range: Floats32
+    intensity: Floats32
     object: NDArray[np.int32]
     material: NDArray[np.uint8]
 

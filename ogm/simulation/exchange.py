@@ -12,74 +12,18 @@ Files are numbered from 1 and belong together by name.
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
-from ogm.io import read_points
 from ogm.io.images import open_image
+from ogm.simulation.arrays import Floats32
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import OgmError, atomic_write
 
-__all__ = ["PAPER_GRID", "Pair", "PairFolder", "export", "read_label", "write_label", "write_pcd"]
-
 PAPER_GRID = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 FOLDERS = {"training": "train", "validation": "valid", "test": "test"}
-
-
-class Pair(NamedTuple):
-    """A scan with its truth: points (N, 4) float32 (x, y, z [m], intensity [0, 1]) and the grid around them."""
-
-    points: NDArray[np.float32]
-    truth: Truth
-
-
-class PairFolder:
-    """One part of a data set in the paper's layout: a sequence of `Pair`, read one by one.
-
-    Parameters
-    ----------
-    path : path
-        Folder that holds ``input_...`` and ``label_...``.
-    part : str
-        What follows in their names: "train", "valid", "test".
-
-    Raises
-    ------
-    FileNotFoundError
-        If one of the two folders is missing.
-    OgmError
-        If a cloud has no label or a label no cloud.
-    """
-
-    path: Path
-    part: str
-    names: list[str]
-
-    def __init__(self, path: str | os.PathLike[str], part: str) -> None:
-        self.path, self.part = Path(path), part
-        self.names = self._stems("input", ".pcd")
-        odd = sorted(set(self.names) ^ set(self._stems("label", ".png")))
-        if odd:
-            raise OgmError(f"{self.path}: {odd[0]} (and {len(odd) - 1} more) is in input_{part} or label_{part} only")
-
-    def _stems(self, kind: str, suffix: str) -> list[str]:
-        folder = self.path / f"{kind}_{self.part}"
-        if not folder.is_dir():
-            raise FileNotFoundError(f"there is no folder {folder}; the paper's layout wants one")
-        return sorted(file.stem for file in folder.iterdir() if file.suffix == suffix)
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __getitem__(self, index: int) -> Pair:
-        """Read one pair."""
-        name = self.names[index]
-        points = read_points(self.path / f"input_{self.part}" / f"{name}.pcd", intensity_max=255.0)
-        return Pair(points, read_label(self.path / f"label_{self.part}" / f"{name}.png"))
 
 
 def export(
@@ -119,7 +63,7 @@ def export(
     return count
 
 
-def write_pcd(path: str | os.PathLike[str], points: NDArray[np.float32]) -> None:
+def write_pcd(path: str | os.PathLike[str], points: Floats32) -> None:
     """Write a cloud (N, 4): x, y, z [m] and intensity [0, 1], which the file counts 0 ... 255."""
     n = len(points)
     header = (

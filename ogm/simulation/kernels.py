@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.jit import inline, kernel
+from ogm.simulation.arrays import Floats32
 
 
 class Hits(NamedTuple):
@@ -25,10 +26,10 @@ class Hits(NamedTuple):
         Of the angle between ray and surface normal, [0, 1]; 0 for nothing.
     """
 
-    distance: NDArray[np.float32]
+    distance: Floats32
     material: NDArray[np.uint8]
     object: NDArray[np.int32]
-    cosine: NDArray[np.float32]
+    cosine: Floats32
 
     @classmethod
     def allocate(cls, count: int) -> "Hits":
@@ -65,9 +66,9 @@ class Answer(NamedTuple):
         `Hits.material` and `Hits.object` of each triangle.
     """
 
-    t: NDArray[np.float32]
+    t: Floats32
     primitive: NDArray[np.uint32]
-    normals: NDArray[np.float32]
+    normals: Floats32
     materials: NDArray[np.uint8]
     things: NDArray[np.int32]
 
@@ -84,7 +85,7 @@ def uniform(a: int, b: int) -> float:
 
 
 @kernel
-def aim(origins: NDArray[Any], directions: NDArray[Any], rotation: NDArray[Any]) -> NDArray[np.float32]:
+def aim(origins: NDArray[Any], directions: NDArray[Any], rotation: NDArray[Any]) -> Floats32:
     """Return rays (n, 6): origins (1 or n, 3), and directions turned by `rotation` (3, 3)."""
     rays = np.empty((len(directions), 6), np.float32)
     a, b, c = rotation
@@ -100,12 +101,7 @@ def aim(origins: NDArray[Any], directions: NDArray[Any], rotation: NDArray[Any])
 
 @kernel
 def keep_nearer(
-    hits: Hits,
-    index: NDArray[np.int32],
-    rays: NDArray[np.float32],
-    base: NDArray[np.float32],
-    answer: Answer,
-    normals: NDArray[np.float32],
+    hits: Hits, index: NDArray[np.int32], rays: Floats32, base: Floats32, answer: Answer, normals: Floats32
 ) -> None:
     """Where an answer is nearer than the hit so far, take it, and its normal where `normals` (N, 3) are wanted.
 
@@ -142,9 +138,7 @@ def transmitted(
 
 
 @kernel
-def restart(
-    hits: Hits, index: NDArray[np.int32], rays: NDArray[np.float32], skin: np.float32
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def restart(hits: Hits, index: NDArray[np.int32], rays: Floats32, skin: np.float32) -> tuple[Floats32, Floats32]:
     """Return rays (n, 6) that start behind what the rays `index` hit, and how far they had come; forget the hits."""
     onward, base = np.empty((len(index), 6), np.float32), np.empty(len(index), np.float32)
     for n in range(len(index)):

@@ -22,7 +22,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.pose import check_pose
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Floats32, Mask
 from ogm.simulation.echo import Air, Device, RangeImage, receive, reflect
 from ogm.simulation.materials import GROUND, Material, table
 from ogm.simulation.sample import Weather
@@ -48,7 +48,7 @@ def scan(
     yaw_rate: float = 0.0,
     weather: Weather = CLEAR,
     coats: ArrayLike | None = None,
-    seeing: NDArray[np.bool_] | None = None,
+    seeing: Mask | None = None,
     dust: Floats | None = None,
 ) -> RangeImage:
     """Simulate one turn of a lidar.
@@ -116,9 +116,7 @@ def scan(
     return RangeImage(*columns)
 
 
-def _moving_rays(
-    spec: LidarSpec, T: Floats, velocity: Floats, yaw_rate: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _moving_rays(spec: LidarSpec, T: Floats, velocity: Floats, yaw_rate: float) -> tuple[Floats32, Floats32]:
     """Return origins and directions in the world (layers * azimuths, 3), of a sensor that moves."""
     turned = yaw_rate * spec.times
     cosine, sine = np.cos(turned), np.sin(turned)
@@ -151,7 +149,7 @@ def _device(spec: LidarSpec) -> Device:
     return Device(*spec.shape, sideways, upwards, shift, *rest)
 
 
-def _optics(wet: float) -> NDArray[np.float32]:
+def _optics(wet: float) -> Floats32:
     """Return the table of materials with wet ground: darker, and more like a mirror."""
     if not 0 <= wet <= 1:
         raise ValueError(f"wet must lie in 0 ... 1, got {wet}")
@@ -184,7 +182,7 @@ def air_of(weather: Weather) -> Air:
     return Air(extinction, drops, depth)
 
 
-def to_points(image: RangeImage, spec: LidarSpec) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+def to_points(image: RangeImage, spec: LidarSpec) -> tuple[Floats32, NDArray[np.int64], NDArray[np.int64]]:
     """Return the returns of a range image as points, layer by layer.
 
     Returns

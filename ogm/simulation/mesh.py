@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.simulation.arrays import Floats32
 from ogm.simulation.materials import Material
 
 __all__ = ["Mesh", "box", "cylinder", "ellipsoid", "empty", "loft", "merge", "quads", "sheet", "wall"]
@@ -32,7 +33,7 @@ class Mesh(NamedTuple):
         `Material` of each triangle.
     """
 
-    vertices: NDArray[np.float32]
+    vertices: Floats32
     triangles: NDArray[np.uint32]
     material: NDArray[np.uint8]
 
@@ -47,15 +48,12 @@ class Mesh(NamedTuple):
         return self._replace(material=np.full(len(self.triangles), material, np.uint8))
 
     @property
-    def normals(self) -> NDArray[np.float32]:
+    def normals(self) -> Floats32:
         """Unit normals (T, 3); zero for a triangle without area."""
         a, b, c = (self.vertices[self.triangles[:, k]].astype(np.float64) for k in range(3))
         normals = np.cross(b - a, c - a)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        unit: NDArray[np.float32] = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0).astype(
-            np.float32
-        )
-        return unit
+        return np.asarray(np.divide(normals, length, out=np.zeros_like(normals), where=length > 0).astype(np.float32))
 
 
 def _mesh(vertices: ArrayLike, triangles: ArrayLike, material: int | ArrayLike) -> Mesh:

@@ -10,14 +10,13 @@ from numpy.random import Generator
 from ogm.pose import inverse, pose, transform_points
 from ogm.simulation.arrays import Floats
 from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
-from ogm.simulation.plan import SEQUENCE, DatasetPlan, Moment, draw_mount, moment, sample_rng
+from ogm.simulation.mounts import LidarMount
+from ogm.simulation.plan import SEQUENCE, DatasetPlan, Moment, moment, sample_rng
 from ogm.simulation.recipe import RECIPES, Country, DataRecipe
 from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic import Object, Traffic, TrafficState, ego_body
-
-__all__ = ["SceneSetup", "World", "put_in_place", "set_up", "the_ego_body", "traffic_of"]
 
 REACH = 120.0  # [m] around the ego vehicle, within which moving things are put in place
 DRIVES_KEPT = 12  # drives whose traffic is kept in memory, to go on from where they were
@@ -86,7 +85,22 @@ def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> Scene
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
     spec = replace(LIDARS[mount.lidar], unit=at.traffic)  # another vehicle, another sensor of this kind
     here = SceneSetup(world, state, near, spec, T_vehicle_sensor, state.ego @ T_vehicle_sensor)
-    return here if recipe is None else _by_recipe(here, recipe, mount.view, _condition_rng(plan, split, index))
+    return here if recipe is None else _by_recipe(here, recipe, mount.view, _sequence_rng(plan, split, index, 2))
+
+
+def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, tuple[float, float, float, float]]:
+    """Draw the lidar of a sample and its mounting: height, forward [m], roll, pitch [rad].
+
+    All samples of a sequence have the same.
+    """
+    rng = _sequence_rng(plan, split, index, 0)
+    shares = np.cumsum([mount.share for mount in plan.mounts])
+    choice = int(np.searchsorted(shares, rng.random() * shares[-1], side="right"))
+    mount = plan.mounts[min(choice, len(plan.mounts) - 1)]
+    low, high = mount.height or (LIDARS[mount.lidar].height,) * 2
+    height, forward = rng.uniform(low, high), rng.uniform(*mount.forward)
+    roll, pitch = rng.uniform(-mount.tilt, mount.tilt, 2)
+    return mount, (height, forward, roll, pitch)
 
 
 def traffic_of(plan: DatasetPlan, at: Moment) -> Traffic:
@@ -102,9 +116,9 @@ def put_in_place(world: World, state: TrafficState) -> tuple[Object, ...]:
     return near
 
 
-def _condition_rng(plan: DatasetPlan, split: str, index: int) -> Generator:
-    """Return the random numbers of a scan's conditions; all scans of a sequence have the same."""
-    return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, 2)
+def _sequence_rng(plan: DatasetPlan, split: str, index: int, purpose: int) -> Generator:
+    """Return the random numbers of one sample and one purpose; all samples of a sequence have the same."""
+    return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, purpose)
 
 
 def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator) -> SceneSetup:

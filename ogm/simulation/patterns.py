@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["PATTERNS"]
-
 
 def _evenly(low: float, high: float, layers: int) -> list[float]:
     steps: list[float] = np.linspace(low, high, layers).tolist()

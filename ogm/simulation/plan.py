@@ -1,6 +1,7 @@
 """What a data set shall hold: `DatasetPlan`, and which drive each of its samples is taken from.
 
->>> from ogm.simulation.plan import DatasetPlan, only
+>>> from ogm.simulation.mounts import only
+>>> from ogm.simulation.plan import DatasetPlan
 >>> DatasetPlan(samples=20, validation=4, test=0, town_size=240, mounts=only("os1-64")).counts
 {'training': 20, 'validation': 4, 'test': 0, 'sequences': 0}
 """
@@ -12,14 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.simulation.mounts import MOUNTS, LidarMount, RadarMount, only
+from ogm.simulation.mounts import MOUNTS, LidarMount, RadarMount
 from ogm.simulation.recipe import RECIPES, DataRecipe
-from ogm.simulation.sensors import LIDARS
 
-__all__ = [
-    "MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "RadarMount", "count_towns", "draw_mount", "moment", "only",
-    "sample_rng",
-]  # fmt: skip
+__all__ = ["SPLITS", "DatasetPlan", "count_towns", "moment", "sample_rng"]
 
 SPLITS = ("training", "validation", "test", "sequences")
 RUN = 10  # samples of one drive before the next one's turn: one shard
@@ -105,13 +102,11 @@ class DatasetPlan:
             if not (isinstance(value, int | float | np.integer) and value >= 0 and value % 1 == 0):
                 raise ValueError(f"{name} must be a whole number from 0 on, got {value!r}")
             object.__setattr__(self, name, int(value))
-        object.__setattr__(self, "mounts", tuple(self.mounts))
-        object.__setattr__(self, "radars", tuple(self.radars))
+        for name, kind in (("mounts", tuple), ("radars", tuple), ("town_size", float), ("spacing", float)):
+            object.__setattr__(self, name, kind(getattr(self, name)))
         if len({one.name for one in self.radars}) < len(self.radars):
             raise ValueError(f"each radar needs a name of its own, got {_short(self.radars)}")
         self._follow_recipe()
-        object.__setattr__(self, "town_size", float(self.town_size))
-        object.__setattr__(self, "spacing", float(self.spacing))
         if not sum(self.counts.values()):
             raise ValueError("the data set would be empty: ask for at least one sample")
         if self.truth not in ("aimed", "hd", "none"):
@@ -308,21 +303,6 @@ def count_towns(plan: Mapping[str, Any], split: str, scenarios: Iterable[int]) -
         return len({town_number(RECIPES[name], split, one) for one in scenarios})
     planned = plan.get("test_towns" if split == "test" else "towns", 1)
     return len({one % planned for one in scenarios})
-
-
-def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, tuple[float, float, float, float]]:
-    """Draw the lidar of a sample and its mounting: height, forward [m], roll, pitch [rad].
-
-    All samples of a sequence have the same.
-    """
-    rng = sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, 0)
-    shares = np.cumsum([mount.share for mount in plan.mounts])
-    choice = int(np.searchsorted(shares, rng.random() * shares[-1], side="right"))
-    mount = plan.mounts[min(choice, len(plan.mounts) - 1)]
-    low, high = mount.height or (LIDARS[mount.lidar].height,) * 2
-    height, forward = rng.uniform(low, high), rng.uniform(*mount.forward)
-    roll, pitch = rng.uniform(-mount.tilt, mount.tilt, 2)
-    return mount, (height, forward, roll, pitch)
 
 
 def sample_rng(plan: DatasetPlan, split: str, index: int, purpose: int) -> np.random.Generator:

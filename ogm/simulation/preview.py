@@ -12,14 +12,13 @@ from ogm import plot
 from ogm.grid import GridSpec
 from ogm.plot.colours import colours
 from ogm.plot.drawing import font, plain
+from ogm.simulation.arrays import Floats32
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
 from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import atomic_write
-
-__all__ = ["Camera", "contact_sheet", "materials_panel", "sample_panels", "save_views", "truth_panel"]
 
 MOST, COLUMNS = 24, 6  # samples of a contact sheet, and those side by side
 GREY = (0.45, 0.45, 0.45)  # cells to be ignored
@@ -54,7 +53,7 @@ def sample_panels(sample: SimulatedSample, spec: GridSpec = PAPER_GRID) -> tuple
     return cloud, truth_panel(sample.truth.crop(spec))
 
 
-def materials_panel(points: NDArray[np.float32], material: NDArray[np.uint8], spec: GridSpec, title: str) -> plot.Panel:
+def materials_panel(points: Floats32, material: NDArray[np.uint8], spec: GridSpec, title: str) -> plot.Panel:
     """Show points from above, coloured by what they hit.
 
     Parameters
@@ -119,7 +118,7 @@ class Camera(NamedTuple):
     height: int = 900
     field: float = np.pi / 3
 
-    def directions(self) -> NDArray[np.float32]:
+    def directions(self) -> Floats32:
         """Return the unit direction of every pixel, (height, width, 3) float32."""
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)
@@ -129,8 +128,7 @@ class Camera(NamedTuple):
         u = reach * np.linspace(-1, 1, self.width)
         v = reach * self.height / self.width * np.linspace(1, -1, self.height)
         rays = forward + u[None, :, None] * right + v[:, None, None] * np.cross(right, forward)
-        unit: NDArray[np.float32] = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
-        return unit
+        return np.asarray((rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32))
 
 
 def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[np.uint8]]]) -> None:

@@ -5,10 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.materials import GROUND, Material
-
-__all__ = ["IS_GROUND", "cross_section", "mirror_share"]
 
 FLASH = math.radians(4.0)  # width of specular reflection: facades and panels are not flat
 GRAZING = math.radians(6.0)  # at which the ground ceases to be a mirror
@@ -43,15 +41,13 @@ IS_GROUND = np.zeros(256, np.bool_)
 IS_GROUND[list(GROUND)] = True
 
 
-def cross_section(material: NDArray[np.uint8], cosine: NDArray[np.float32]) -> Floats:
+def cross_section(material: NDArray[np.uint8], cosine: Floats32) -> Floats:
     """Return the radar cross section per area across the beam."""
     angle = np.arccos(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
-    section: Floats = _TABLE[material, 0] + _TABLE[material, 1] * np.exp(-((angle / FLASH) ** 2))
-    return section
+    return np.asarray(_TABLE[material, 0] + _TABLE[material, 1] * np.exp(-((angle / FLASH) ** 2)))
 
 
-def mirror_share(material: NDArray[np.uint8], cosine: NDArray[np.float32]) -> Floats:
+def mirror_share(material: NDArray[np.uint8], cosine: Floats32) -> Floats:
     """Return the share of the power that goes on as from a mirror; of the ground only at a grazing angle."""
     grazing = np.arcsin(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
-    share: Floats = _TABLE[material, 2] * np.where(IS_GROUND[material], np.exp(-((grazing / GRAZING) ** 2)), 1.0)
-    return share
+    return np.asarray(_TABLE[material, 2] * np.where(IS_GROUND[material], np.exp(-((grazing / GRAZING) ** 2)), 1.0))

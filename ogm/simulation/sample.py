@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.simulation.arrays import Floats, Floats32, Mask
 from ogm.simulation.detections import PlacedSweep
 from ogm.state import Truth
 
@@ -99,7 +100,7 @@ class Beams:
         return len(self.elevation), self.columns
 
     @cached_property
-    def directions(self) -> NDArray[np.float32]:
+    def directions(self) -> Floats32:
         """Unit directions in the sensor's frame, (layers, columns, 3)."""
         elevation = np.array(self.elevation)[:, None]
         azimuth = np.array(self.azimuth)[:, None] + self.step * np.arange(self.columns)
@@ -109,12 +110,12 @@ class Beams:
         ).astype(np.float32)
 
     @cached_property
-    def origins(self) -> NDArray[np.float32]:
+    def origins(self) -> Floats32:
         """Where each layer's beams start [m], (layers, 3)."""
         return np.array(self.origin, np.float32)
 
     @cached_property
-    def times(self) -> NDArray[np.float32]:
+    def times(self) -> Floats32:
         """When each column is measured [s], (columns,) float32; 0 is the middle of the turn."""
         return (((np.arange(self.columns) + 0.5) / self.columns - 0.5) / self.rate).astype(np.float32)
 
@@ -168,16 +169,16 @@ class SimulatedSample:
     intensities: NDArray[np.uint8]
     truth: Truth
     objects: NDArray[Any]
-    T_world_sensor: NDArray[np.float64]
-    T_vehicle_sensor: NDArray[np.float64]
-    velocity: NDArray[np.float64]
+    T_world_sensor: Floats
+    T_vehicle_sensor: Floats
+    velocity: Floats
     yaw_rate: float
     stamp: float
     split: str
     index: int
     scenario: int
     weather: Weather = Weather()
-    measured: NDArray[np.bool_] | None = None
+    measured: Mask | None = None
     sweeps: tuple[PlacedSweep, ...] = ()
 
     @property
@@ -186,7 +187,7 @@ class SimulatedSample:
         return self.beams.name
 
     @cached_property
-    def points(self) -> NDArray[np.float32]:
+    def points(self) -> Floats32:
         """The returns, (N, 4) float32: x, y, z in the sensor's frame [m], intensity [0, 1]; layer by layer."""
         layer, column = np.nonzero(self.steps)
         distance = (self.steps[layer, column] * RANGE_STEP).astype(np.float32)
@@ -196,11 +197,10 @@ class SimulatedSample:
         return result
 
     @property
-    def no_returns(self) -> NDArray[np.float32]:
+    def no_returns(self) -> Floats32:
         """Unit directions of the beams that were measured and gave no return, (M, 3) float32."""
         silent = self.steps == 0
-        ways: NDArray[np.float32] = self.beams.directions[silent if self.measured is None else silent & self.measured]
-        return ways
+        return np.asarray(self.beams.directions[silent if self.measured is None else silent & self.measured])
 
     @property
     def ring(self) -> NDArray[np.uint16]:
@@ -213,6 +213,6 @@ class SimulatedSample:
         return np.nonzero(self.steps)[1].astype(np.uint16)
 
     @property
-    def time(self) -> NDArray[np.float32]:
+    def time(self) -> Floats32:
         """When each point was measured [s], counted from `stamp`, (N,) float32."""
         return self.beams.times[np.nonzero(self.steps)[1]]

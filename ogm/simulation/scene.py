@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.pose import check_pose
 from ogm.simulation import kernels
+from ogm.simulation.arrays import Floats32
 from ogm.simulation.kernels import Answer, Hits
 from ogm.simulation.materials import table
 from ogm.simulation.mesh import Mesh, empty, merge
@@ -45,9 +46,6 @@ class Scene:
         Processor cores that Open3D uses; 0 for all. The results do not depend on it. Open3D holds Python's lock
         while it casts, so two scenes in two threads of one process gain nothing: use processes, or `threads`.
     """
-
-    threads: int
-    things: int
 
     def __init__(self, static: Mesh, *, threads: int = 0) -> None:
         if threads < 0:
@@ -78,11 +76,11 @@ class Scene:
     def cast(
         self,
         origin: ArrayLike,
-        directions: NDArray[np.float32],
+        directions: Floats32,
         *,
         salt: int = 0,
         number: int = 0,
-        normals: NDArray[np.float32] | None = None,
+        normals: Floats32 | None = None,
     ) -> Hits:
         """Find what rays hit first.
 
@@ -121,7 +119,7 @@ class Scene:
             self._cast_batch(rays, hits.part(start, stop), wanted, salt, number + start)
         return hits
 
-    def _cast_batch(self, rays: NDArray[np.float32], hits: Hits, normals: NDArray[Any], salt: int, number: int) -> None:
+    def _cast_batch(self, rays: Floats32, hits: Hits, normals: NDArray[Any], salt: int, number: int) -> None:
         """Find what rays hit, and cast those again that glass lets through; `number` is that of the first ray."""
         hits.distance[:], hits.material[:], hits.object[:], hits.cosine[:] = np.inf, NOTHING, STATIC, 0
         index = np.arange(len(rays), dtype=np.int32)
@@ -151,7 +149,7 @@ class _Shape:
         if not self.empty:
             self._scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
 
-    def cast(self, rays: NDArray[np.float32]) -> Answer:
+    def cast(self, rays: Floats32) -> Answer:
         """Return distance, triangle and its unit normal for each ray (n, 6)."""
         answer = self._scene.cast_rays(_tensor(rays), nthreads=self.threads)
         names = ("t_hit", "primitive_ids", "primitive_normals")
@@ -177,7 +175,7 @@ def _check(mesh: Mesh) -> None:
         raise ValueError(f"{len(mesh.triangles)} triangles but {len(mesh.material)} materials; each needs one")
 
 
-def _aim(origin: ArrayLike, directions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _aim(origin: ArrayLike, directions: Floats32) -> tuple[Floats32, Floats32]:
     """Return origins (1 or N, 3) and the rotation that takes directions to the world."""
     if getattr(directions, "dtype", None) != np.float32:
         raise TypeError(f"directions must be a float32 array of shape (N, 3), got {np.asarray(directions).dtype}")

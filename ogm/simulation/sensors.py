@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.patterns import PATTERNS
 from ogm.simulation.sample import Beams
 
@@ -143,28 +143,23 @@ class LidarSpec:
         """Layers and columns of a range image."""
         return self.layers, self.azimuths
 
-    @property
-    def first_azimuth(self) -> float:
-        """Azimuth of column 0 for a layer without offset [rad]; column k is k * azimuth_step further right."""
-        return _first_azimuth(self.azimuth_step)
-
     @cached_property
-    def times(self) -> NDArray[np.float64]:
+    def times(self) -> Floats:
         """When each column fires [s], (azimuths,); 0 is the middle of the turn."""
         return ((np.arange(self.azimuths) + 0.5) / self.azimuths - 0.5) / self.rate
 
     @cached_property
-    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def errors(self) -> tuple[Floats, Floats]:
         """Fixed range error [m] and gain of each layer of this unit, (layers,) each."""
         draws = np.random.default_rng([self.unit, self.layers]).standard_normal((2, self.layers))
         bias = np.array(self.range_errors) if self.range_errors else self.range_bias * draws[0]
         return bias, np.exp(self.gain_spread * draws[1])
 
-    def directions(self) -> NDArray[np.float32]:
+    def directions(self) -> Floats32:
         """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
         return _shared_rays(self.elevations, self.azimuth_offsets, self.azimuth_step)
 
-    def aims(self) -> NDArray[np.float32]:
+    def aims(self) -> Floats32:
         """Return where the beams really point: `directions` but for `elevation_errors`; read-only too."""
         errors = self.elevation_errors or (0.0,) * self.layers
         real = tuple(a + b for a, b in zip(self.elevations, errors, strict=True))
@@ -174,13 +169,13 @@ class LidarSpec:
 @lru_cache(maxsize=64)
 def beams_of(spec: LidarSpec) -> Beams:
     """Return what turns a lidar's range images into points, without the simulator."""
-    azimuth = tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets)
+    azimuth = tuple(_first_azimuth(spec.azimuth_step) + offset for offset in spec.azimuth_offsets)
     origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
     return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
 
 
 @lru_cache(maxsize=2)
-def hd_directions(spec: LidarSpec, layers: int = 3000) -> NDArray[np.float32]:
+def hd_directions(spec: LidarSpec, layers: int = 3000) -> Floats32:
     """Return the rays of a lidar of many layers with another one's field of view and azimuths.
 
     Parameters
@@ -200,7 +195,7 @@ def hd_directions(spec: LidarSpec, layers: int = 3000) -> NDArray[np.float32]:
     return _rays(tuple(elevations.tolist()), (0.0,) * layers, spec.azimuth_step)
 
 
-def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float) -> NDArray[np.float32]:
+def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float) -> Floats32:
     elevation, offset = np.array(elevations)[:, None], np.array(offsets)[:, None]
     azimuth = _first_azimuth(step) - step * np.arange(round(2 * math.pi / step))
     # the sum of two angles, so that 5 million rays need few sines
@@ -215,6 +210,7 @@ def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float
 
 
 def _first_azimuth(step: float) -> float:
+    """Return the azimuth of column 0 for a layer without offset [rad]; column k is k * step further right."""
     return math.pi - step / 2
 
 

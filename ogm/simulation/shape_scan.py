@@ -14,21 +14,16 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.scan import Mount, Scan
+from ogm.simulation.arrays import Floats, Floats32, Mask
 from ogm.simulation.mesh import Mesh, empty
 from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS
 from ogm.state import CellState, Truth
 
-__all__ = [
-    "MOUNT", "SPEC", "HandBuiltScene", "cells_of", "middle", "rectangle", "scan_shapes", "within",
-]  # fmt: skip
-
 SPEC = GridSpec.centered()  # 512 x 352 cells of 0.16 m
 MOUNT = Mount(1.9)  # of the lidar of every scene
 RANGE_NOISE, RANGE_MAX = 0.02, 100.0  # [m]
 NEAR = 20.0  # [m] reach of "ground" and "occupied": farther cells hold too few returns
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +54,9 @@ class HandBuiltScene:
     part: NDArray[np.int32]
     parts: tuple[str, ...]
 
-    def points_on(self, part: str) -> NDArray[np.float32]:
+    def points_on(self, part: str) -> Floats32:
         """Return the points on one shape, (N, 3), heights above the road [m]."""
-        points: NDArray[np.float32] = self.scan.points[self.part == self.parts.index(part), :3]
+        points: Floats32 = self.scan.points[self.part == self.parts.index(part), :3]
         return points + np.array([0, 0, MOUNT.sensor_height], np.float32)
 
     def with_regions(self, **regions: Mask) -> "HandBuiltScene":
@@ -77,14 +72,12 @@ def middle(distance: float) -> float:
 def rectangle(x0: float, x1: float, y0: float, y1: float, *, whole: bool = False) -> Mask:
     """Return the cells that a rectangle [m] touches, or the cells that lie in it as a whole; (nx, ny)."""
     (x, y), grow = SPEC.cell_centers, (0.5 - 1e-6) * SPEC.resolution * (-1 if whole else 1)
-    mask: Mask = (x > x0 - grow) & (x < x1 + grow) & (y > y0 - grow) & (y < y1 + grow)
-    return mask
+    return (x > x0 - grow) & (x < x1 + grow) & (y > y0 - grow) & (y < y1 + grow)
 
 
 def within(distance: float) -> Mask:
     """Return the cells whose middles lie within a distance of the sensor [m]."""
-    mask: Mask = np.hypot(*SPEC.cell_centers) < distance
-    return mask
+    return np.asarray(np.hypot(*SPEC.cell_centers) < distance)
 
 
 def cells_of(xyz: NDArray[np.floating]) -> Mask:
@@ -152,7 +145,7 @@ def scan_shapes(
     return HandBuiltScene("", scan, Truth(SPEC, state), {}, part, names).with_regions(**regions)
 
 
-def _cast(meshes: list[Mesh], directions: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _cast(meshes: list[Mesh], directions: Floats32) -> tuple[Floats, NDArray[np.int32]]:
     """Return the range [m] at which each beam hits a mesh, inf without a hit, and the index of the mesh or -1."""
     scene = Scene(empty(), threads=1)
     scene.place(meshes)

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
+from ogm.extras import import_extra
+from ogm.simulation.arrays import Floats
 from ogm.simulation.contents import FACTS, OBJECTS, OF_RADARS, POSES, SHARD, SWEEP, UNMEASURED, Contents
 from ogm.simulation.detections import PlacedSweep, RadarSweep
 from ogm.simulation.sample import OBJECT, SimulatedSample, Weather
@@ -29,11 +31,6 @@ class Split(Sequence[SimulatedSample]):
     ``split[i]`` reads sample i; ``len(split)`` is the number planned, of which `finished` can be read. May be
     pickled and used by several processes at once.
     """
-
-    path: Any  # Path or ObjectPath
-    name: str
-    contents: Contents
-    columns: tuple[str, ...]
 
     def __init__(self, path: Any, name: str, count: int, contents: Contents) -> None:
         self.path, self.name, self.contents = path, name, contents
@@ -110,12 +107,12 @@ class Split(Sequence[SimulatedSample]):
             result.append(PlacedSweep(int(row[1]), row[2], T, row[16:], RadarSweep.of_table(table[start:stop])))
         return tuple(result)
 
-    def sweep_rows(self, index: int) -> NDArray[np.float64]:
+    def sweep_rows(self, index: int) -> Floats:
         """Read what is known of a sample's sweeps beside their detections, (sweeps, `SWEEP`)."""
         if not self.contents.radars:
             return np.zeros((0, SWEEP))
         i, _ = self._row(index)
-        rows: NDArray[np.float64] = self._shard("sweeps", i // SHARD)[i % SHARD]
+        rows: Floats = self._shard("sweeps", i // SHARD)[i % SHARD]
         self._compare("sweeps", i, rows[None])
         rows = rows[rows[:, 0] > 0]
         most = self.contents.layout["detections"][0][0]
@@ -143,7 +140,7 @@ class Split(Sequence[SimulatedSample]):
             except ValueError:
                 continue  # has not been made yet
 
-    def _row(self, index: int) -> tuple[int, NDArray[np.float64]]:
+    def _row(self, index: int) -> tuple[int, Floats]:
         """Return the number of a sample that is made, counted from 0, and its facts."""
         i = operator.index(index)
         i += len(self) if i < 0 else 0
@@ -164,7 +161,7 @@ class Split(Sequence[SimulatedSample]):
         return i, row
 
     @property
-    def facts(self) -> NDArray[np.float64]:
+    def facts(self) -> Floats:
         """What is known of every sample beside its arrays, (n, `columns`); zeros where it is not made."""
         if isinstance(self.path, ObjectPath):  # all at once, zeros for shards that are not there
             return np.asarray(self._array("facts")[: len(self)], np.float64)
@@ -251,14 +248,9 @@ def shard_file(split: Any, name: str, shard: int) -> Any:
 
 def load_zarr() -> Any:
     """Return the module, which unpacks Blosc by `CheckedBlosc`, or raise ImportError with the way to install it."""
-    try:
-        import zarr
+    zarr = import_extra("zarr", "sim")
+    from ogm.simulation.blosc import CheckedBlosc
 
-        from ogm.simulation.blosc import CheckedBlosc
-    except ImportError as error:
-        raise ImportError(
-            f'data sets are kept with zarr, which is missing ({error}): pip install "ogm-toolkit[sim]"'
-        ) from error
     zarr.registry.register_codec("blosc", CheckedBlosc)
     zarr.config.set({"codecs.blosc": f"{CheckedBlosc.__module__}.{CheckedBlosc.__qualname__}"})
     return zarr

@@ -26,6 +26,7 @@ from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
 from ogm.io.reading import decode_json
+from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
@@ -48,12 +49,6 @@ _LEVEL = 5  # of zstd: above it, files shrink by 2 % and writing takes four time
 
 class Store:
     """A data set on disk. Open one with `Store.open`; the parts are ``store["training"]`` and so on."""
-
-    format: str
-    beams: tuple[Beams, ...]
-    radars: tuple[StoredRadar, ...] | tuple[()]
-    counts: dict[str, int]
-    contents: Contents
 
     def __init__(self, path: Any, attributes: Mapping[str, Any]) -> None:
         self.path = path
@@ -177,10 +172,8 @@ class Store:
                 raise ValueError(f"{path} holds other files; give a new or empty folder")
             path.mkdir(parents=True, exist_ok=True)
             root = zarr.open_group(path, mode="a", zarr_format=3, attributes={"format": BEGUN})
-        gaps, radars = (
-            bool(plan.get("recipe")),
-            tuple(StoredRadar.of_mount(RadarMount(**one)) for one in plan.get("radars", ())),
-        )
+        gaps = bool(plan.get("recipe"))
+        radars = tuple(StoredRadar.of_mount(RadarMount(**one)) for one in plan.get("radars", ()))
         for name, count in counts.items():
             _grow(root, name, count, Contents(tuple(beams), radars, gaps=gaps))
         # Last: until then it is no data set, and is begun again.
@@ -285,7 +278,7 @@ def _counts(splits: Mapping[str, int]) -> dict[str, int]:
     return dict(splits)
 
 
-def _put_sweeps(sample: SimulatedSample, rows: NDArray[np.float64], table: NDArray[np.float32]) -> None:
+def _put_sweeps(sample: SimulatedSample, rows: Floats, table: Floats32) -> None:
     """Write the sweeps of a sample into its rows."""
     tables = [one.detections.table for one in sample.sweeps]
     for row, one, detections in zip(rows, sample.sweeps, tables, strict=False):

@@ -8,6 +8,7 @@ import open3d
 from numpy.typing import NDArray
 
 from ogm import plot
+from ogm.simulation.arrays import Floats32
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material
@@ -16,8 +17,6 @@ from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.preview import SKY, SUN, Camera, materials_panel, sample_panels, save_views
 from ogm.simulation.sensors import hd_directions
 from ogm.simulation.traffic import ego_vehicle
-
-__all__ = ["hd_points", "preview", "render"]
 
 FAR = 900.0  # [m] at which the air hides a third of what is there
 
@@ -50,7 +49,7 @@ def preview(path: str | os.PathLike[str], town_path: str | os.PathLike[str], pla
     save_views(town_path, views)
 
 
-def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[Floats32, NDArray[np.uint8]]:
     """Return what an HD lidar hits, (N, 3) float32 in the sensor's frame [m], and the materials (N,)."""
     rays = hd_directions(here.spec, layers).reshape(-1, 3)
     hits = here.world.scene.cast(here.T_world_sensor, rays)
@@ -94,5 +93,4 @@ def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
     image = np.broadcast_to(SKY, directions.shape).copy()
     image[hit] = colours * (1 - haze) + SKY * haze
     shape = (camera.height, camera.width, 3)
-    rounded: NDArray[np.uint8] = np.round(255 * np.clip(image, 0, 1)).astype(np.uint8).reshape(shape)
-    return rounded
+    return np.asarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8).reshape(shape))

@@ -15,6 +15,7 @@ from scipy.ndimage import binary_dilation
 
 from ogm.jit import kernel
 from ogm.scan import Boxes
+from ogm.simulation.arrays import Floats32, Mask
 from ogm.simulation.cells import AIMS, Aim, Below, aimed_directions, steep_cells
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.scene import Scene
@@ -22,8 +23,6 @@ from ogm.simulation.visibility import View, in_view, lose_sight
 from ogm.state import Truth
 from ogm.truth import HEIGHT_LIMITS, OBSTACLE_SEEN, Kind, finalize_truth
 from ogm.truth.rays import observe_rays
-
-__all__ = ["KINDS", "Known", "Limits", "aimed_truth", "hd_truth"]
 
 BATCH = 2**19  # rays per call: their hits stay small, however many rays there are
 
@@ -46,7 +45,7 @@ class Known(NamedTuple):
 
     boxes: Boxes | None = None
     returns: ArrayLike | None = None
-    ego: NDArray[np.bool_] | None = None
+    ego: Mask | None = None
 
 
 _NOTHING = Known()
@@ -73,7 +72,7 @@ UNLIMITED = Limits()
 def hd_truth(
     scene: Scene,
     below: Below,
-    directions: NDArray[np.float32],
+    directions: Floats32,
     known: Known = _NOTHING,
     *,
     salt: int = 0,
@@ -129,7 +128,7 @@ def aimed_truth(
     observer = _Observer(scene, below, salt, limits)
     seen, spec = observer.seen, below.spec
 
-    def cast(aim: Aim, chosen: NDArray[np.bool_], z: NDArray[np.float32] = below.z) -> None:
+    def cast(aim: Aim, chosen: Mask, z: Floats32 = below.z) -> None:
         observer.cast(aimed_directions(z, spec, aim, elevations, chosen))
 
     for aim in AIMS["every"]:
@@ -149,7 +148,7 @@ def aimed_truth(
     return observer.truth(known)
 
 
-def _with_neighbours(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _with_neighbours(cells: Mask) -> Mask:
     """Return these cells and those that touch one of them, with a side or a corner."""
     return np.asarray(binary_dilation(cells, np.ones((3, 3))))
 
@@ -167,7 +166,7 @@ class _Observer:
         self.highest = np.zeros(below.spec.shape, np.float32)  # [m] of the obstacle hits in each cell
         self._number = 0  # rays so far
 
-    def cast(self, directions: NDArray[np.float32]) -> None:
+    def cast(self, directions: Floats32) -> None:
         """Cast rays (N, 3), batch by batch."""
         _, ground, _, spec, T = self.below
         if self.view is not None:
@@ -194,11 +193,7 @@ class _Observer:
 
 @kernel
 def _steep_is_step(
-    kinds: NDArray[np.uint8],
-    distance: NDArray[np.float32],
-    directions: NDArray[np.float32],
-    steep: NDArray[np.bool_],
-    grid: tuple[float, float, float],
+    kinds: NDArray[np.uint8], distance: Floats32, directions: Floats32, steep: Mask, grid: tuple[float, float, float]
 ) -> None:
     """Turn hits of ground (N,) in steep cells into hits of a step."""
     resolution, x0, y0 = grid

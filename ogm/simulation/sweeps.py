@@ -11,8 +11,6 @@ from ogm.simulation.plan import PERIOD, SPLITS, DatasetPlan, moment
 from ogm.simulation.radar import sweep
 from ogm.simulation.radars import RADARS
 
-__all__ = ["sample_sweeps", "sweep_times"]
-
 
 def sweep_times(split: str, time: float, rate: float) -> list[float]:
     """Return when the sweeps of a radar are taken that belong to a sample [s].

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.jit import kernel
-
-__all__ = ["View", "beams_in_dust", "in_view", "lose_sight", "make_view"]
+from ogm.simulation.arrays import Floats, Floats32, Mask
 
 BINS = 3600  # of azimuth
 # Shares of what a white target sends back: of grass or gravel at grazing incidence, of a bright wall or leaf head-on.
@@ -31,22 +30,16 @@ class View(NamedTuple):
         As in `ogm.simulation.conditions.Conditions`.
     """
 
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
+    low: Floats32
+    high: Floats32
     near: float
     far: float
     reach: float
     extinction: float
-    dust: NDArray[np.float64]
+    dust: Floats
 
 
-def make_view(
-    directions: NDArray[np.float32],
-    seeing: NDArray[np.bool_],
-    limits: tuple[float, float, float],
-    air: float,
-    dust: NDArray[np.float64],
-) -> View:
+def make_view(directions: Floats32, seeing: Mask, limits: tuple[float, float, float], air: float, dust: Floats) -> View:
     """Return what a scan can see.
 
     Parameters
@@ -73,13 +66,7 @@ def _bin(x: float, y: float) -> int:
 
 
 @kernel
-def _widen(
-    low: NDArray[np.float32],
-    high: NDArray[np.float32],
-    directions: NDArray[np.float32],
-    seeing: NDArray[np.bool_],
-    half: int,
-) -> None:
+def _widen(low: Floats32, high: Floats32, directions: Floats32, seeing: Mask, half: int) -> None:
     layers, columns = seeing.shape
     for i in range(layers):
         for j in range(columns):

@@ -128,6 +128,16 @@ def finish_zarr() -> None:
 
 
 @contextmanager
+def error_context(where: object, *kinds: type[Exception]) -> Iterator[None]:
+    """Raise errors of some kinds, by default ValueError, as `OgmError` that begins with where they happened."""
+    caught = kinds or (ValueError,)
+    try:
+        yield
+    except caught as error:
+        raise OgmError(f"{where}: {error}") from error
+
+
+@contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
     """Give errors of a full or broken disk the path that is written; the system names none, or a temporary one."""
     try:

@@ -19,8 +19,7 @@ def _covers(boxes: Boxes, k: int, x: NDArray[np.floating], y: NDArray[np.floatin
     c, s = np.cos(boxes.yaw[k]), np.sin(boxes.yaw[k])
     px, py = x - boxes.center[k, 0], y - boxes.center[k, 1]
     length, width = boxes.size[k, :2]
-    covered: NDArray[np.bool_] = (np.abs(c * px + s * py) <= length / 2) & (np.abs(c * py - s * px) <= width / 2)
-    return covered
+    return np.asarray((np.abs(c * px + s * py) <= length / 2) & (np.abs(c * py - s * px) <= width / 2))
 
 
 def cells_around(boxes: Boxes, k: int, spec: GridSpec) -> tuple[slice, slice]:

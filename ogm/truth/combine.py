@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from ogm.state import CellState, LazyTruth, Truth
 
-__all__ = ["combine_truths", "ignore_cells"]
-
 
 def combine_truths(
     sources: Sequence[Truth],

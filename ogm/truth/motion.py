@@ -11,8 +11,6 @@ from ogm.scan import Boxes
 from ogm.state import Motion
 from ogm.truth.boxes import cells_around
 
-__all__ = ["BoxMotion", "motion_of_boxes", "track_motion"]
-
 AROUND = 0.15  # [m] around a box: returns from its sides lie there too
 REACH = 0.35  # [s] before and after a frame that a track is followed: seven frames at 10 Hz
 NEEDED = 0.25  # [s] of the track before and after the frame, without which its slope is that of another time

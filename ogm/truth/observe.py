@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 
-__all__ = ["GROUND_SEEN", "HEIGHT_LIMITS", "OBSTACLE_SEEN", "HeightLimits", "Kind", "observe_points"]
-
 GROUND_SEEN, OBSTACLE_SEEN = 1, 2  # bits of an observation
 
 

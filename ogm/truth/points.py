@@ -10,8 +10,6 @@ from ogm.state import PARTICIPANT, CellState, Truth
 from ogm.truth.boxes import cells_in_hit_boxes
 from ogm.truth.observe import Kind, observe_points
 
-__all__ = ["TRUTH_SPEC", "finalize_truth", "height_above_ground", "truth_from_points"]
-
 TRUTH_SPEC = GridSpec.centered(length=99.84, width=99.84, resolution=0.16)  # holds the paper's grid at any yaw
 _MOST_SQUARES = 1e8  # on which ground is estimated: 10 km x 10 km of 1 m
 _REACH = 10.0  # [m] from ground beyond which a height is not known

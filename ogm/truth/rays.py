@@ -9,8 +9,6 @@ from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.truth.observe import HEIGHT_LIMITS, HeightLimits
 
-__all__ = ["observe_rays"]
-
 
 class _Rules(NamedTuple):
     resolution: float  # [m]

@@ -11,8 +11,6 @@ from ogm.state import CellState, Truth
 from ogm.truth.boxes import cells_in_boxes
 from ogm.truth.scans import MARGIN, STANDING
 
-__all__ = ["cells_in_areas", "truth_from_road"]
-
 SECTOR = np.radians(0.4)  # [rad] of azimuth in which a return hides the road; a VLP-32C fires every 0.2 deg
 
 

@@ -9,8 +9,6 @@ from ogm.extras import import_extra
 from ogm.grid import GridSpec
 from ogm.state import CellState, Truth
 
-__all__ = ["MARGIN", "contradicted", "truth_from_scans"]
-
 GROUND = (-0.3, 0.15)  # [m] above the estimated ground: ground
 STANDING = (0.3, 2.0)  # [m] above it: an obstacle. What lies between (kerbs, grass) makes a cell ignored
 AT_LEAST = 3  # returns of one kind that make a cell known

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,6 @@ from ogm.storage.files import OgmError, finish_zarr
 from ogm.storage.workers import Workers, deaths_explained
 from ogm.world.drives import (
     Drive,
-    SubMap,
     begin_drive,
     drive_names,
     has_drive,
@@ -27,11 +27,9 @@ from ogm.world.drives import (
 from ogm.world.layout import TileIndex
 from ogm.world.render import Part, fingerprint, parts_of_tiles
 from ogm.world.rendered import Rendered
-from ogm.world.tasks import MakeSubMap, MapPlace, RenderTile, SubMapJob
+from ogm.world.tasks import MapPlace, SubMapJob, make_submap, make_tile
 from ogm.world.tiles import TileStore
 from ogm.world.world_map import WorldMap
-
-__all__ = ["Progress", "build_world", "rebuild_world"]
 
 
 class Progress(NamedTuple):
@@ -105,16 +103,15 @@ def build_world(
     for drive in planned:
         for number in lost_tiles(store, drive):
             drive.submaps[number] = replace(drive.submaps[number], tiles=None)
-    make = MakeSubMap(MapPlace.of(store), ism)
     jobs = [
-        SubMapJob(drive.name, k, _part(drives[drive.name], one))
+        SubMapJob(drive.name, k, drives[drive.name][slice(*one.frames)])
         for drive in planned
         for k, one in enumerate(drive.submaps)
         if one.tiles is None
     ]
     by_name, skipped = {drive.name: drive for drive in planned}, 0
     with Workers(workers, scheduler) as pool:
-        with _results(pool, make, jobs, store.url) as results:
+        with _results(pool, partial(make_submap, MapPlace.of(store), ism), jobs, store.url) as results:
             progress(Progress("sub-maps", 0, len(jobs)))
             for done, (n, made) in enumerate(results, 1):
                 drive, number = by_name[jobs[n].drive], jobs[n].number
@@ -196,7 +193,7 @@ def _render(store: TileStore, pool: Workers, progress: Tell, damaged: Iterable[T
         rendered.note(index, np.uint64(0))
     rendered.write()
     store.make_level(0)  # before several workers would
-    with rendered, _results(pool, RenderTile(MapPlace.of(store)), jobs, store.url) as results:
+    with rendered, _results(pool, partial(make_tile, MapPlace.of(store)), jobs, store.url) as results:
         progress(Progress("tiles", 0, len(jobs)))
         for done, (n, _) in enumerate(results, 1):
             rendered.note(jobs[n][0], marks[jobs[n][0]])
@@ -245,7 +242,3 @@ def _begin(store: TileStore, drive: Drive) -> Drive:
         f"{store.url} has a drive {drive.name} that was made from other frames or poses, by another model or of "
         "another length of sub-maps: give the new one another name, or remove the old one's folder, or prefix"
     )
-
-
-def _part(frames: Sequence[Frame], submap: SubMap) -> Sequence[Frame]:
-    return frames[slice(*submap.frames)]

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from ogm.world.layout import TileIndex, WorldLayout
 
-__all__ = ["TileCache", "Tiles"]
-
 
 class Tiles(Protocol):
     """Where tiles come from and go to, such as `ogm.world.tiles.TileStore`."""
@@ -31,9 +29,6 @@ class TileCache:
     memory : float
         [byte]; at least four tiles are kept.
     """
-
-    tiles: Tiles
-    most: float
 
     def __init__(self, tiles: Tiles, memory: float) -> None:
         layout = tiles.layout

@@ -3,7 +3,6 @@
 import hashlib
 import math
 import operator
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -16,16 +15,10 @@ from ogm.pose import Trajectory, check_pose
 from ogm.scan import Frame
 from ogm.storage.archive import attributes_checksum
 from ogm.storage.files import OgmError
-from ogm.storage.remote import is_remote
 from ogm.world.layout import LAYERS, TILES, TileIndex
 from ogm.world.packing import checked_array, codecs
-from ogm.world.stores import children, erase, keys, local_path, read_object, reading, writing
+from ogm.world.stores import children, keys, read_object, reading, writing
 from ogm.world.tiles import TileStore
-
-__all__ = [
-    *("Drive", "SubMap", "begin_drive", "drive_array", "drive_names", "has_drive", "load_drive", "lost_tiles"),
-    *("remove_drive", "save_drive", "split_drive", "submap_key"),
-]
 
 _GROUP, _FORMAT = "drives", "ogm.drive/1"
 _MEND = "remove its folder, or prefix, and build it again"
@@ -67,8 +60,7 @@ class SubMap:
         inverse = np.eye(4)
         inverse[:3, :3] = self.made[:3, :3].T
         inverse[:3, 3] = -self.made[:3, :3].T @ self.made[:3, 3]
-        result: NDArray[np.float64] = self.pose @ inverse
-        return result
+        return self.pose @ inverse
 
 
 @dataclass
@@ -264,18 +256,6 @@ def lost_tiles(store: TileStore, drive: Drive) -> dict[int, list[TileIndex]]:
             if submap_key(store, drive.name, number, index) not in there:
                 lost.setdefault(number, []).append(index)
     return lost
-
-
-def remove_drive(store: TileStore, name: str) -> None:
-    """Remove a drive and its sub-maps; the tiles of the map follow when it is built, or rebuilt."""
-    if name not in drive_names(store):
-        drive_array(store, name)  # raises the error
-    with writing(store.url, f"drive {name} of {store.url}"):
-        store.check_writer()
-        for key in keys(store.store, f"{store.prefix}{_GROUP}/{name}/"):  # zarr.json last: it can be removed again
-            erase(store.store, key)
-        if not is_remote(store.url):
-            shutil.rmtree(local_path(store.url) / _GROUP / name, ignore_errors=True)
 
 
 def _array(store: TileStore, count: int) -> dict[str, Any]:

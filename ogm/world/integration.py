@@ -13,8 +13,6 @@ from ogm.world.cache import TileCache
 from ogm.world.kernels import integrate
 from ogm.world.layout import WORLD_RULES, corners
 
-__all__ = ["integrate_grid"]
-
 _LATEST = 2**32 - 2  # [s] that the layers of the last stamp can hold
 
 

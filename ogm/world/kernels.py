@@ -16,8 +16,6 @@ from ogm.fusion.kernels import combine_cells
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import vector
 
-__all__ = ["CONFLICT_STEPS", "COUNT_LIMIT", "MASS_STEPS", "discount", "integrate", "merge", "moved"]
-
 MASS_STEPS, CONFLICT_STEPS = 4095, 255  # finer steps are noise of the sensors, and do not pack
 COUNT_LIMIT = 65535
 

@@ -11,8 +11,6 @@ from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER
 from ogm.grid import GridSpec
 from ogm.world.kernels import CONFLICT_STEPS, MASS_STEPS
 
-__all__ = ["LAYERS", "TILES", "WORLD_RULES", "Box", "WorldLayout", "StoredType", "TileIndex", "WorldRule", "corners"]
-
 LAYERS = ("free", "occupied", "free_to_occupied", "occupied_to_free", "count", "seen_high", "seen_low")
 TILES = 2**22  # along each axis of the lattice, half of them below 0: 172,000 km either way at 512 cells of 0.16 m
 WORLD_RULES = {"cautious": CAUTIOUS, "dempster": DEMPSTER, "cumulative": CUMULATIVE}

@@ -10,8 +10,6 @@ from ogm.world.world_map import WorldMap
 if TYPE_CHECKING:
     from xarray import Dataset
 
-__all__ = ["world_to_xarray"]
-
 
 class _Part:
     """Some cells of an array of layers: Dask lists all chunks of what it is given, and a map's lattice has 10¹³."""

@@ -1,201 +1,200 @@
-"""How a world map is read: windows, layers, tiles, facts. `WorldMap` takes these as its own methods."""
+"""How a world map is read: windows, layers, tiles, facts."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.fusion.map_lock import locked
+from ogm.fusion.map_lock import MapLock, locked
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.pose import check_pose
 from ogm.storage.files import OgmError
+from ogm.world.cache import TileCache
 from ogm.world.layout import LAYERS, Box, TileIndex, corners
 from ogm.world.packing import mass_of
 from ogm.world.stores import reading, size
-
-__all__ = ["cells", "damage", "describe", "layers", "levels", "tile", "tiles", "window"]
+from ogm.world.tiles import TileStore
 
 _MASSES = slice(0, 2)
 
 
-@locked
-def window(
-    self: Any,
-    spec: GridSpec,
-    T_map_window: ArrayLike | None = None,  # noqa: N803
-    *,
-    method: ResampleMethod = "nearest",
-    level: int = 0,
-) -> EvidentialGrid:
-    """Return a part of the map as a grid.
+class MapReader:
+    """A map of belief masses in tiles, as far as it is read; `WorldMap` adds what changes it.
 
-    Parameters
+    Attributes
     ----------
-    spec : GridSpec
-        The cells. Where they are cells of the map they are returned as they are stored, else resampled once.
-    T_map_window : (4, 4) array, optional
-        Takes the coordinates of `spec` to the map, for example the pose of a vehicle [m]; by default they are the
-        map's.
-    method : {"nearest", "area", "cautious"}
-        How cells are resampled, see `ogm.fusion.warp`.
-    level : int
-        Of overviews, whose cells have ``2**level`` times the side.
-
-    Returns
-    -------
-    EvidentialGrid
-        Unknown where nothing was seen.
-
-    Raises
-    ------
-    OgmError
-        If a tile is damaged, or there is no such level.
-    ValueError
-        If the window lies beyond the lattice, or would need more than 2**28 cells of the map.
+    store : TileStore
+    layout : WorldLayout
+    crs : str or None
+    url : str
+    lock : MapLock
     """
-    box = self.layout.aligned(spec, level) if T_map_window is None else None
-    if box is not None:
-        return EvidentialGrid.trusted(spec, _masses(self, box, level))
-    T = np.eye(4) if T_map_window is None else check_pose(T_map_window, "T_map_window")
-    around = self.layout.around(corners(spec, T), level, margin=2)
-    source = self.layout.spec(around, level)
-    return EvidentialGrid.trusted(spec, view_layers(_masses(self, around, level), source, spec, T, method))
 
+    def __init__(self, tiles: TileStore, memory: float) -> None:
+        if not memory > 0:
+            raise ValueError(f"memory must be above 0 bytes, got {memory}")
+        self.store, self.layout, self.crs, self.url = tiles, tiles.layout, tiles.crs, tiles.url
+        self.lock, self._cache = MapLock(), TileCache(tiles, memory)
 
-@locked
-def layers(self: Any, spec: GridSpec) -> LayeredGrid:
-    """Return what the map keeps beside the masses, for cells of the map.
+    @locked
+    def window(
+        self,
+        spec: GridSpec,
+        T_map_window: ArrayLike | None = None,  # noqa: N803
+        *,
+        method: ResampleMethod = "nearest",
+        level: int = 0,
+    ) -> EvidentialGrid:
+        """Return a part of the map as a grid.
 
-    Parameters
-    ----------
-    spec : GridSpec
-        Cells of the map, in its coordinates; see `cells`.
+        Parameters
+        ----------
+        spec : GridSpec
+            The cells. Where they are cells of the map they are returned as they are stored, else resampled once.
+        T_map_window : (4, 4) array, optional
+            Takes the coordinates of `spec` to the map, for example the pose of a vehicle [m]; by default they are the
+            map's.
+        method : {"nearest", "area", "cautious"}
+            How cells are resampled, see `ogm.fusion.warp`.
+        level : int
+            Of overviews, whose cells have ``2**level`` times the side.
 
-    Returns
-    -------
-    LayeredGrid
-        ``free_to_occupied`` and ``occupied_to_free``, the greatest conflict [0, 1]; ``count`` of scans;
-        ``last_seen`` [s], a whole second to the precision of float32 (128 s at times of today), NaN where unknown.
+        Returns
+        -------
+        EvidentialGrid
+            Unknown where nothing was seen.
 
-    Raises
-    ------
-    ValueError
-        If the cells of `spec` are none of the map.
-    """
-    box = _aligned(self, spec)
-    stored = _read(self, box, 0, slice(2, len(LAYERS)))
-    step = np.float32(self.layout.steps["conflict"])
-    stamp = stored[3].astype(np.float64) * 65536 + stored[4]
-    layers = {LAYERS[2]: stored[0] * step, LAYERS[3]: stored[1] * step, LAYERS[4]: stored[2].astype(np.float32)}
-    return LayeredGrid(spec, layers | {"last_seen": np.where(stamp > 0, stamp - 1, np.nan).astype(np.float32)})
+        Raises
+        ------
+        OgmError
+            If a tile is damaged, or there is no such level.
+        ValueError
+            If the window lies beyond the lattice, or would need more than 2**28 cells of the map.
+        """
+        box = self.layout.aligned(spec, level) if T_map_window is None else None
+        if box is not None:
+            return EvidentialGrid.trusted(spec, self._masses(box, level))
+        T = np.eye(4) if T_map_window is None else check_pose(T_map_window, "T_map_window")
+        around = self.layout.around(corners(spec, T), level, margin=2)
+        source = self.layout.spec(around, level)
+        return EvidentialGrid.trusted(spec, view_layers(self._masses(around, level), source, spec, T, method))
 
+    @locked
+    def layers(self, spec: GridSpec) -> LayeredGrid:
+        """Return what the map keeps beside the masses, for cells of the map.
 
-def cells(self: Any, extent: tuple[float, float, float, float] | None = None, level: int = 0) -> GridSpec:
-    """Return the cells of the map that cover an extent, by default all tiles.
+        Parameters
+        ----------
+        spec : GridSpec
+            Cells of the map, in its coordinates; see `cells`.
 
-    Parameters
-    ----------
-    extent : (x_min, x_max, y_min, y_max), optional
-        [m]
-    level : int
+        Returns
+        -------
+        LayeredGrid
+            ``free_to_occupied`` and ``occupied_to_free``, the greatest conflict [0, 1]; ``count`` of scans;
+            ``last_seen`` [s], a whole second to the precision of float32 (128 s at times of today), NaN where unknown.
 
-    Raises
-    ------
-    ValueError
-        If the map is empty and no extent is given, or there are more than 2**28 cells: take a higher level.
-    """
-    if extent is not None:
-        x0, x1, y0, y1 = extent
-        within: GridSpec = self.layout.spec(self.layout.around(np.array([(x0, y0), (x1, y1)]), level, margin=0), level)
-        return within
-    tiles = self.tiles()
-    if not tiles:
-        raise ValueError(f"{self.url} is empty: nothing was integrated, or not flushed")
-    low, high = np.min(tiles, axis=0), np.max(tiles, axis=0) + 1
-    n = self.layout.tile
-    i, j = (int(one) * n >> level for one in low)
-    k, m = (-(-int(one) * n >> level) for one in high)
-    spec: GridSpec = self.layout.spec((i, k, j, m), level)
-    return spec
+        Raises
+        ------
+        ValueError
+            If the cells of `spec` are none of the map.
+        """
+        box = self.layout.aligned(spec)
+        if box is None:
+            raise ValueError(f"{spec} has other cells than the map ({self.layout.resolution:g} m): see WorldMap.cells")
+        stored = self._read(box, 0, slice(2, len(LAYERS)))
+        step = np.float32(self.layout.steps["conflict"])
+        stamp = stored[3].astype(np.float64) * 65536 + stored[4]
+        layers = {LAYERS[2]: stored[0] * step, LAYERS[3]: stored[1] * step, LAYERS[4]: stored[2].astype(np.float32)}
+        return LayeredGrid(spec, layers | {"last_seen": np.where(stamp > 0, stamp - 1, np.nan).astype(np.float32)})
 
+    def cells(self, extent: tuple[float, float, float, float] | None = None, level: int = 0) -> GridSpec:
+        """Return the cells of the map that cover an extent, by default all tiles.
 
-@locked
-def tiles(self: Any) -> list[TileIndex]:
-    """Return the tiles that hold something, also those that are not written yet, in order; the store is listed."""
-    return sorted({*self.store.tiles(), *self._cache.changed})
+        Parameters
+        ----------
+        extent : (x_min, x_max, y_min, y_max), optional
+            [m]
+        level : int
 
+        Raises
+        ------
+        ValueError
+            If the map is empty and no extent is given, or there are more than 2**28 cells: take a higher level.
+        """
+        if extent is not None:
+            x0, x1, y0, y1 = extent
+            return self.layout.spec(self.layout.around(np.array([(x0, y0), (x1, y1)]), level, margin=0), level)
+        tiles = self.tiles()
+        if not tiles:
+            raise ValueError(f"{self.url} is empty: nothing was integrated, or not flushed")
+        low, high = np.min(tiles, axis=0), np.max(tiles, axis=0) + 1
+        n = self.layout.tile
+        i, j = (int(one) * n >> level for one in low)
+        k, m = (-(-int(one) * n >> level) for one in high)
+        return self.layout.spec((i, k, j, m), level)
 
-@locked
-def tile(self: Any, index: TileIndex) -> NDArray[Any]:
-    """Return a copy of a tile as it is stored, (7, tile, tile)."""
-    copy: NDArray[Any] = self._cache.get(index).copy() if index in self._cache else self.store.read_tile(index)
-    return copy
+    @locked
+    def tiles(self) -> list[TileIndex]:
+        """Return the tiles that hold something, also those that are not written yet, in order; the store is listed."""
+        return sorted({*self.store.tiles(), *self._cache.changed})
 
+    @locked
+    def tile(self, index: TileIndex) -> NDArray[Any]:
+        """Return a copy of a tile as it is stored, (7, tile, tile)."""
+        return self._cache.get(index).copy() if index in self._cache else self.store.read_tile(index)
 
-@property  # type: ignore[misc]
-def levels(self: Any) -> int:
-    """Number of levels that there are, 1 without overviews."""
-    levels: int = self.store.levels
-    return levels
+    @property
+    def levels(self) -> int:
+        """Number of levels that there are, 1 without overviews."""
+        return self.store.levels
 
+    @locked
+    def damage(self) -> list[tuple[TileIndex, OgmError]]:
+        """Return the tiles that cannot be read, with the errors that tell why; all are read."""
+        found = []
+        for index in self.store.tiles():
+            try:
+                self.store.read_tile(index)
+            except OgmError as error:
+                found.append((index, error))
+        return found
 
-@locked
-def damage(self: Any) -> list[tuple[TileIndex, OgmError]]:
-    """Return the tiles that cannot be read, with the errors that tell why; all are read."""
-    found = []
-    for index in self.store.tiles():
-        try:
-            self.store.read_tile(index)
-        except OgmError as error:
-            found.append((index, error))
-    return found
+    def describe(self) -> dict[str, str]:
+        """Return what the map holds, as names and values to print; all its objects are listed."""
+        tiles, layout = self.tiles(), self.layout
+        with reading(self.url):
+            stored = size(self.store.store, "")
+        facts = {
+            "map": self.url,
+            "cells": f"{layout.resolution:g} m, {layout.dtype}, {layout.rule}, unknown >= {layout.min_unknown:g}",
+            "tiles": f"{len(tiles)} of {layout.tile} x {layout.tile} cells, {self.levels} levels",
+            "size": f"{stored / 1e6:.1f} MB",
+        }
+        if tiles:
+            (i, j), (k, m) = np.min(tiles, axis=0), np.max(tiles, axis=0) + 1
+            side = layout.tile * layout.resolution
+            facts["extent"] = f"x {i * side:g} to {k * side:g} m, y {j * side:g} to {m * side:g} m"
+        return facts | ({"crs": self.crs} if self.crs else {})
 
+    def _masses(self, box: Box, level: int) -> NDArray[np.float32]:
+        return mass_of(self._read(box, level, _MASSES), self.layout)
 
-def describe(self: Any) -> dict[str, str]:
-    """Return what the map holds, as names and values to print; all its objects are listed."""
-    tiles, layout = self.tiles(), self.layout
-    with reading(self.url):
-        stored = size(self.store.store, "")
-    facts = {
-        "map": self.url,
-        "cells": f"{layout.resolution:g} m, {layout.dtype}, {layout.rule}, unknown >= {layout.min_unknown:g}",
-        "tiles": f"{len(tiles)} of {layout.tile} x {layout.tile} cells, {self.levels} levels",
-        "size": f"{stored / 1e6:.1f} MB",
-    }
-    if tiles:
-        (i, j), (k, m) = np.min(tiles, axis=0), np.max(tiles, axis=0) + 1
-        side = layout.tile * layout.resolution
-        facts["extent"] = f"x {i * side:g} to {k * side:g} m, y {j * side:g} to {m * side:g} m"
-    return facts | ({"crs": self.crs} if self.crs else {})
-
-
-def _aligned(self: Any, spec: GridSpec) -> Box:
-    box: Box | None = self.layout.aligned(spec)
-    if box is None:
-        raise ValueError(f"{spec} has other cells than the map ({self.layout.resolution:g} m): see WorldMap.cells")
-    return box
-
-
-def _masses(self: Any, box: Box, level: int) -> NDArray[np.float32]:
-    return mass_of(_read(self, box, level, _MASSES), self.layout)
-
-
-def _read(self: Any, box: Box, level: int, layers: slice) -> NDArray[Any]:
-    """Return layers of some cells, (L, nx, ny), from the tiles in memory and else from the store."""
-    self.layout.check_box(box, level)
-    self.layout.spec(box, level)  # refuses too many cells
-    kept = [index for index in self.layout.tiles_of(box) if index in self._cache] if level == 0 else []
-    if not kept:
-        values: NDArray[Any] = self.store.read(box, level, layers)
-        return values
-    out = np.zeros((layers.stop - layers.start, box[1] - box[0], box[3] - box[2]), self.layout.dtype)
-    for index in self.layout.tiles_of(box):
-        i, k, j, m = self.layout.box_of(index)
-        a, b, c, d = max(i, box[0]), min(k, box[1]), max(j, box[2]), min(m, box[3])
-        part = out[:, a - box[0] : b - box[0], c - box[2] : d - box[2]]
-        if index in self._cache:
-            part[:] = self._cache.get(index)[layers, a - i : b - i, c - j : d - j]
-        else:
-            part[:] = self.store.read((a, b, c, d), 0, layers)
-    return out
+    def _read(self, box: Box, level: int, layers: slice) -> NDArray[Any]:
+        """Return layers of some cells, (L, nx, ny), from the tiles in memory and else from the store."""
+        self.layout.check_box(box, level)
+        self.layout.spec(box, level)  # refuses too many cells
+        kept = [index for index in self.layout.tiles_of(box) if index in self._cache] if level == 0 else []
+        if not kept:
+            return self.store.read(box, level, layers)
+        out = np.zeros((layers.stop - layers.start, box[1] - box[0], box[3] - box[2]), self.layout.dtype)
+        for index in self.layout.tiles_of(box):
+            i, k, j, m = self.layout.box_of(index)
+            a, b, c, d = max(i, box[0]), min(k, box[1]), max(j, box[2]), min(m, box[3])
+            part = out[:, a - box[0] : b - box[0], c - box[2] : d - box[2]]
+            if index in self._cache:
+                part[:] = self._cache.get(index)[layers, a - i : b - i, c - j : d - j]
+            else:
+                part[:] = self.store.read((a, b, c, d), 0, layers)
+        return out

@@ -12,8 +12,6 @@ from ogm.world.layout import WorldLayout
 from ogm.world.packing import mass_of
 from ogm.world.tiles import TileStore
 
-__all__ = ["make_overviews"]
-
 
 def make_overviews(store: TileStore) -> int:
     """Make all levels above 0 anew, tile by tile, until four tiles hold all; return the number of levels."""

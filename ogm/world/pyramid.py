@@ -12,8 +12,6 @@ from ogm.plot.colours import colours
 from ogm.storage.files import atomic_write
 from ogm.world.world_map import WorldMap
 
-__all__ = ["write_pyramid"]
-
 
 def write_pyramid(world: WorldMap, folder: str | os.PathLike[str]) -> int:
     """Write a picture per tile of every level, ``z/x/y.png``; return how many.

@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.fusion.window import affine_between
-from ogm.storage.files import OgmError
+from ogm.storage.files import error_context
 from ogm.world.drives import Drive, drive_array, submap_key
 from ogm.world.kernels import discount, merge, moved
 from ogm.world.layout import LAYERS, WORLD_RULES, TileIndex, corners
 from ogm.world.packing import checked_layers
 from ogm.world.stores import reading
 from ogm.world.tiles import TileStore
-
-__all__ = ["Part", "fingerprint", "parts_of_tiles", "render_tile"]
 
 
 class Part(NamedTuple):
@@ -67,10 +65,8 @@ def _targets(store: TileStore, tile: TileIndex, correction: NDArray[np.float64])
     """Return the tiles that a moved tile may have cells in."""
     layout = store.layout
     box = layout.around(corners(layout.spec(layout.box_of(tile)), correction))
-    try:
+    with error_context(f"a sub-map of a drive of {store.url} is moved too far"):
         layout.check_box(box)
-    except ValueError as error:
-        raise OgmError(f"a sub-map of a drive of {store.url} is moved too far: {error}") from error
     return layout.tiles_of(box)
 
 

@@ -6,11 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.world.layout import TILES, TileIndex
-from ogm.world.packing import checked_array
+from ogm.world.packing import checked_array, codecs
 from ogm.world.stores import read_object, reading, writing
 from ogm.world.tiles import TileStore
-
-__all__ = ["Rendered"]
 
 _NAME, _SIDE = "rendered", 64  # [tiles] along a side of a chunk
 _OFTEN = 64  # tiles after which their numbers are written
@@ -25,8 +23,6 @@ class Rendered:
     """
 
     def __init__(self, store: TileStore) -> None:
-        from zarr.codecs import Crc32cCodec, ZstdCodec
-
         self._store, what = store, f"the numbers of tiles of {store.url}"
         wanted: dict[str, Any] = {"shape": (TILES, TILES), "chunks": (_SIDE, _SIDE), "dtype": "uint64"}
         with reading(what, _MEND):
@@ -34,10 +30,9 @@ class Rendered:
             if read_object(store.store, f"{store.prefix}{_NAME}/zarr.json") is not None:
                 self._array = checked_array(store.root[_NAME], **wanted)
         if self._array is None:
-            packed = {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "filters": None, "fill_value": 0}
             with writing(store.url, what):
                 store.check_writer()
-                self._array = store.root.create_array(_NAME, **wanted, **packed)
+                self._array = store.root.create_array(_NAME, **wanted, **codecs(1))
         self._chunks: dict[TileIndex, NDArray[np.uint64]] = {}
         self._noted: dict[TileIndex, int] = {}
 

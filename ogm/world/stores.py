@@ -7,27 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
+from ogm.extras import import_extra
 from ogm.storage.files import OgmError, naming
 from ogm.storage.remote import is_remote, object_store
 
-__all__ = [
-    *("Mode", "Url", "children", "erase", "is_zip", "keys", "load_zarr", "local_path", "open_store"),
-    *("read_object", "reading", "size", "writing"),
-]
-
 Url = str | os.PathLike[str]
 Mode = Literal["r", "r+"]
-
-
-def load_zarr() -> Any:
-    """Return the module, or raise ImportError with the way to install it."""
-    try:
-        import zarr
-    except ImportError as error:
-        raise ImportError(
-            f'world maps are kept with zarr, which is missing ({error}): pip install "ogm-toolkit[world]"'
-        ) from error
-    return zarr
 
 
 def is_zip(url: Url) -> bool:
@@ -59,7 +44,7 @@ def open_store(url: Url, mode: Mode, storage: Mapping[str, str] | None = None) -
     ImportError
         If zarr, or for an object store obstore, is missing.
     """
-    zarr = load_zarr()
+    zarr = import_extra("zarr", "world")
     if is_remote(url):
         with reading(url, "see ogm.world.stores.open_store for the options of object stores"):
             return zarr.storage.ObjectStore(object_store(str(url), storage or {}), read_only=mode == "r")
@@ -111,42 +96,43 @@ def writing(url: Url, what: object) -> Iterator[None]:
 
 def keys(store: Any, prefix: str) -> list[str]:
     """Return the keys of a store that begin with a prefix, sorted."""
-    from zarr.core.sync import sync
-
-    async def found() -> list[str]:
-        return [key async for key in store.list_prefix(prefix)]
-
-    return sorted(key for key in sync(found()) if not key.endswith(".partial"))
+    return sorted(key for key in _listed(store.list_prefix, prefix) if not key.endswith(".partial"))
 
 
 def children(store: Any, prefix: str) -> list[str]:
     """Return the names directly below a prefix, sorted."""
-    from zarr.core.sync import sync
+    return sorted(key.rstrip("/") for key in _listed(store.list_dir, prefix))
+
+
+def _listed(listing: Any, prefix: str) -> list[str]:
+    """Return what an asynchronous method of a store lists."""
 
     async def found() -> list[str]:
-        return [key async for key in store.list_dir(prefix)]
+        return [key async for key in listing(prefix)]
 
-    return sorted(key.rstrip("/") for key in sync(found()))
+    return list(_sync(found()))
 
 
 def read_object(store: Any, key: str) -> bytes | None:
     """Return the content of an object; None if there is none."""
     from zarr.core.buffer import default_buffer_prototype
-    from zarr.core.sync import sync
 
-    found = sync(store.get(key, default_buffer_prototype()))
+    found = _sync(store.get(key, default_buffer_prototype()))
     return None if found is None else bytes(found.to_bytes())
 
 
 def size(store: Any, prefix: str) -> int:
     """Return the bytes of all objects whose keys begin with a prefix."""
-    from zarr.core.sync import sync
-
-    return int(sync(store.getsize_prefix(prefix)))
+    return int(_sync(store.getsize_prefix(prefix)))
 
 
 def erase(store: Any, key: str) -> None:
     """Remove an object; nothing happens if there is none."""
+    _sync(store.delete(key))
+
+
+def _sync(coroutine: Any) -> Any:
+    """Return the result of a coroutine of Zarr."""
     from zarr.core.sync import sync
 
-    sync(store.delete(key))
+    return sync(coroutine)

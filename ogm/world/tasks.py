@@ -10,12 +10,10 @@ from ogm.scan import Frame, SensorModels
 from ogm.world.cache import TileCache
 from ogm.world.drives import drive_array
 from ogm.world.integration import integrate_grid
-from ogm.world.layout import TileIndex, WorldLayout
+from ogm.world.layout import TileIndex
 from ogm.world.render import Part, render_tile
 from ogm.world.stores import writing
 from ogm.world.tiles import TileStore
-
-__all__ = ["MadeSubMap", "MakeSubMap", "MapPlace", "RenderTile", "SubMapJob"]
 
 
 class MapPlace(NamedTuple):
@@ -50,32 +48,20 @@ class MadeSubMap(NamedTuple):
     mapped: int
 
 
-class MakeSubMap:
-    """The task that makes a sub-map."""
-
-    place: MapPlace
-    ism: SensorModels
-
-    def __init__(self, place: MapPlace, ism: SensorModels) -> None:
-        self.place, self.ism = place, ism
-
-    def __call__(self, job: SubMapJob) -> MadeSubMap:
-        """Make a sub-map."""
-        store = self.place.open()
-        submap = SubMapTiles(store, job.drive, job.number)
-        cache, mapped = TileCache(submap, float("inf")), 0
-        for frame, grid in map_scans([one for one in job.frames if one.T_map_sensor is not None], self.ism):
-            integrate_grid(cache, grid, grid_pose(frame), stamp=frame.stamp)
-            mapped += 1
-        tiles = tuple(cache.changed)
-        cache.flush()
-        return MadeSubMap(tiles, mapped)
+def make_submap(place: MapPlace, ism: SensorModels, job: SubMapJob) -> MadeSubMap:
+    """Make a sub-map."""
+    submap = SubMapTiles(place.open(), job.drive, job.number)
+    cache, mapped = TileCache(submap, float("inf")), 0
+    for frame, grid in map_scans([one for one in job.frames if one.T_map_sensor is not None], ism):
+        integrate_grid(cache, grid, grid_pose(frame), stamp=frame.stamp)
+        mapped += 1
+    tiles = tuple(cache.changed)
+    cache.flush()
+    return MadeSubMap(tiles, mapped)
 
 
 class SubMapTiles:
     """The tiles of a sub-map that is made, for a `TileCache`."""
-
-    layout: WorldLayout
 
     def __init__(self, store: TileStore, drive: str, number: int) -> None:
         self.layout, self._store, self._number = store.layout, store, number
@@ -94,13 +80,7 @@ class SubMapTiles:
             self._array[self._number, :, i + offset : k + offset, j + offset : m + offset] = tile
 
 
-class RenderTile:
-    """The task that makes a tile of the map from sub-maps."""
-
-    def __init__(self, place: MapPlace) -> None:
-        self.place = place
-
-    def __call__(self, job: tuple[TileIndex, list[Part]]) -> None:
-        """Make a tile."""
-        store = self.place.open()
-        store.write_tile(job[0], render_tile(store, *job))
+def make_tile(place: MapPlace, job: tuple[TileIndex, list[Part]]) -> None:
+    """Make a tile of the map from sub-maps."""
+    store = place.open()
+    store.write_tile(job[0], render_tile(store, *job))

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import import_extra
 from ogm.storage.archive import attributes_checksum
 from ogm.storage.files import OgmError, update_hint
 from ogm.storage.remote import is_remote
 from ogm.world.layout import LAYERS, TILES, Box, TileIndex, WorldLayout
 from ogm.world.packing import checked_array, checked_layers, codecs
-from ogm.world.stores import Mode, Url, erase, keys, load_zarr, local_path, open_store, reading, writing
+from ogm.world.stores import Mode, Url, erase, keys, local_path, open_store, reading, writing
 from ogm.world.writer import WRITER, check_writer
-
-__all__ = ["FORMAT", "TileStore"]
 
 FORMAT = "ogm.world/1"
 _MEND = "`ogm world rebuild` makes it anew if the map is built from drives; else restore it from a copy"
@@ -36,14 +35,6 @@ class TileStore:
         Token of `ogm.world.writer.one_writer` that writing needs to be current; "" for no check.
     """
 
-    url: str
-    layout: WorldLayout
-    crs: str | None
-    writer: str
-    storage: dict[str, str]
-    root: Any  # zarr.Group
-    store: Any  # zarr.abc.store.Store
-
     def __init__(
         self, url: Url, root: Any, attributes: Mapping[str, Any], storage: Mapping[str, str] | None = None
     ) -> None:
@@ -58,7 +49,7 @@ class TileStore:
         cls, url: Url, layout: WorldLayout, crs: str | None, storage: Mapping[str, str] | None = None
     ) -> "TileStore":
         """Begin an empty map in a new or empty place; errors as those of `WorldMap.create`."""
-        zarr, place = load_zarr(), open_store(url, "r+", storage)
+        zarr, place = import_extra("zarr", "world"), open_store(url, "r+", storage)
         with reading(url):
             if set(keys(place, "")) - {WRITER}:
                 kind = "objects already; give another prefix" if is_remote(url) else "files already; give a new folder"
@@ -79,8 +70,7 @@ class TileStore:
     @classmethod
     def open(cls, url: Url, mode: Mode, storage: Mapping[str, str] | None = None, writer: str = "") -> "TileStore":
         """Open a map; errors as those of `WorldMap.open`."""
-        zarr = load_zarr()
-        place = open_store(url, mode, storage)
+        zarr, place = import_extra("zarr", "world"), open_store(url, mode, storage)
         if not (is_remote(url) or local_path(url).exists()):
             raise FileNotFoundError(f"there is no world map {url}; WorldMap.create or `ogm world build` make one")
         try:

@@ -19,8 +19,6 @@ from ogm.plot.viewer import ROUGHEST, page_of_tiles
 from ogm.storage.files import OgmError
 from ogm.world.world_map import WorldMap
 
-__all__ = ["WorldPage", "serve_world"]
-
 _MOST = 2**25  # cells of the coarsest level, which is read at once
 _TILE = re.compile(r"/tiles/0/(\d{1,2})/(\d{1,8})/(\d{1,8})")
 
@@ -39,12 +37,6 @@ class WorldPage:
     ValueError
         If the map is empty, or too large to be shown without overviews.
     """
-
-    world: WorldMap
-    title: str
-    low: list[int]
-    high: list[int]
-    shape: tuple[int, ...]
 
     def __init__(self, world: WorldMap, title: str = "") -> None:
         tiles = world.tiles()

@@ -1,32 +1,30 @@
 """Maps larger than memory: tiles in a folder, an archive or an object store, read and updated by window."""
 
 import os
+import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any
 
 from numpy.typing import ArrayLike
 
-from ogm.fusion.map_lock import MapLock, locked
+from ogm.fusion.map_lock import locked
 from ogm.grid import EvidentialGrid
-from ogm.storage.files import OgmError
-from ogm.world import map_reading
-from ogm.world.cache import TileCache
+from ogm.storage.files import OgmError, atomic_write
 from ogm.world.drives import drive_names
 from ogm.world.integration import integrate_grid
 from ogm.world.kernels import merge
 from ogm.world.layout import WORLD_RULES, StoredType, WorldLayout, WorldRule
+from ogm.world.map_reading import MapReader
 from ogm.world.overviews import make_overviews
-from ogm.world.stores import Mode, Url, is_zip, local_path, open_store
+from ogm.world.stores import Mode, Url, is_zip, keys, local_path, open_store, read_object, reading
 from ogm.world.tiles import TileStore
-from ogm.world.writer import one_writer
-
-__all__ = ["MEMORY", "WorldMap"]
+from ogm.world.writer import WRITER, one_writer
 
 MEMORY = 512e6  # [byte] of tiles that a map keeps
 
 
-class WorldMap:
+class WorldMap(MapReader):
     """A map of belief masses in tiles, of any extent.
 
     Make one by `WorldMap.create`, open one by `WorldMap.open`; both work in ``with``, at whose end it is closed. A map
@@ -55,20 +53,10 @@ class WorldMap:
     One thread may change the map while others read it.
     """
 
-    store: TileStore
-    mode: Mode
-    layout: WorldLayout
-    crs: str | None
-    url: str
-    lock: MapLock
-
     def __init__(self, tiles: TileStore, mode: Mode, memory: float, held: ExitStack | None = None) -> None:
-        if not memory > 0:
-            raise ValueError(f"memory must be above 0 bytes, got {memory}")
-        self.store, self.mode, self.layout, self.crs = tiles, mode, tiles.layout, tiles.crs
+        super().__init__(tiles, memory)
+        self.mode = mode
         self._built: bool | None = None  # from drives; found out when it matters
-        self.url, self.lock = tiles.url, MapLock()
-        self._cache = TileCache(tiles, memory)
         self._held = held or ExitStack()  # the right to write
 
     @classmethod
@@ -162,10 +150,6 @@ class WorldMap:
             opened.writer = writer
             return cls(opened, "r+", memory, held.pop_all())
         raise AssertionError
-
-    window, layers, cells = map_reading.window, map_reading.layers, map_reading.cells
-    tiles, tile, levels = map_reading.tiles, map_reading.tile, map_reading.levels
-    damage, describe = map_reading.damage, map_reading.describe
 
     def __enter__(self) -> "WorldMap":
         return self
@@ -277,13 +261,16 @@ class WorldMap:
         ValueError
             If the name does not end in ``.zip``.
         """
-        from ogm.world.copies import copy_to_zip
-
         if not is_zip(url):
             raise ValueError(f"a copy is one .zip archive, got {url}: other tools copy folders and buckets")
         if self.mode == "r+":
             self.flush()
-        copy_to_zip(self.store.store, local_path(url))
+        place = self.store.store
+        with atomic_write(local_path(url)) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+            for key in keys(place, ""):
+                with reading(key):
+                    if key != WRITER and (content := read_object(place, key)) is not None:  # else removed meanwhile
+                        archive.writestr(key, content)
 
     def check_writable(self) -> None:
         """Raise ValueError if the map is open to read alone."""

@@ -27,8 +27,6 @@ from ogm.storage.locks import locked
 from ogm.storage.remote import is_remote
 from ogm.world.stores import Url, local_path, read_object, reading, writing
 
-__all__ = ["WRITER", "check_writer", "one_writer"]
-
 WRITER = "writer.json"  # key of the object
 RENEWED, DEAD = 5.0, 30.0  # [s] between renewals; without one after which a writer counts as dead
 _log = logging.getLogger("ogm.world")

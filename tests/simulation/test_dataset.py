@@ -5,17 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ogm.grid import GridSpec
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.simulation import dataset, moments
 from ogm.simulation.lidar import RangeImage, to_points
-from ogm.simulation.plan import DatasetPlan, LidarMount, only
+from ogm.simulation.mounts import LidarMount, only
+from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.sample import LABELS, RANGE_STEP, SimulatedSample
 from ogm.simulation.sensors import LIDARS
-from ogm.simulation.static_truth import static_truth
 from ogm.state import CellState
-from ogm.truth import TRUTH_SPEC, cells_in_boxes, count_returns
+from ogm.truth import TRUTH_SPEC, count_returns
 
 pytestmark = pytest.mark.usefixtures("kept_towns")
 PLAN = DatasetPlan(town_size=240.0, mounts=only("vlp-32c"))
@@ -166,38 +165,6 @@ def test_without_truth_the_scans_are_the_same(pair: tuple[SimulatedSample, Simul
     bare = dataset.make_sample(replace(PLAN, truth="none"), "training", 3)
     assert same(replace(bare, truth=pair[0].truth), pair[0])
     assert (bare.truth.state == CellState.UNKNOWN).all()
-
-
-@pytest.mark.slow
-def test_the_static_truth_is_that_of_a_sample_without_its_traffic(
-    pair: tuple[SimulatedSample, SimulatedSample],
-) -> None:
-    """In cells of the world, where the sample's are turned; away from what traffic covers or hides."""
-    spec = GridSpec(0.16, (400, 400), (-76.8, -48.0))
-    truth = static_truth(PLAN, "training", [3], spec)
-    T = pair[0].T_world_sensor
-    x, y = (one.ravel() for one in np.broadcast_arrays(*spec.cell_centers))
-    local = transform_points(inverse(T), np.column_stack([x, y, np.full(x.size, T[2, 3])]))
-    inside = TRUTH_SPEC.contains(local[:, 0], local[:, 1])
-    seen, own = truth.state.ravel()[inside], pair[0].truth.state[TRUTH_SPEC.index(*local[inside, :2].T)]
-    known = np.isin(own, (CellState.FREE, CellState.OCCUPIED)) & (seen != CellState.UNKNOWN)
-    assert known.sum() > 40_000
-    assert (seen != CellState.IGNORE).all()
-    assert np.mean(seen[known & (own == CellState.FREE)] == CellState.FREE) > 0.95
-    objects = pair[0].objects
-    cars = Boxes(
-        *(np.column_stack([objects[name] for name in names]) for names in ("xyz", ("length", "width", "height"))),
-        objects["yaw"],
-    )
-    covered = cells_in_boxes(cars, TRUTH_SPEC)[TRUTH_SPEC.index(*local[inside, :2].T)]
-    assert np.mean(seen[known & covered] == CellState.FREE) > 0.8  # the road below them, where it is seen at all
-    assert np.mean(seen[known & ~covered & (own == CellState.OCCUPIED)] == CellState.OCCUPIED) > 0.6
-
-
-def test_the_static_truth_has_the_cells_of_a_map() -> None:
-    for spec in (GridSpec(0.2, (10, 10), (0, 0)), GridSpec(0.16, (10, 10), (0.05, 0))):
-        with pytest.raises(ValueError, match="whole multiples"):
-            static_truth(PLAN, "training", [3], spec)
 
 
 def test_an_unknown_lidar_is_refused() -> None:

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from cases import each
 
-from ogm.simulation.plan import MOUNTS, SPLITS, DatasetPlan, LidarMount, draw_mount, moment, only, sample_rng
+from ogm.simulation.moments import draw_mount
+from ogm.simulation.mounts import MOUNTS, LidarMount, only
+from ogm.simulation.plan import SPLITS, DatasetPlan, moment, sample_rng
 
 PLAN = DatasetPlan(seed=3)
 

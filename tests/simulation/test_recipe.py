@@ -12,8 +12,9 @@ from ogm.datasets import open_dataset
 from ogm.simulation import dataset, moments
 from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
 from ogm.simulation.dataset import beams_of, make_sample
+from ogm.simulation.moments import draw_mount
 from ogm.simulation.mounts import FULL_TURN, LidarMount
-from ogm.simulation.plan import SPLITS, DatasetPlan, draw_mount, moment
+from ogm.simulation.plan import SPLITS, DatasetPlan, moment
 from ogm.simulation.recipe import GEN2, RECIPES, DataRecipe
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.sensors import LIDARS

@@ -15,7 +15,8 @@ from cases import each
 from damage import check_flips
 from stand_in import BEAMS, stand_in
 
-from ogm.simulation.plan import DatasetPlan, LidarMount
+from ogm.simulation.mounts import LidarMount
+from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Damaged, Store
 from ogm.simulation.workers import begin, missing_shards

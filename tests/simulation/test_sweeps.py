@@ -16,8 +16,8 @@ from ogm import open_dataset
 from ogm.pose import inverse, pose
 from ogm.simulation.contents import Contents, StoredRadar
 from ogm.simulation.detections import Origin, PlacedSweep, RadarSweep
-from ogm.simulation.mounts import RadarMount, radars_at
-from ogm.simulation.plan import DatasetPlan, LidarMount
+from ogm.simulation.mounts import LidarMount, RadarMount, radars_at
+from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.radars import RADARS
 from ogm.simulation.store import Damaged, Store
 from ogm.storage.files import OgmError

@@ -18,7 +18,8 @@ from cases import each
 from stand_in import BEAMS, stand_in
 
 from ogm.simulation import workers
-from ogm.simulation.plan import DatasetPlan, LidarMount
+from ogm.simulation.mounts import LidarMount
+from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, make_shards, missing_shards

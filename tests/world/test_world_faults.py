@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 from cases import each, refused
-from test_build import DRIVES, OPTIONS, built, same
+from test_build import DRIVES, OPTIONS, built
 from world_frames import RandomGrids
 
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 from ogm.world import Progress, WorldMap, build_world, rebuild_world, writer
-from ogm.world.drives import load_drive, lost_tiles, remove_drive, submap_key
+from ogm.world.drives import load_drive, lost_tiles, submap_key
 
 TWO = {name: DRIVES[name] for name in "ac"}
 
@@ -140,29 +140,6 @@ def test_a_rebuild_that_was_stopped_and_taken_back_leaves_nothing(town: Path, co
         rebuild_world(world, {"a": back})
         world.build_overviews()
     assert bytes_of(copy) == bytes_of(town)
-
-
-def test_a_removal_that_was_stopped_is_repeated(copy: Path, tmp_path: Path) -> None:
-    with WorldMap.open(copy, "r+") as world, built({"url": tmp_path / "one"}, {"c": TWO["c"]}) as one:
-        erased: list[str] = []
-
-        def erase(store: Any, key: str) -> None:
-            erased.append(key)
-            (copy / key).unlink()
-            if len(erased) == 3:
-                raise KeyboardInterrupt
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("ogm.world.drives.erase", erase)
-            with pytest.raises(KeyboardInterrupt):
-                remove_drive(world.store, "a")
-        assert sum(map(len, lost_tiles(world.store, load_drive(world.store, "a")).values())) == 3
-        remove_drive(world.store, "a")
-        rebuild_world(world)
-        world.build_overviews()
-        assert same(world, one)
-        assert (copy / "1").exists()
-        assert not (copy / str(world.levels)).exists()
 
 
 def test_a_map_whose_making_was_stopped_is_begun_or_goes_on(tmp_path: Path, town: Path) -> None:

@@ -7,8 +7,6 @@ its size when unpacked, or with -1 where it is stored as it is.
 import struct
 from typing import NamedTuple
 
-__all__ = ["unpacked_sizes"]
-
 _MAGIC = b"ARROW1"
 _CONTINUED = b"\xff\xff\xff\xff"
 _BLOCK = 24  # [byte] of a Block: offset, length of the metadata, length of the body

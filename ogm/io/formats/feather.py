@@ -10,8 +10,6 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["check_sizes", "parse_feather"]
-
 
 def parse_feather(data: bytes, path: Path) -> Table:
     """Read a Feather table; an Argoverse 2 sweep has x, y, z, intensity, laser_number, offset_ns.

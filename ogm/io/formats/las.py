@@ -13,8 +13,6 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["parse_las"]
-
 _FORMAT = 104  # position of the format of the points; its highest bit is set in LAZ
 _AT_ONCE = 2**20  # points
 _RECORD = 54  # [byte] of a variable length record at least

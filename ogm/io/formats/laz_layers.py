@@ -7,8 +7,6 @@ of every layer and then the layers, in the order of the items that the file's la
 
 import struct
 
-__all__ = ["layers_fit"]
-
 _HEADER = struct.Struct("<2x16sHH32x")  # of a variable length record: user, number, length
 _ITEMS, _ITEM = 32, struct.Struct("<HHH")  # place of their number in the laszip record; type, size, version
 _LAYERED = 3  # compressor

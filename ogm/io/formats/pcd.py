@@ -16,8 +16,6 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["parse_pcd"]
-
 _HEADER_LIMIT = 2**16  # [byte] within which the DATA line must end
 _LZF_EXPANSION = 88  # at most: 3 bytes of LZF unpack to 264
 _KINDS = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}

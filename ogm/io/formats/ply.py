@@ -12,8 +12,6 @@ import numpy as np
 from ogm.io.formats.table import Field, Table, binary_columns, check_size, check_text, refuse_doubles, text_columns
 from ogm.storage.files import OgmError
 
-__all__ = ["parse_ply"]
-
 _HEADER_LIMIT = 2**16  # [byte] within which the header must end
 _END = re.compile(rb"\nend_header\r?\n")  # a line of its own: a comment may hold the word
 _ORDER = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}

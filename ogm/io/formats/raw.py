@@ -8,8 +8,6 @@ from ogm.io.formats.table import Table
 from ogm.io.reading import parse_array
 from ogm.storage.files import OgmError
 
-__all__ = ["parse_kitti", "parse_npy", "parse_nuscenes"]
-
 _NAMES = ("x", "y", "z", "intensity", "ring")
 
 

@@ -19,17 +19,7 @@ from ogm.io.layers import AnyGrid, evidential
 from ogm.io.logs import LOG_ENDINGS
 from ogm.io.reading import optional
 from ogm.storage.archive import stated_format
-from ogm.storage.files import OgmError
-
-__all__ = [
-    "GRID_ENDINGS",
-    "MAP_ENDINGS",
-    "check_grid_output",
-    "read_any_grid",
-    "read_grid",
-    "read_placed_grid",
-    "write_grid",
-]
+from ogm.storage.files import OgmError, error_context
 
 GRID_ENDINGS = (".npz", ".npy", ".png")  # of files that hold the grid of one frame
 _YAML, _TIFF, _SCIENTIFIC = (".yaml", ".yml"), (".tif", ".tiff"), (".nc", ".zarr")
@@ -178,10 +168,8 @@ def read_any_grid(
     if Path(path).suffix.lower() == ".npz" and Path(path).is_file() and stated_format(path) == LAYERED_FORMAT:
         return LayeredGrid.load(path)
     placed = read_placed_grid(path, area, topic=topic)
-    try:
+    with error_context(path):
         return placed.upright
-    except ValueError as error:
-        raise OgmError(f"{path}: {error}") from error
 
 
 def read_placed_grid(

@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
-from ogm.io.grids.paths import reason
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
 from ogm.io.layers import layers_of, needed_layers
-from ogm.io.reading import optional
+from ogm.io.reading import optional, reason
 from ogm.storage.files import OgmError, atomic_write
 from ogm.storage.limits import current_limits, too_large
-
-__all__ = ["check_crs", "read_geotiff", "write_geotiff"]
 
 _COLOURS = ("green", "red", "blue")  # of the first bands, where a program shows them as a picture
 _CACHE = 2**24  # [byte] of blocks that GDAL keeps; by default a twentieth of the memory

@@ -23,8 +23,6 @@ from ogm.io.messages.plain import stamp_seconds
 from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 
-__all__ = ["GridLog", "GridMessage", "check_logged", "read_logged"]
-
 _log = logging.getLogger(__name__)
 
 GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid"]
@@ -75,8 +73,6 @@ class GridLog:
     ...     for step in fuse(dataset, ism, mapper):
     ...         log.write(PlacedGrid(mapper.grid, stamp=mapper.stamp))
     """
-
-    topic: str
 
     def __init__(self, path: str | os.PathLike[str], message: GridMessage = "occupancy-grid", topic: str = "/map"):
         path = Path(path)

@@ -21,8 +21,6 @@ from ogm.io.reading import is_file_name
 from ogm.state import predict_state
 from ogm.storage.files import OgmError, atomic_write
 
-__all__ = ["MapMode", "read_map_server", "write_map_server"]
-
 MapMode = Literal["trinary", "scale", "raw"]
 _GREYS = np.array([205, 254, 0], np.uint8)  # of CellState.UNKNOWN, FREE, OCCUPIED
 _THRESHOLDS = {  # occupied, free. Grey 205 is p = 0.19608: with map_saver's 0.25 unknown would load as free

@@ -5,8 +5,6 @@ from pathlib import Path
 
 from ogm.storage.files import OgmError
 
-__all__ = ["check_packing"]
-
 _CODECS = {"bytes", "crc32c", "gzip", "sharding_indexed", "transpose", "zstd"}
 
 

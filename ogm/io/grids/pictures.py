@@ -9,8 +9,6 @@ from ogm.io.images import open_image
 from ogm.io.reading import parse_array, read_bytes
 from ogm.storage.files import OgmError, atomic_write
 
-__all__ = ["read_array", "read_picture", "write_picture"]
-
 
 def read_array(path: Path, area: GridSpec) -> EvidentialGrid:
     """Read masses of free and occupied, (nx, ny, 2) float, index (0, 0) behind on the right."""

@@ -14,8 +14,6 @@ from ogm.io.layers import AnyGrid, evidential, grid_from_layers
 from ogm.io.messages.occupancy import split_corner
 from ogm.pose import check_pose, check_stamp, pose
 
-__all__ = ["Corner", "PlacedGrid", "nanometres", "placed_at"]
-
 _MAX_TILT = 1e-3  # [rad] within which a frame counts as level: at 100 m the projected cells are off by 0.05 mm
 _NO_TURN = 1e-9  # [rad]
 

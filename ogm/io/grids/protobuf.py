@@ -7,9 +7,7 @@ import struct
 from types import SimpleNamespace
 from typing import Any
 
-from ogm.storage.files import OgmError
-
-__all__ = ["decode_foxglove_grid"]
+from ogm.storage.files import error_context
 
 _SIZES = {1: 8, 5: 4}  # [byte] of the wire types of fixed length
 _XY, _XYZ, _XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
@@ -23,7 +21,7 @@ def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
     OgmError
         If the bytes are none.
     """
-    try:
+    with error_context("it is no whole foxglove.Grid", ValueError, IndexError, TypeError, AttributeError, struct.error):
         top = _fields(data)
         pose, time = _fields(_last(top, 3, b"")), _fields(_last(top, 1, b""))
         fields = []
@@ -43,8 +41,6 @@ def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
             fields=fields,
             data=_last(top, 9, b""),
         )
-    except (ValueError, IndexError, TypeError, AttributeError, struct.error) as error:
-        raise OgmError(f"it is no whole foxglove.Grid: {error}") from error
 
 
 def _fields(data: bytes) -> dict[int, list[Any]]:

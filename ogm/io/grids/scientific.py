@@ -13,18 +13,16 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
-from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import PlacedGrid, nanometres
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
-from ogm.io.reading import optional
+from ogm.io.reading import optional, reason
 from ogm.pose import pose
 from ogm.storage.files import OgmError, update_hint
 from ogm.storage.limits import current_limits, too_large
+from ogm.storage.whole_path import whole_path
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
-
-__all__ = ["check_scientific", "from_xarray", "read_scientific", "to_xarray", "write_scientific"]
 
 _FORMAT = "ogm.EvidentialGrid/1"
 _LAYERS = {
@@ -88,9 +86,8 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
         facts["T_frame_grid"] = T.ravel().tolist()
     elif T[2, 3]:
         facts["height"] = float(T[2, 3])
-    of_layers: dict[str, Any] = {}
-    coordinates: dict[str, Any] = {}
-    for axis, centres in zip(("y", "x"), (cells.spec.cell_centers[1], cells.spec.cell_centers[0]), strict=True):
+    of_layers, coordinates = dict[str, Any](), dict[str, Any]()
+    for axis, centres in zip("yx", cells.spec.cell_centers[::-1], strict=True):
         of_axis = {"units": "m", "axis": axis.upper(), "long_name": f"{axis} of the cells' centres"}
         if level:
             of_axis["standard_name"] = f"projection_{axis}_coordinate"
@@ -262,19 +259,13 @@ def write_scientific(path: Path, placed: PlacedGrid) -> None:
     with whole_path(path) as temporary:
         chunks = tuple(min(one, _CHUNK) for one in placed.grid.spec.shape[::-1])
         if path.suffix.lower() == ".zarr":
-            checked = {"compressors": [{"name": "zstd", "configuration": {"level": 0, "checksum": True}}]}
-            encoding: dict[str, dict[str, Any]] = {str(name): dict(checked) for name in dataset.variables}
-            for name in dataset.data_vars:
-                encoding[str(name)]["chunks"] = chunks
+            checked: Any = {"compressors": [{"name": "zstd", "configuration": {"level": 0, "checksum": True}}]}
+            chunked = dict.fromkeys(map(str, dataset.data_vars), checked | {"chunks": chunks})
+            encoding = dict.fromkeys(map(str, dataset.variables), checked) | chunked
             dataset.to_zarr(temporary, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
             return
-        packed = {
-            "zlib": True,
-            "complevel": 1,
-            "_FillValue": np.float32(np.nan),
-            "chunksizes": chunks,
-            "fletcher32": True,
-        }
+        nothing = np.float32(np.nan)
+        packed = {"zlib": True, "complevel": 1, "_FillValue": nothing, "chunksizes": chunks, "fletcher32": True}
         encoding = dict.fromkeys(map(str, dataset.data_vars), packed)
         encoding |= dict.fromkeys(("x", "y"), {"_FillValue": None, "fletcher32": True})
         try:
@@ -288,14 +279,11 @@ def read_scientific(path: Path) -> PlacedGrid:
     """Read NetCDF (``.nc``) or Zarr 3 (``.zarr``)."""
     xarray = _need(path, "read")
     try:
+        options: Any = {"engine": "netcdf4"}
         if path.suffix.lower() == ".zarr":
-            # format 3 alone: the filters of format 2 can unpickle
             check_packing(path)
-            zarr = {"engine": "zarr", "zarr_format": 3, "consolidated": False}
-            opened = xarray.open_dataset(path, **zarr, decode_times=False, cache=False)
-        else:
-            opened = xarray.open_dataset(path, engine="netcdf4", decode_times=False, cache=False)
-        with opened as dataset:
+            options = {"engine": "zarr", "zarr_format": 3, "consolidated": False}  # filters of format 2 can unpickle
+        with xarray.open_dataset(path, **options, decode_times=False, cache=False) as dataset:
             return from_xarray(dataset)
     except _READ_ERRORS as error:
         if isinstance(error, OgmError | PermissionError):

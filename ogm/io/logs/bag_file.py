@@ -10,12 +10,11 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.logs.chunks import Chunk, Chunks
-from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
+from ogm.io.logs.chunked import ChunkedFile
+from ogm.io.logs.chunks import Chunk
+from ogm.io.logs.files import Channel, Place, ros2_name
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits
-
-__all__ = ["BAG_MAGIC", "BagFile"]
 
 BAG_MAGIC = b"#ROSBAG V"
 _VERSION = BAG_MAGIC + b"2.0\n"
@@ -27,7 +26,7 @@ _UINT = struct.Struct("<I")
 Header = dict[str, bytes]
 
 
-class BagFile:
+class BagFile(ChunkedFile):
     """A ROS 1 bag; see `LogFile`.
 
     Parameters
@@ -40,31 +39,17 @@ class BagFile:
         If it is of another version, or encrypted.
     """
 
-    path: Path
-    index: dict[int, NDArray[np.int64]]
-    format: str
+    kind, channel_word = "ROS 1 bag", "connection"
+    _encrypted = False
 
     def __init__(self, path: Path) -> None:
-        self.path, self._file = path, RandomAccess(path)
-        self.channels: dict[int, Channel] = {}
-        self.warnings: list[str] = []
-        self._chunks = Chunks(self._file)
-        self._parts: dict[int, list[NDArray[np.int64]]] = {}
-        self._encrypted = False
-        self._noted = 0  # chunks whose messages are in the index
         with open(path, "rb") as stream:
             start = stream.read(len(_VERSION))
-            if start != _VERSION:
-                raise OgmError(f"{path} begins with {start!r}, wanted {_VERSION!r}, as ROS 1 bags do since 2010")
-            try:
-                self._walk(stream)
-                self._find_channels()
-            except (struct.error, ValueError, KeyError) as error:
-                self.warnings.append(f"{path} is damaged ({error}): only the messages before are read")
+        if start != _VERSION:
+            raise OgmError(f"{path} begins with {start!r}, wanted {_VERSION!r}, as ROS 1 bags do since 2010")
+        super().__init__(path)
         if self._encrypted:
             raise OgmError(f"{path} is encrypted: decrypt it first, with `rosbag decrypt`")
-        self.index = {number: rows for number, rows in index_of(self._parts).items() if number in self.channels}
-        self.format = f"ROS 1 bag ({self._chunks.packings})" if self._chunks.packings else "ROS 1 bag"
 
     def read(self, place: Place, size: int | None = None) -> bytes | memoryview:
         """Return the message at a place, or its first bytes."""
@@ -87,9 +72,8 @@ class BagFile:
         return data[start : start + wanted]
 
     def _walk(self, stream: BinaryIO) -> None:
-        """Go from record to record, over the contents of chunks."""
         pending: list[tuple[int, bytes]] = []  # channels and index records of the last chunk
-        position, index, size = stream.tell(), 0, self._file.size
+        position, index, size = len(_VERSION), 0, self._file.size
         cut: Chunk | None = None
         while position < size:
             stream.seek(position)
@@ -126,52 +110,27 @@ class BagFile:
         if cut is not None:
             self._rescue(cut)
 
-    def _rescue(self, chunk: Chunk) -> None:
-        """Take what is whole from a cut chunk."""
-        try:
-            self._chunks.append_cut(chunk)
-        except OgmError:
-            return
-        self._note_chunk([])
+    def _indexed(self, number: int, record: tuple[int, bytes]) -> tuple[int, NDArray[np.int64]]:
+        channel, data = record
+        sec, nanosec, offset = np.frombuffer(data, "<u4").reshape(-1, 3).T.astype(np.int64)
+        return channel, np.column_stack([sec * 10**9 + nanosec, np.full_like(sec, number), offset])
 
-    def _note_chunk(self, records: list[tuple[int, bytes]]) -> None:
-        """Note the messages of the last chunk: by its index records, or, without any, by its contents."""
-        number = len(self._chunks) - 1
-        if number < self._noted:
-            return
-        self._noted = number + 1
-        if not records:
-            self._look_into(number, messages=True)
-        for channel, record in records:
-            sec, nanosec, offset = np.frombuffer(record, "<u4").reshape(-1, 3).T.astype(np.int64)
-            self._note(channel, np.column_stack([sec * 10**9 + nanosec, np.full_like(sec, number), offset]))
-
-    def _look_into(self, number: int, *, messages: bool) -> None:
-        """Take the connections of a chunk, and its messages."""
-        try:
-            data = memoryview(self._chunks.data(number))
-        except OgmError as error:
-            self.warnings.append(f"{self.path}: {error}; its messages are lost")
-            return
-        position = 0
-        while position < len(data):
+    def _walk_chunk(self, number: int, data: bytes, messages: bool) -> None:
+        view, position = memoryview(data), 0
+        while position < len(view):
             try:
-                header, body, length = _record(data[position:])
+                header, body, length = _record(view[position:])
             except OgmError:
                 return
             end = position + body + length
-            if end > len(data):
+            if end > len(view):
                 return
             if header["op"] == _MESSAGE and messages:
                 sec, nanosec = struct.unpack("<II", header["time"])
                 self._note(_number(header, "conn"), np.array([[sec * 10**9 + nanosec, number, position]]))
             elif header["op"] == _CONNECTION:
-                self._define(header, data[position + body : end])
+                self._define(header, view[position + body : end])
             position = end
-
-    def _note(self, channel: int, rows: NDArray[np.int64]) -> None:
-        if len(rows):
-            self._parts.setdefault(channel, []).append(rows)
 
     def _define(self, header: Header, data: bytes | memoryview) -> None:
         """Take a connection."""
@@ -183,17 +142,6 @@ class BagFile:
                 for found in (header.get("topic", b""), facts.get("type", b""), facts.get("message_definition", b""))
             )
             self.channels[number] = Channel(topic, ros2_name(name), "ros1", text, "ros1msg")
-
-    def _find_channels(self) -> None:
-        """Look into chunks for connections that went with the end of the file."""
-        first = sorted({int(rows[0][0, 1]) for number, rows in self._parts.items() if number not in self.channels})
-        for number in (*first, *range(len(self._chunks))):
-            if self._parts.keys() <= self.channels.keys():
-                return
-            self._look_into(number, messages=False)
-        for number in self._parts.keys() - self.channels.keys():
-            count = sum(map(len, self._parts[number]))
-            self.warnings.append(f"{self.path}: {count} messages are of connection {number}, which is nowhere defined")
 
 
 def _head(stream: BinaryIO) -> memoryview:

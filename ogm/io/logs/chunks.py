@@ -12,8 +12,6 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["Chunk", "Chunks", "unpack_zstd"]
-
 _BEGINNING = 2**18  # [byte] that are unpacked at least: blocks of zstd have half of it
 _PACKED = Path("a packed log")
 _KEPT = 4  # unpacked chunks in memory: some 1 MB each, or one scan; fewer where they are beyond the limit for a file

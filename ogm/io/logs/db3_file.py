@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from ogm.io.logs.chunks import unpack_zstd
 from ogm.io.logs.files import Channel, Place
 from ogm.io.reading import optional
-from ogm.storage.files import OgmError
+from ogm.storage.files import OgmError, error_context
 from ogm.storage.limits import current_limits, too_large
-
-__all__ = ["DB3_MAGIC", "Db3File"]
 
 DB3_MAGIC = b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -40,8 +38,6 @@ class Db3File:
         If it is no such file, or so damaged that nothing can be read.
     """
 
-    channels: dict[int, Channel]
-
     def __init__(self, path: Path) -> None:
         self.path = path
         self.warnings: list[str] = []
@@ -59,15 +55,16 @@ class Db3File:
 
     def read(self, place: Place, size: int | None = None) -> bytes:
         """Return the message at a place, or its first bytes."""
-        try:
-            with self._lock, self._connection().blobopen("messages", "data", place[0], readonly=True) as blob:
-                if len(blob) > current_limits().file:
-                    raise too_large("it", len(blob), "file")
-                packed = blob.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC
-                blob.seek(0)
-                data = blob.read() if size is None or packed else blob.read(size)
-        except sqlite3.Error as error:
-            raise OgmError(f"it cannot be read: {error}") from error
+        with (
+            error_context("it cannot be read", sqlite3.Error),
+            self._lock,
+            self._connection().blobopen("messages", "data", place[0], readonly=True) as blob,
+        ):
+            if len(blob) > current_limits().file:
+                raise too_large("it", len(blob), "file")
+            packed = blob.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC
+            blob.seek(0)
+            data = blob.read() if size is None or packed else blob.read(size)
         if packed:
             data = _unpacked(data)
         return data if size is None else data[:size]
@@ -137,10 +134,8 @@ class Db3File:
 def _unpacked(data: bytes) -> bytes:
     """Unpack a message that was packed by itself (compression_mode: message)."""
     zstandard = optional("zstandard", Path("a packed message"), "ros")
-    try:
+    with error_context("it is damaged", zstandard.ZstdError):
         content = unpack_zstd(data, current_limits().file + 1)
-    except zstandard.ZstdError as error:
-        raise OgmError(f"it is damaged: {error}") from error
     if len(content) > current_limits().file:
         raise too_large("it", None, "file")
     return content

@@ -9,8 +9,6 @@ from ogm.io.logs.files import Channel
 from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 
-__all__ = ["decode", "message_types"]
-
 _LIVOX = {
     "CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line",
     "CustomMsg": "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"

@@ -8,8 +8,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Channel", "LogFile", "Place", "RandomAccess", "index_of", "ros2_name"]
-
 Place = tuple[int, int]
 """Where a message lies: two numbers that its file understands."""
 
@@ -64,8 +62,6 @@ class LogFile(Protocol):
 class RandomAccess:
     """A file that threads and forked processes may read at the same time; it is closed with its last reference."""
 
-    size: int
-
     def __init__(self, path: Path) -> None:
         file = os.open(path, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
         self._file, self.size = file, os.fstat(file).st_size
@@ -76,11 +72,6 @@ class RandomAccess:
         if not 0 <= start <= self.size or size < 0:
             return b""
         return os.pread(self._file, size, start)
-
-
-def index_of(parts: dict[int, list[NDArray[np.int64]]]) -> dict[int, NDArray[np.int64]]:
-    """Join the parts of an index."""
-    return {number: np.concatenate(rows) for number, rows in parts.items()}
 
 
 def ros2_name(name: str) -> str:

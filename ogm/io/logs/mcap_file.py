@@ -11,12 +11,11 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.logs.chunks import Chunk, Chunks
-from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
+from ogm.io.logs.chunked import ChunkedFile
+from ogm.io.logs.chunks import Chunk
+from ogm.io.logs.files import Channel, Place, ros2_name
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits
-
-__all__ = ["MCAP_MAGIC", "McapFile"]
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX = range(2, 8)
@@ -29,7 +28,7 @@ _UNCHUNKED = -1
 _SMALL = 4096  # [byte] shorter messages of a chunk that is not packed are read without its checksum
 
 
-class McapFile:
+class McapFile(ChunkedFile):
     """An MCAP file; see `LogFile`.
 
     Parameters
@@ -38,26 +37,11 @@ class McapFile:
         It begins with `MCAP_MAGIC`.
     """
 
-    path: Path
-    index: dict[int, NDArray[np.int64]]
-    format: str
+    kind, channel_word = "MCAP", "channel"
 
     def __init__(self, path: Path) -> None:
-        self.path, self._file = path, RandomAccess(path)
-        self.channels: dict[int, Channel] = {}
-        self.warnings: list[str] = []
         self._schemas: dict[int, list[str]] = {}
-        self._chunks = Chunks(self._file)
-        self._parts: dict[int, list[NDArray[np.int64]]] = {}
-        self._noted = 0  # chunks whose messages are in the index
-        with open(path, "rb") as stream:
-            try:
-                self._walk(stream)
-                self._find_channels()
-            except (struct.error, ValueError, IndexError) as error:
-                self.warnings.append(f"{path} is damaged ({error}): only the messages before are read")
-        self.index = {number: rows for number, rows in index_of(self._parts).items() if number in self.channels}
-        self.format = f"MCAP ({self._chunks.packings})" if self._chunks.packings else "MCAP"
+        super().__init__(path)
 
     def read(self, place: Place, size: int | None = None) -> bytes | memoryview:
         """Return the message at a place, or its first bytes."""
@@ -90,7 +74,6 @@ class McapFile:
         return int(length - _SENT.size)
 
     def _walk(self, stream: BinaryIO) -> None:
-        """Go from record to record, over the contents of chunks."""
         pending: list[bytes] = []  # index records of the last chunk
         position, opcode = len(MCAP_MAGIC), 0
         while opcode != _FOOTER:
@@ -100,7 +83,7 @@ class McapFile:
             end = position + _RECORD.size + length
             if end > self._file.size or not opcode:
                 self._note_chunk([])  # some of its index records may be missing
-                self._rescue(stream, position, opcode)
+                self._end_cut(stream, position, opcode)
                 return
             if opcode == _MESSAGE_INDEX:
                 pending.append(stream.read(length))
@@ -116,7 +99,7 @@ class McapFile:
                 self._define(opcode, stream.read(length))
             position = end
 
-    def _rescue(self, stream: BinaryIO, position: int, opcode: int) -> None:
+    def _end_cut(self, stream: BinaryIO, position: int, opcode: int) -> None:
         """Take what is whole from the end of a cut file."""
         size = self._file.size
         damaged = not opcode and position < size - _RECORD.size
@@ -125,33 +108,15 @@ class McapFile:
             "are read. Was it recorded, or copied, to its end?"
         )
         if opcode == _CHUNK and size - position > _CHUNK_HEAD:
-            try:
-                self._chunks.append_cut(_chunk(stream))
-            except OgmError:
-                return
-            self._note_chunk([])
+            self._rescue(_chunk(stream))
 
-    def _note_chunk(self, records: list[bytes]) -> None:
-        """Note the messages of the last chunk: by its index records, or, without any, by its contents."""
-        number = len(self._chunks) - 1
-        if number < self._noted:
-            return
-        self._noted = number + 1
-        if not records:
-            self._look_into(number, messages=True)
-        for record in records:
-            (channel, _), pairs = struct.unpack_from("<HI", record), np.frombuffer(record, "<i8", offset=6)
-            rows = np.full((len(pairs) // 2, 3), number, np.int64)
-            rows[:, 0], rows[:, 2] = pairs[0::2], pairs[1::2]
-            self._note(channel, rows)
+    def _indexed(self, number: int, record: bytes) -> tuple[int, NDArray[np.int64]]:
+        (channel, _), pairs = struct.unpack_from("<HI", record), np.frombuffer(record, "<i8", offset=6)
+        rows = np.full((len(pairs) // 2, 3), number, np.int64)
+        rows[:, 0], rows[:, 2] = pairs[0::2], pairs[1::2]
+        return channel, rows
 
-    def _look_into(self, number: int, *, messages: bool) -> None:
-        """Take the schemas and channels of a chunk, and its messages."""
-        try:
-            data = self._chunks.data(number)
-        except OgmError as error:
-            self.warnings.append(f"{self.path}: {error}; its messages are lost")
-            return
+    def _walk_chunk(self, number: int, data: bytes, messages: bool) -> None:
         position = 0
         while position + _RECORD.size <= len(data):
             opcode, length = _RECORD.unpack_from(data, position)
@@ -165,10 +130,6 @@ class McapFile:
                 self._define(opcode, data[body:end])
             position = end
 
-    def _note(self, channel: int, rows: NDArray[np.int64]) -> None:
-        if len(rows):
-            self._parts.setdefault(channel, []).append(rows)
-
     def _define(self, opcode: int, record: bytes) -> None:
         """Take a schema or a channel."""
         number = struct.unpack_from("<H", record)[0]
@@ -179,18 +140,6 @@ class McapFile:
             topic, encoding = _strings(record, 4, 2)
             name = ros2_name(name) if encoding in ("cdr", "ros1") else name
             self.channels[number] = Channel(topic, name, encoding, text, form)
-
-    def _find_channels(self) -> None:
-        """Look into chunks for channels that the end of the file does not repeat, or that went with it."""
-        first = sorted({int(rows[0][0, 1]) for number, rows in self._parts.items() if number not in self.channels})
-        for number in (*first, *range(len(self._chunks))):
-            if self._parts.keys() <= self.channels.keys():
-                return
-            if number != _UNCHUNKED:
-                self._look_into(number, messages=False)
-        for number in self._parts.keys() - self.channels.keys():
-            count = sum(map(len, self._parts[number]))
-            self.warnings.append(f"{self.path}: {count} messages are of channel {number}, which is nowhere defined")
 
 
 def _chunk(stream: BinaryIO) -> Chunk:

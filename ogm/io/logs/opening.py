@@ -12,8 +12,6 @@ from ogm.io.logs.mcap_file import MCAP_MAGIC, McapFile
 from ogm.io.logs.reader import LogReader
 from ogm.storage.files import OgmError
 
-__all__ = ["LOG_ENDINGS", "log_files", "open_log"]
-
 LOG_ENDINGS = (".mcap", ".db3", ".bag")
 _KINDS: dict[bytes, Callable[[Path], LogFile]] = {MCAP_MAGIC: McapFile, DB3_MAGIC: Db3File, BAG_MAGIC: BagFile}
 

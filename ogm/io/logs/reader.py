@@ -10,9 +10,7 @@ import numpy as np
 
 from ogm.io.logs.definitions import decode
 from ogm.io.logs.files import Channel, LogFile
-from ogm.storage.files import OgmError
-
-__all__ = ["LogMessage", "LogReader", "MessageHead", "MessageRef", "TopicFacts"]
+from ogm.storage.files import OgmError, error_context
 
 _ROWS = 10_000  # of the index that become objects at once
 _HEAD = 512  # [byte] in which the header of a message ends, if its frame has a name of usual length
@@ -87,10 +85,8 @@ class LogMessage:
         OgmError
             If it is no ROS message, its type is not known, or it is damaged.
         """
-        try:
+        with error_context(f"a message of {self.topic} cannot be read", OgmError):
             return decode(self.channel, self.raw)
-        except OgmError as error:
-            raise OgmError(f"a message of {self.topic} cannot be read: {error}") from error
 
 
 class LogReader:
@@ -107,11 +103,6 @@ class LogReader:
     warnings : list of str
         What is damaged or missing; reading may add some.
     """
-
-    paths: tuple[Path, ...]
-    format: str
-    warnings: list[str]
-    topics: dict[str, TopicFacts]
 
     def __init__(self, paths: Sequence[Path], files: Sequence[LogFile]) -> None:
         self.paths, self._files = tuple(paths), list(files)

@@ -5,6 +5,7 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
@@ -13,9 +14,8 @@ from ogm.io.logs.definitions import message_types
 from ogm.io.logs.opening import LOG_ENDINGS
 from ogm.io.messages.plain import ros_stamp
 from ogm.io.reading import optional
-from ogm.storage.files import OgmError, atomic_write, naming, temporary_folder
-
-__all__ = ["LogWriter"]
+from ogm.storage.files import OgmError, atomic_write, naming
+from ogm.storage.whole_path import whole_path
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _TRANSIENT_LOCAL = (  # what a topic that is kept for late subscribers has in a ROS 2 log
@@ -52,8 +52,6 @@ class LogWriter:
     ...     log.write("/map", "nav_msgs/msg/OccupancyGrid", occupancy_grid(grid, frame_id="map"), stamp)
     """
 
-    path: Path
-
     def __init__(self, path: str | os.PathLike[str], compression: str = "") -> None:
         self.path, self._compression = Path(path), compression
         ending = self.path.suffix.lower()
@@ -69,7 +67,7 @@ class LogWriter:
         self._write: Write | None = None
 
     def __enter__(self) -> Self:
-        begin = {".mcap": self._begin_mcap, ".db3": self._begin_db3, ".bag": self._begin_bag}[self._ending]
+        begin = self._begin_mcap if self._ending == ".mcap" else self._begin_rosbag
         with self._explained(), ExitStack() as stack:
             self._write = begin(stack)
             self._stack = stack.pop_all()
@@ -153,59 +151,41 @@ class LogWriter:
 
         return write
 
-    def _begin_db3(self, stack: ExitStack) -> Write:
+    def _begin_rosbag(self, stack: ExitStack) -> Write:
+        """Begin a bag of ROS 1 (``.bag``) or ROS 2 (``.db3``)."""
         optional("rosbags", self.path, "ros", "written")
-        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags import rosbag1, rosbag2
         from rosbags.rosbag2.metadata import parse_qos
 
-        folder = stack.enter_context(temporary_folder(self.path.parent)) / self.path.stem
-        self._move_at_end(stack, folder / f"{folder.name}.db3")
-        writer = stack.enter_context(Writer(folder, version=8, storage_plugin=StoragePlugin.SQLITE3))
-        connections: dict[tuple[str, str], Any] = {}
-
-        def write(topic: str, name: str, message: Any, time: int) -> None:
-            data = self._serialized(topic, name, message, 2)
-            if (topic, name) not in connections:
-                qos = parse_qos(_TRANSIENT_LOCAL) if _is_latched(topic, name) else []
-                connections[topic, name] = writer.add_connection(
-                    topic, name, typestore=message_types(2), offered_qos_profiles=qos
-                )
-            writer.write(connections[topic, name], time, data)
-
-        return write
-
-    def _begin_bag(self, stack: ExitStack) -> Write:
-        optional("rosbags", self.path, "ros", "written")
-        from rosbags.rosbag1 import Writer
-
-        path = stack.enter_context(temporary_folder(self.path.parent)) / self.path.name
-        self._move_at_end(stack, path)
-        writer = Writer(path)
-        stack.callback(_close, writer)
+        ros: int = 1 if self._ending == ".bag" else 2
+        writer: Any
+        path = stack.enter_context(whole_path(self.path))
+        if ros == 1:
+            writer = rosbag1.Writer(path)
+            stack.callback(_close, writer)
+        else:
+            folder = path.with_suffix("")
+            stack.push(partial(_move, folder / f"{folder.name}.db3", path))
+            writer = rosbag2.Writer(folder, version=8, storage_plugin=rosbag2.StoragePlugin.SQLITE3)
         stack.enter_context(writer)
         connections: dict[tuple[str, str], Any] = {}
 
         def write(topic: str, name: str, message: Any, time: int) -> None:
-            data = self._serialized(topic, name, message, 1)
+            data = self._serialized(topic, name, message, ros)
             if (topic, name) not in connections:
-                latching = int(_is_latched(topic, name))
-                connections[topic, name] = writer.add_connection(
-                    topic, name, typestore=message_types(1), latching=latching
-                )
+                latched = _is_latched(topic, name)
+                profiles = {"offered_qos_profiles": parse_qos(_TRANSIENT_LOCAL) if latched else []}
+                facts: Any = {"latching": int(latched)} if ros == 1 else profiles
+                connections[topic, name] = writer.add_connection(topic, name, typestore=message_types(ros), **facts)
             writer.write(connections[topic, name], time, data)
 
         return write
 
-    def _move_at_end(self, stack: ExitStack, written: Path) -> None:
-        """Give a file its name when all of it is written."""
 
-        def move(kind: Any, *_: object) -> None:
-            if kind is None:
-                with open(written, "rb") as file:
-                    os.fsync(file.fileno())
-                os.replace(written, self.path)
-
-        stack.push(move)
+def _move(written: Path, path: Path, kind: Any, *_: object) -> None:
+    """Move a file if nothing failed."""
+    if kind is None:
+        os.replace(written, path)
 
 
 def _close(writer: Any) -> None:

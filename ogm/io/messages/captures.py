@@ -13,8 +13,6 @@ from ogm.pose import check_stamp
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["scans_from_pcap"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 _MOST = 20_000  # packets of one turn: that of the largest sensor has some 2500

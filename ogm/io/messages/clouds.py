@@ -13,8 +13,6 @@ from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["point_cloud2", "scan_from_point_cloud2"]
-
 # sensor_msgs/PointField.datatype; from 9 on only in releases of ROS 2 since 2025
 _TYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8", "i8", "u8", "u1"), start=1))
 _CODES = {np.dtype(np.float32): 7, np.dtype(np.uint16): 4}

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["fill_message"]
-
 
 def fill_message(message: Any, plain: SimpleNamespace) -> Any:
     """Copy a plain message into one of rclpy or rospy.

@@ -14,9 +14,7 @@ from ogm.io.messages.plain import as_bytes, reads_message, ros_stamp
 from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.io.reading import optional
 from ogm.plot.colours import colours
-from ogm.storage.files import OgmError
-
-__all__ = ["foxglove_grid", "grid_from_foxglove_grid"]
+from ogm.storage.files import OgmError, error_context
 
 _COLOURS = ("red", "green", "blue", "alpha")
 _TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}  # foxglove.PackedElementField
@@ -140,7 +138,5 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
             raise OgmError(f"{where} has a field {name} that is no float of its cells: it is damaged")
         layers[name] = np.ndarray((ny, nx), kind, data, offset, (row, cell)).T
     origin, T = split_corner(transform_of_pose(message.pose, where))
-    try:
+    with error_context(f"{where} has fields that are no masses"):
         return grid_from_layers(LayeredGrid(spec_of(side, (nx, ny), origin, where), layers)), T
-    except ValueError as error:
-        raise OgmError(f"{where} has fields that are no masses: {error}") from error

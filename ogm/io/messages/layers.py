@@ -14,9 +14,7 @@ from ogm.io.messages.occupancy import corner_pose, spec_of, split_corner
 from ogm.io.messages.plain import describe_message, header, reads_message
 from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.pose import pose
-from ogm.storage.files import OgmError
-
-__all__ = ["grid_from_grid_map", "grid_map", "layers_from_grid_map"]
+from ogm.storage.files import OgmError, error_context
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -115,10 +113,8 @@ def grid_from_grid_map(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
             "free and occupied; layers_from_grid_map returns what it holds"
         ) from error
     layered, T = layers_from_grid_map(message)
-    try:
+    with error_context(f"{where} has layers that are no masses"):
         return grid_from_layers(layered, nan_is_unknown=True), T
-    except ValueError as error:
-        raise OgmError(f"{where} has layers that are no masses: {error}") from error
 
 
 @reads_message

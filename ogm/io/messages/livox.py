@@ -12,8 +12,6 @@ from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["scan_from_livox"]
-
 _SAME_CLOCK = 10.0  # [s] between the header's stamp and the time base
 _POINT = [
     ("offset_time", "u4"),

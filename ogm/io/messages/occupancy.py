@@ -11,16 +11,7 @@ from ogm.io.messages.plain import describe_message, header, reads_message, ros_s
 from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.pose import check_pose, inverse, pose
 from ogm.state import CellState, predict_state
-from ogm.storage.files import OgmError
-
-__all__ = [
-    "corner_pose",
-    "grid_from_occupancy_grid",
-    "mass_from_occupancy",
-    "occupancy_grid",
-    "occupancy_values",
-    "split_corner",
-]
+from ogm.storage.files import OgmError, error_context
 
 
 def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
@@ -132,7 +123,5 @@ def split_corner(T_frame_corner: NDArray[np.float64]) -> tuple[tuple[float, floa
 def spec_of(resolution: float, shape: tuple[int, int], origin: tuple[float, float], where: str) -> GridSpec:
     """Return the spec of a message's grid; a resolution in float32 becomes the shortest number that it stands for."""
     short = np.float32(resolution)
-    try:
+    with error_context(f"{where} has no cells"):
         return GridSpec(float(str(short)) if short == resolution else float(resolution), shape, origin)
-    except ValueError as error:
-        raise OgmError(f"{where} has no cells: {error}") from error

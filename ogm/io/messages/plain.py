@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.pose import check_stamp
-from ogm.storage.files import OgmError
+from ogm.storage.files import OgmError, error_context
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-__all__ = ["as_bytes", "describe_message", "frame_of", "header", "reads_message", "ros_stamp", "stamp_seconds"]
 
 _LATEST = 2**31  # [s] at which the seconds of ROS 2 end
 
@@ -81,10 +79,8 @@ def reads_message(convert: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(convert)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
+        with error_context("a message is not as its type wants it", AttributeError):
             return convert(*args, **kwargs)
-        except AttributeError as error:
-            raise OgmError(f"a message is not as its type wants it: {error}") from error
 
     return checked
 

@@ -12,8 +12,6 @@ from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
 from ogm.pose import check_pose, matrix_to_quaternion
 
-__all__ = ["pose_message", "tf_message", "transform_from_odometry", "transform_of_pose", "transforms_from_tf"]
-
 
 @reads_message
 def transforms_from_tf(message: Any) -> list[StampedTransform]:
@@ -81,5 +79,4 @@ def transform_of_pose(placed: Any, where: str) -> NDArray[np.float64]:
 def _rigid(position: Any, q: Any, where: str) -> NDArray[np.float64]:
     """Return the transform (4, 4) of a position and a quaternion."""
     placed = np.array([[position.x, position.y, position.z]], np.float64)
-    T: NDArray[np.float64] = from_quaternions(placed, np.array([[q.x, q.y, q.z, q.w]], np.float64), lambda _: where)[0]
-    return T
+    return np.asarray(from_quaternions(placed, np.array([[q.x, q.y, q.z, q.w]], np.float64), lambda _: where)[0])

@@ -6,15 +6,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.io.formats.table import Table
 from ogm.io.messages.plain import describe_message, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
-from ogm.storage.files import OgmError
-
-__all__ = ["scan_from_continental", "scan_from_radar_scan"]
+from ogm.storage.files import OgmError, error_context
 
 _FIELDS = ("range", "azimuth", "elevation", "doppler_velocity")
 
@@ -40,13 +37,8 @@ def scan_from_radar_scan(message: Any) -> Scan:
     OgmError
         If it is no such message, or numbers are of no scan.
     """
-    where = describe_message(message, "RadarScan")
     rows = [[getattr(one, name) for name in _FIELDS] for one in message.returns]
-    distance, azimuth, elevation, doppler = _columns(rows, 4, where)
-    flat = distance * np.cos(elevation)
-    x, y, z = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
-    table = Table("RadarScan", {"x": x, "y": y, "z": z, "doppler": doppler}, fields=_FIELDS)
-    scan = scan_from_table(table, where, stamp=stamp_seconds(message.header.stamp))[0]
+    scan = _scan(message, "RadarScan", rows, ("doppler",))
     return replace(scan, rcs=np.full(len(scan), np.float32(np.nan)))
 
 
@@ -79,20 +71,19 @@ def scan_from_continental(message: Any) -> Scan:
     rows = [
         (one.range, one.azimuth_angle, getattr(one, "elevation_angle", 0.0), one.range_rate, one.rcs) for one in valid
     ]
-    distance, azimuth, elevation, doppler, rcs = _columns(rows, 5, where)
+    return _scan(message, "ContinentalDetectionList", rows, ("doppler", "rcs"))
+
+
+def _scan(message: Any, kind: str, rows: Sequence[Sequence[Any]], others: Sequence[str]) -> Scan:
+    """Return the scan of detections: range, azimuth and elevation of each, and other columns by their names."""
+    where = describe_message(message, kind)
+    with error_context(f"{where} has detections that are no numbers", TypeError, ValueError, OverflowError):
+        columns = np.array(rows, np.float64).reshape(-1, 3 + len(others)).T
+    distance, azimuth, elevation = columns[:3]
     flat = distance * np.cos(elevation)
-    x, y, z = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
-    columns = {"x": x, "y": y, "z": z, "doppler": doppler, "rcs": rcs}
-    table = Table("ContinentalDetectionList", columns, fields=tuple(columns))
+    xyz = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
+    table = Table(kind, dict(zip(("x", "y", "z", *others), (*xyz, *columns[3:]), strict=True)))
     return scan_from_table(table, where, stamp=stamp_seconds(message.header.stamp))[0]
-
-
-def _columns(rows: Sequence[Sequence[Any]], count: int, where: str) -> NDArray[np.float64]:
-    """Return the numbers of some detections as columns, (count, N)."""
-    try:
-        return np.array(rows, np.float64).reshape(-1, count).T
-    except (TypeError, ValueError, OverflowError) as error:
-        raise OgmError(f"{where} has detections that are no numbers: {error}") from error
 
 
 def _namespace(value: Any, levels: int = 4) -> Any:

@@ -16,9 +16,7 @@ from ogm.io.no_returns import directions_without_return
 from ogm.io.reading import optional
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
-from ogm.storage.files import OgmError
-
-__all__ = ["PACKET_BYTES", "VELODYNE_MODELS", "Packet", "VelodyneDecoder", "scan_from_velodyne_scan"]
+from ogm.storage.files import OgmError, error_context
 
 # Names of Velodynes, and those that velodyne-decoder has for them
 VELODYNE_MODELS = {
@@ -115,18 +113,13 @@ class VelodyneDecoder:
         What they are of, for errors.
     """
 
-    library: Any
-    config: Any
-
     def __init__(
         self, packets: Sequence[Packet], model: str | None, calibration: str | os.PathLike[str] | None, where: str
     ) -> None:
         self.library = optional("velodyne_decoder", Path(where), "ros")
         name = _model_of(packets, where) if model is None else _known_model(model)
-        try:
+        with error_context(f"{calibration} is no calibration of a Velodyne", Exception):
             angles = None if calibration is None else self.library.Calibration.read(str(calibration))
-        except Exception as error:
-            raise OgmError(f"{calibration} is no calibration of a Velodyne: {error}") from error
         if angles is None and name.startswith("HDL64E"):
             raise OgmError(f"{where} is of an HDL-64E, whose angles differ: give its calibration file as calibration")
         kind = getattr(self.library.Model, name)
@@ -138,11 +131,9 @@ class VelodyneDecoder:
     def scan(self, packets: Sequence[Packet], stamp: float, no_returns: bool, where: str) -> Scan:
         """Return the scan of some packets; its times count from `stamp`."""
         library = self.library
-        try:
+        with error_context(f"{where} has packets that do not decode", Exception):
             vector = library.PacketVector([library.VelodynePacket(*packet) for packet in packets])
             first, points = library.ScanDecoder(self.config).decode(vector)
-        except Exception as error:
-            raise OgmError(f"{where} has packets that do not decode: {error}") from error
         columns: dict[str, NDArray[Any]] = dict(zip(_COLUMNS, np.asarray(points, np.float32).T, strict=False))
         late = first.host - stamp
         columns["time"] = columns["time"].astype(np.float64) + (late if abs(late) <= _SAME_CLOCK else 0.0)

@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely import Polygon
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.recipe import Country
 from ogm.simulation.town.country import CountryBank, lay_fields, turn_rural
@@ -71,7 +71,7 @@ class Town:
     walkways: tuple[Floats, ...]
     loop: tuple[int, ...]
     counter_loop: tuple[int, ...]
-    height: NDArray[np.float32]
+    height: Floats32
     height_step: float
     corner: Floats
     districts: tuple[tuple[Polygon, str], ...]

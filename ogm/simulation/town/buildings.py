@@ -198,8 +198,7 @@ def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     z = high + rng.uniform(4.7, 5.4)
 
     def spot(s: float, t: float) -> Floats:
-        place: Floats = (1 - t) * ((1 - s) * p[0] + s * p[1]) + t * ((1 - s) * p[3] + s * p[2])
-        return place
+        return np.asarray((1 - t) * ((1 - s) * p[0] + s * p[1]) + t * ((1 - s) * p[3] + s * p[2]))
 
     deck_outline = Polygon([spot(0, 0.05), spot(1, 0.05), spot(1, 0.6), spot(0, 0.6)])
     parts = [roofs.flat(deck_outline, h, M.METAL_SHEET) for h in (z, z + 0.9)]

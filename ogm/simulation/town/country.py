@@ -19,8 +19,6 @@ from ogm.simulation.town.plants import grass_tufts
 from ogm.simulation.town.terrain import Raster, mask, raster
 from ogm.simulation.town.yard import Yard
 
-__all__ = ["CountryBank", "CountryField", "lay_fields", "plant_fields", "turn_rural"]
-
 STEP = 2.0  # [m] of the rasters of where a bank holds
 BLEND = 3.0  # [m] over which one bank passes into another
 LEAST = 0.7  # a bank's height varies along the road, down to this share
@@ -140,9 +138,6 @@ def lay_fields(plan: TownLayout, built: BaseGeometry, country: Country, rng: Gen
 
 class CountryBank:
     """Height of the land over the road's level, with the banks and ditches of fields."""
-
-    bank: HeightAt
-    fields: Sequence[CountryField]
 
     def __init__(self, bank: HeightAt, fields: Sequence[CountryField], plan: TownLayout, rng: Generator) -> None:
         self.bank, self.fields = bank, fields

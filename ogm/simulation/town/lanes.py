@@ -230,8 +230,7 @@ def _blend(start: Floats, end: Floats) -> Floats:
 
 def _ahead(line: Floats) -> Floats:
     step = line[-1] - line[-2]
-    unit: Floats = step / np.linalg.norm(step)
-    return unit
+    return np.asarray(step / np.linalg.norm(step))
 
 
 def _cubic(p: Floats, a: Floats, q: Floats, b: Floats) -> Floats:
@@ -240,8 +239,7 @@ def _cubic(p: Floats, a: Floats, q: Floats, b: Floats) -> Floats:
     handle = np.linalg.norm(q - p) * (2 / 3) / (1 + np.cos(angle / 2))
     t = np.linspace(0, 1, 33)[:, None]
     c, d = p + handle * a, q - handle * b
-    places: Floats = (1 - t) ** 3 * p + 3 * (1 - t) ** 2 * t * c + 3 * (1 - t) * t**2 * d + t**3 * q
-    return places
+    return np.asarray((1 - t) ** 3 * p + 3 * (1 - t) ** 2 * t * c + 3 * (1 - t) * t**2 * d + t**3 * q)
 
 
 def _comfortable(line: Floats) -> float:

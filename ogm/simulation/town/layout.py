@@ -58,8 +58,7 @@ class Drop(NamedTuple):
         dx, dy = x - self.at[0], y - self.at[1]
         along = abs(dx * self.along[0] + dy * self.along[1])
         across = abs(dx * self.along[1] - dy * self.along[0])
-        share: Floats = np.clip((self.half + 0.7 - along) / 0.7, 0, 1) * np.clip((2.2 - across) / 1.2, 0, 1)
-        return share
+        return np.asarray(np.clip((self.half + 0.7 - along) / 0.7, 0, 1) * np.clip((2.2 - across) / 1.2, 0, 1))
 
 
 class Block(NamedTuple):

@@ -58,13 +58,11 @@ class Lot(NamedTuple):
     @property
     def along(self) -> Floats:
         """Unit vector along the front."""
-        unit: Floats = (self.front[1] - self.front[0]) / self.width
-        return unit
+        return np.asarray((self.front[1] - self.front[0]) / self.width)
 
     def at(self, u: float, depth: float = 0.0) -> Floats:
         """Return x, y of a place so far along the front and behind it [m]."""
-        place: Floats = self.front[0] + self.along * u + depth * self.inward
-        return place
+        return np.asarray(self.front[0] + self.along * u + depth * self.inward)
 
 
 def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:

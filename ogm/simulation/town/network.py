@@ -107,14 +107,12 @@ class Street:
     def at(self, along: ArrayLike, left: ArrayLike = 0.0) -> Floats:
         """Points (..., 2) at a way from the start and an offset to the left [m]."""
         along, left = np.broadcast_arrays(np.asarray(along, float), np.asarray(left, float))
-        places: Floats = interpolated(along, self.along, self.line) + self.normal(along) * left[..., None]
-        return places
+        return np.asarray(interpolated(along, self.along, self.line) + self.normal(along) * left[..., None])
 
     def normal(self, along: ArrayLike) -> Floats:
         """Return unit vectors (..., 2) to the left at a way from the start."""
         normal = interpolated(np.asarray(along, float), self.along, self.normals)
-        unit: Floats = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-        return unit
+        return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
 
     def band(self, start: float, end: float, right: float, left: float) -> Polygon:
         """Return the strip from one way to another and between two offsets to the left [m]."""

@@ -72,7 +72,7 @@ def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
     top = middle + [0, 0, crown * (0.42 if kind.taper == 1.0 else 0.2)]
     knee = np.array([*(0.5 * middle[:2] + rng.normal(0, 0.05, 2)), bottom])
     line = np.array([[0, 0, -SUNK], [0, 0, 0.25], knee, top])
-    trunk = _stem(line, girth * np.array([1.5, 1.05, 0.85, 0.2]), 7)
+    trunk = loft(line[:, None] + girth * np.array([1.5, 1.05, 0.85, 0.2])[:, None, None] * _ring(7), M.BARK)
     tips = middle + _within_crown(rng, kind.clumps, kind.taper, shell=0.75) * [radius, radius, crown / 2]
     start = np.clip(rng.uniform(0.0, 0.6, len(tips)), 0, 1)[:, None]
     branches = _sticks(knee + start * (top - knee), tips, 0.3 * girth) if kind.taper < 1.0 else empty()
@@ -210,11 +210,6 @@ def _cards(rng: Generator, centers: Floats, size: Floats, lowest: float = -np.in
     corners = centers[:, None] + np.stack([-0.5 * u - 0.289 * v, 0.5 * u - 0.289 * v, 0.577 * v], axis=1)
     corners[..., 2] += np.maximum(lowest - corners[..., 2].min(axis=1), 0)[:, None]
     return triangles(corners, M.FOLIAGE)
-
-
-def _stem(line: Floats, radii: Floats, sides: int) -> Mesh:
-    """Make an upright tube along a line."""
-    return loft(line[:, None] + radii[:, None, None] * _ring(sides), M.BARK)
 
 
 def _ring(sides: int) -> Floats:

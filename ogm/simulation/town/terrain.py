@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.arrays import Floats, Floats32, HeightAt, Mask
 from ogm.simulation.town.layout import Drop, TownLayout
 
 CROWN = 0.025  # slope across a road, from its middle to the kerbs
@@ -28,7 +28,7 @@ STEEPEST = 0.068  # steepest grade of the hills; crown and bumps come on top
 class Raster:
     """A square array of values on points `corner` + `step` * (i, j)."""
 
-    values: NDArray[np.float32]
+    values: Floats32
     step: float
     corner: tuple[float, float]
 
@@ -91,7 +91,7 @@ class Terrain(NamedTuple):
         return self.road(x, y) + kerb + self.bank(x, y)
 
 
-def mask(shape: BaseGeometry, size: float, step: float) -> NDArray[np.bool_]:
+def mask(shape: BaseGeometry, size: float, step: float) -> Mask:
     """Which points of a raster from -size/2 to size/2 lie in a shape: (n, n) over x, y."""
     ticks = np.arange(int(round(size / step)) + 1) * step - size / 2
     result = np.zeros((len(ticks), len(ticks)), bool)

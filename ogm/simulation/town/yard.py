@@ -37,14 +37,6 @@ class Yard:
         Houses, driveways and places to park.
     """
 
-    height: Raster
-    rng: Generator
-    blocked: BaseGeometry
-    size: float
-    trees: list[Mesh]
-    tall: list[Mesh]
-    bushes: list[Mesh]
-
     def __init__(self, plan: TownLayout, houses: list[Polygon], height: Raster, rng: Generator) -> None:
         self.height, self.rng = height, rng
         self.meshes: list[Mesh] = []

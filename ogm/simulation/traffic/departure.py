@@ -5,9 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Mask
 from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import Town
 from ogm.simulation.traffic.bodies import Body, ego_body
@@ -125,7 +124,7 @@ def _bodies(kind: str, fleet: Fleet, rng: Generator) -> tuple[list[Body], float]
     return bodies, -0.6 if kind == "bicycle" else float(np.clip(rng.normal(0, 0.08), -0.15, 0.15))
 
 
-def _wander(town: Town, table: LaneTable, alive: NDArray[np.bool_], start: int, rng: Generator) -> list[int]:
+def _wander(town: Town, table: LaneTable, alive: Mask, start: int, rng: Generator) -> list[int]:
     """Return a route that turns at random for as long as the scenario lasts, and so does the fastest driver."""
     route, length = [start], float(table.length[start])
     while length < float(table.limit.max()) * (LAST + WARM_UP) + 200.0:

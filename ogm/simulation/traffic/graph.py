@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Floats32, Mask
 from ogm.simulation.town import Lane
 from ogm.simulation.traffic.paths import Lines, lines
 
@@ -54,13 +54,13 @@ class LaneTable(NamedTuple):
     limit: Floats
     first: NDArray[np.int64]
     length: Floats
-    guarded: NDArray[np.bool_]
+    guarded: Mask
     junction: NDArray[np.int64]
     phase: NDArray[np.int64]
-    blocked_until: NDArray[np.float32]
-    together_until: NDArray[np.float32]
+    blocked_until: Floats32
+    together_until: Floats32
     onward: NDArray[np.int64]
-    fork: NDArray[np.bool_]
+    fork: Mask
     most: NDArray[np.int64]
 
 
@@ -130,7 +130,7 @@ def _onward(lanes: Sequence[Lane]) -> NDArray[np.int64]:
     return onward
 
 
-def _conflicts(lanes: Sequence[Lane], along: list[Floats]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _conflicts(lanes: Sequence[Lane], along: list[Floats]) -> tuple[Floats32, Floats32]:
     """Return `LaneTable.blocked_until` and `LaneTable.together_until`."""
     count = len(lanes)
     blocked = np.full((count, count), -1, np.float32)
@@ -167,7 +167,7 @@ def _follows(lanes: Sequence[Lane], a: int, b: int) -> bool:
     )
 
 
-def drivable(lanes: Sequence[Lane]) -> NDArray[np.bool_]:
+def drivable(lanes: Sequence[Lane]) -> Mask:
     """Return which lanes lead on for ever without a turn on the spot (a dead end's head)."""
     alive = np.ones(len(lanes), bool)
     for number, lane in enumerate(lanes):

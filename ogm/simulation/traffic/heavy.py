@@ -10,11 +10,6 @@ from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads
 from ogm.simulation.traffic.bodies import Body, centered, plate, wheel
 
 
-def _outline(x: float, half: float, low: float, high: float, *, bevel: float = 0.12) -> Floats:
-    """Return an upright cross section with eight corners, bevelled at the top."""
-    return _mirrored(x, (half, half, half, half - bevel), (low, (low + high) / 2, high - bevel, high))
-
-
 def _mirrored(x: float | Floats, y: ArrayLike, z: ArrayLike) -> Floats:
     """Return a closed outline (8, 3) from the four corners on its left, the lowest first."""
     outline = np.empty((8, 3))
@@ -68,9 +63,8 @@ def _cab(front: float, length: float, half: float, height: float, paint: int) ->
 
 def _load(front: float, rear: float, half: float, height: float, cover: int) -> Mesh:
     """Make a box body or a tarpaulin over its frame, with the chassis, guards and bumper below."""
-    body = loft(
-        [_outline(x, half, 1.02, height, bevel=0.06) for x in (front, (front + rear) / 2, rear)], cover, caps=cover
-    )
+    y, z = (half, half, half, half - 0.06), (1.02, (1.02 + height) / 2, height - 0.06, height)
+    body = loft([_mirrored(x, y, z) for x in (front, (front + rear) / 2, rear)], cover, caps=cover)
     frame = box((rear + 0.1, -0.45, 0.72), (front - 0.05, 0.45, 1.0), M.METAL_SHEET)
     guards = [
         box((rear + 2.1, y - 0.02, 0.5), (front - 1.4, y + 0.02, 0.78), M.METAL_SHEET)

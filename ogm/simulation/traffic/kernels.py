@@ -1,10 +1,9 @@
 """One step of the traffic after another, compiled: how hard to accelerate, where to stop, who walks."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.jit import kernel
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Mask
 from ogm.simulation.traffic.graph import Crossings, LaneTable
 from ogm.simulation.traffic.permission import grant
 from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Record, Signals, Walkers
@@ -51,7 +50,7 @@ def _leaders(t: LaneTable, d: Drivers, gap: Floats, pace: Floats) -> None:
 
 
 @kernel
-def _zones(c: Crossings, d: Drivers, w: Walkers, barred: NDArray[np.bool_], stop: Floats) -> None:
+def _zones(c: Crossings, d: Drivers, w: Walkers, barred: Mask, stop: Floats) -> None:
     """Let vehicles stop before crossings in use, and bar crossings that a vehicle is on or cannot stop before."""
     for zone in range(len(barred)):
         barred[zone] = False
@@ -129,7 +128,7 @@ def _drive(t: LaneTable, d: Drivers, limits: DrivingLimits) -> None:
 
 
 @kernel
-def _walk(c: Crossings, w: Walkers, barred: NDArray[np.bool_], now: float) -> None:
+def _walk(c: Crossings, w: Walkers, barred: Mask, now: float) -> None:
     """Let pedestrians walk on, keep apart, and wait at crossings."""
     for p in range(len(w.w)):
         if w.resting[p] > 0:

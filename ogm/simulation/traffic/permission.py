@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.jit import kernel
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Mask
 from ogm.simulation.traffic.graph import LaneTable
 from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Signals
 
@@ -111,9 +111,7 @@ def grant(t: LaneTable, d: Drivers, s: Signals, now: float, limits: DrivingLimit
 
 
 @kernel
-def _request(
-    t: LaneTable, d: Drivers, s: Signals, i: int, now: float, limits: DrivingLimits, demand: NDArray[np.bool_]
-) -> int:
+def _request(t: LaneTable, d: Drivers, s: Signals, i: int, now: float, limits: DrivingLimits, demand: Mask) -> int:
     """Return the place in its route that vehicle i waits for, -1 for none; note its `demand` at signals."""
     limits.stop[i] = 1e9
     k: int = max(d.front[i], d.granted[i]) + 1
@@ -200,7 +198,7 @@ def _detour(t: LaneTable, d: Drivers, i: int, place: int) -> None:
 
 
 @kernel
-def _switch(s: Signals, demand: NDArray[np.bool_], now: float) -> None:
+def _switch(s: Signals, demand: Mask, now: float) -> None:
     """Change signals: green goes round to the next phase that a vehicle waits for."""
     for junction in range(len(s.phases)):
         phases = s.phases[junction]

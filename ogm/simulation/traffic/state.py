@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, Floats32
 
 STEP = 0.1  # [s]
 AHEAD = 14  # lanes of its route that a driver takes into account
@@ -99,9 +99,9 @@ class Walkers(NamedTuple):
 class Record(NamedTuple):
     """States before each of n steps: `Drivers.x` and `v` (n, V), `Walkers.w` (n, N); filled."""
 
-    x: NDArray[np.float64]
-    v: NDArray[np.float32]
-    w: NDArray[np.float32]
+    x: Floats
+    v: Floats32
+    w: Floats32
 
 
 class DrivingLimits(NamedTuple):

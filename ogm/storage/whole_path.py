@@ -1,4 +1,4 @@
-"""Files and folders that libraries write by name and that are either whole or not there; reasons of their errors."""
+"""Files and folders that libraries write by name and that are either whole or not there."""
 
 import ctypes
 import errno
@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ogm.storage.files import naming, temporary_folder
-
-__all__ = ["reason", "whole_path"]
 
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
@@ -54,8 +52,3 @@ def _replace_folder(written: Path, path: Path) -> None:
             return
         if ctypes.get_errno() != errno.ENOENT:  # which is that another process has just moved it: again
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(path))
-
-
-def reason(error: BaseException, path: Path) -> str:
-    """Return the text of a library's error without the path, which ours begins with."""
-    return str(error).replace(str(path), "it").replace(f"{path.name}: ", "") or type(error).__name__
