@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 from ogm import Boxes, EvidentialGrid, Frame
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import GridSpec
-from ogm.metrics import (
-    Detection,
-    MotionSums,
-    ObjectCells,
-    PredictionSums,
-    accumulate_motion,
-    accumulate_prediction,
-    detection_times,
-    distances,
-    object_cells,
-)  # fmt: skip
+from ogm.metrics import MotionSums, PredictionSums, accumulate_motion, accumulate_prediction, detection_times, distances
+from ogm.metrics.detection_time import Detection, ObjectCells, object_cells
 from ogm.metrics.motion import MOVING
 from ogm.state import Motion, Truth
 

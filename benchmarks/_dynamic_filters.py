@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from ogm import EvidentialGrid, GridSpec
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion import BinaryBayesMapper, DynamicMapper, DynamicSettings, EvidentialMapper
-from ogm.metrics import predicted_moving
+from ogm.fusion import BinaryBayesMapper, DynamicMapper, EvidentialMapper
+from ogm.fusion.dynamic.settings import DynamicSettings
+from ogm.metrics.motion import predicted_moving
 
 HYBRID, PLAIN, NUSS, NUSS_FEW = "hybrid, matching, 200k", "hybrid, 200k", "Nuss, 1M", "Nuss, 200k"
 CONFLICT, EVIDENTIAL, BAYES = "conflict layer", "EvidentialMapper", "classical Bayes"

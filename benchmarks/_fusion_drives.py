@@ -16,7 +16,8 @@ from scipy.ndimage import binary_dilation
 
 from ogm import Boxes, CellState, Frame, GridSpec
 from ogm.pose import pose
-from ogm.truth import TRUTH_SPEC, cells_in_boxes, count_returns
+from ogm.truth import TRUTH_SPEC, cells_in_boxes
+from ogm.truth.boxes import count_returns
 
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 WINDOW = GridSpec.centered(length=102.4, width=102.4, resolution=0.16)  # holds PAPER at any heading

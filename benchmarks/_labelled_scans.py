@@ -15,7 +15,7 @@ from ogm.io import estimate_sensor_height
 from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
 from ogm.io.semantic_kitti import SEMANTIC_KITTI_TRAINING
 from ogm.scan import Boxes
-from ogm.truth import boxes_over_points
+from ogm.truth.boxes import boxes_over_points
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 EGO = (2.5, 1.1)  # [m] |x|, |y| of the ego vehicle: returns in this box are dropped beforehand, as in RayISM

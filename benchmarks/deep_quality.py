@@ -43,7 +43,8 @@ from ogm.models.named import short_names
 from ogm.scan import run_model
 from ogm.simulation.store import Store
 from ogm.state import CellState, predict_state
-from ogm.truth import MIN_RETURNS, cells_in_boxes
+from ogm.truth import cells_in_boxes
+from ogm.truth.boxes import MIN_RETURNS
 
 PAPER = GridSpec.centered()
 MODELS = ("height-band", "height-band-released", "ray")

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ogm.fusion import deskew, extrapolate
+from ogm.fusion import deskew
+from ogm.fusion.ego.deskewing import extrapolate
 from ogm.pose import Trajectory, transform_points
 
 SEED, DRIVES = 61, (1, 3)  # of the town; sequences in it: through a bend, and straight on

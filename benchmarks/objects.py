@@ -28,10 +28,10 @@ from ogm import GridSpec
 from ogm.datasets import Dataset
 from ogm.datasets.truth import ABOVE_BOTTOM
 from ogm.evaluation import SingleScanMethod
-from ogm.metrics import object_kinds
-from ogm.metrics.motion import KINDS
+from ogm.metrics.motion import KINDS, object_kinds
 from ogm.scan import Boxes, run_model
-from ogm.truth import MIN_RETURNS, cells_in_boxes, count_returns
+from ogm.truth import cells_in_boxes
+from ogm.truth.boxes import MIN_RETURNS, count_returns
 
 SPEC = GridSpec.centered()
 MODELS = ("height-band", "ray", "lite", "combined")

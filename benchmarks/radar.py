@@ -40,7 +40,8 @@ from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
 from ogm.models import load_model
 from ogm.models.radar import radar_numbers
-from ogm.plot import dots_panel, mass_panel, show
+from ogm.plot import mass_panel, show
+from ogm.plot.points import dots_panel
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.mounts import PLACES
@@ -48,7 +49,7 @@ from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.preview import truth_panel
 from ogm.simulation.radar import Origin, RadarSweep, sweep
 from ogm.simulation.radars import RADARS, RadarSpec
-from ogm.simulation.traffic import ego_body
+from ogm.simulation.traffic.bodies import ego_body
 from ogm.state import CellState, Truth
 from ogm.storage.files import atomic_write
 from ogm.truth import TRUTH_SPEC

@@ -34,7 +34,8 @@ from ogm.simulation.radars import RADARS
 from ogm.simulation.survey import Known, aimed_truth
 from ogm.simulation.sweeps import sample_sweeps
 from ogm.state import CellState, Truth
-from ogm.truth import boxes_seen_from, cells_in_boxes
+from ogm.truth import cells_in_boxes
+from ogm.truth.boxes import boxes_seen_from
 
 FAR = GridSpec(0.16, (960, 352), (-40.96, -28.16))  # up to 112 m ahead
 WINDOW = GridSpec.centered(length=240.0, width=240.0, resolution=0.16)  # holds FAR at any heading

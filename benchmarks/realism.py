@@ -38,9 +38,10 @@ from ogm.simulation.sensors import LIDARS, LidarSpec
 from ogm.simulation.store import Store
 from ogm.simulation.survey import Known, aimed_truth
 from ogm.simulation.town import Town, build_town
-from ogm.simulation.traffic import Traffic, ego_vehicle
+from ogm.simulation.traffic.bodies import ego_vehicle
+from ogm.simulation.traffic.motion import Traffic
 from ogm.state import CellState
-from ogm.truth import boxes_seen_from
+from ogm.truth.boxes import boxes_seen_from
 
 SIDE_BY_SIDE = run.RUNS / "realism" / "side_by_side.png"
 FIRING = 55.296e-6  # [s] VLP-32C: from one firing of a laser to its next

@@ -34,7 +34,7 @@ from ogm.simulation.mounts import only  # noqa: E402
 from ogm.simulation.plan import DatasetPlan  # noqa: E402
 from ogm.simulation.sensors import hd_directions  # noqa: E402
 from ogm.simulation.store import Store  # noqa: E402
-from ogm.simulation.traffic import ego_vehicle  # noqa: E402
+from ogm.simulation.traffic.bodies import ego_vehicle
 
 CORES = (1, 2)
 NOTE = (

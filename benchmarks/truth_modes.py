@@ -30,7 +30,8 @@ from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS, hd_directions
 from ogm.simulation.survey import aimed_truth, hd_truth
 from ogm.simulation.town import build_town
-from ogm.simulation.traffic import Traffic, ego_vehicle
+from ogm.simulation.traffic.bodies import ego_vehicle
+from ogm.simulation.traffic.motion import Traffic
 from ogm.state import CellState, Truth
 from ogm.truth import TRUTH_SPEC
 

@@ -23,7 +23,7 @@ from ogm.state import Truth
 
 __all__ = [
     "Boxes", "Frame", "InverseSensorModel", "LazyFrame", "Mount", "Scan", "SensorModels", "as_scan", "mount_of",
-     "of_sensor", "run_model",
+    "of_sensor", "run_model",
 ]  # fmt: skip
 
 Value = TypeVar("Value")

@@ -182,7 +182,7 @@ def whole_report(out: Path) -> None:
 def whole_maps(out: Path) -> None:
     """Read maps."""
     from ogm.grid import GridSpec
-    from ogm.io.grids import read_placed_grid
+    from ogm.io.grids.files import read_placed_grid
 
     for path in out.glob("map.*"):
         if path.suffix in (".npz", ".mcap", ".db3", ".bag", ".tif", ".nc", ".zarr", ".yaml"):
@@ -232,7 +232,7 @@ def _timeless(name: str, path: Path) -> bytes:
 def _arrays(path: Path) -> Iterable[tuple[str, bytes]]:
     """Yield the arrays of a file that libraries write in more than one way."""
     if path.suffix == ".nc":
-        from ogm.io.grids import read_placed_grid
+        from ogm.io.grids.files import read_placed_grid
 
         yield "mass", read_placed_grid(path).grid.mass.tobytes()
         return

@@ -13,6 +13,8 @@ from test_cli_fuse import HEIGHT, WALL, kitti, scan_at
 from ogm import Boxes, DynamicGrid, EvidentialGrid, plot
 from ogm.fusion import DynamicMapper
 from ogm.io import read_any_grid, read_grid
+from ogm.plot.moving import moving_arrows, moving_groups
+from ogm.plot.panels import heading_colours
 from ogm.pose import inverse, pose, transform_points
 
 FRAMES, SPEED = 14, 4.0  # m/s to the left
@@ -51,9 +53,9 @@ def test_what_moves_has_its_velocity_and_what_stands_has_none(drive: tuple[objec
     assert np.nanmedian(grid.velocity[cells], axis=0) == pytest.approx([0, SPEED], abs=0.8)
     wall = grid.spec.index(WALL + 0.1, np.arange(-6.0, -3, 0.25))
     assert grid.static[wall].mean() > 0.8
-    arrows = plot.moving_arrows(grid)
+    arrows = moving_arrows(grid)
     assert np.hypot(*(arrows[:, 2:] - (0, SPEED)).T).min() < 1
-    moving = plot.moving_groups(grid)
+    moving = moving_groups(grid)
     assert f"{np.count_nonzero(moving)} cells in {moving.max()} groups" in result.output
 
 
@@ -67,7 +69,7 @@ def test_film_picture_and_page_show_it(drive: tuple[object, ...], tmp_path: Path
         last = np.asarray(read.convert("RGB")).astype(int)
     width = last.shape[1]
     third = last[60:-40, width // 2 + 4 : 3 * width // 4 - 60]
-    left = 255 * plot.heading_colours(np.array(np.pi / 2 - 0.02 * FRAMES))
+    left = 255 * heading_colours(np.array(np.pi / 2 - 0.02 * FRAMES))
     assert np.count_nonzero(np.abs(third - left).max(axis=-1) < 60) > 100
     text = page.read_text()
     assert all(f'"name":"{name}"' in text for name in ("motion", "velocity", "static", "dynamic", "conflict"))

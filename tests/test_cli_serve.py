@@ -21,7 +21,7 @@ from foxglove_client import Client, grid_fields
 from ogm import Scan
 from ogm.io.logs import LogWriter
 from ogm.io.messages import StampedTransform, point_cloud2, tf_message
-from ogm.live import frame_bytes
+from ogm.live.stream import frame_bytes
 from ogm.pose import inverse, pose, transform_points
 
 ROOT = Path(__file__).parents[1]

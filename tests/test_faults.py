@@ -16,7 +16,9 @@ from cases import each, refused
 
 from ogm.datasets import open_dataset
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import GridLog, PlacedGrid, write_grid
+from ogm.io.grids.files import write_grid
+from ogm.io.grids.logged import GridLog
+from ogm.io.grids.placed import PlacedGrid
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.messages import StampedTransform, tf_message
 from ogm.storage.files import OgmError

@@ -12,6 +12,7 @@ from PIL import Image
 
 from ogm import EvidentialGrid, GridSpec, plot
 from ogm.plot import movie
+from ogm.plot.panels import heading_colours
 
 SPEC = GridSpec(0.5, (48, 32), (-12.0, -8.0))
 TITLES = ("points", "measurement", "map", "conflict")
@@ -164,6 +165,6 @@ def test_films_have_arrows_and_the_colours_of_headings(tmp_path: Path) -> None:
     assert len(np.unique(moved[box], axis=0)) > 4 * (4 + 2) * pixels  # both colours of the outline
     assert (wheel | box).all()
     for heading in np.linspace(-np.pi, np.pi, 40):
-        colour = Image.new("RGB", (1, 1), tuple(np.round(255 * plot.heading_colours(np.array(heading))).astype(int)))
+        colour = Image.new("RGB", (1, 1), tuple(np.round(255 * heading_colours(np.array(heading))).astype(int)))
         nearest = np.asarray(movie._indexed(colour).convert("RGB"))[0, 0].astype(int)
         assert np.abs(nearest - np.asarray(colour)[0, 0]).max() < 20

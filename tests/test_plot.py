@@ -10,6 +10,9 @@ from moving import SPEC as MOVING
 from moving import street
 
 from ogm import Boxes, DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, plot, read_scan
+from ogm.plot.moving import heading_wheel, moving_arrows, moving_groups
+from ogm.plot.panels import colour_bytes, heading_colours
+from ogm.plot.points import BEHIND_POINTS, HIGHEST, LOWEST, dots_panel, height_colours
 
 SPEC = GridSpec(1.0, (7, 5), (-2.0, -2.0))
 
@@ -52,8 +55,8 @@ def test_conflict_shows_what_appeared_and_what_went_away() -> None:
     went_away[SPEC.index(-1.5, -1.5)] = 0.5  # behind, right
     layers = {"free_to_occupied": appeared, "occupied_to_free": went_away}
     panel = plot.conflict_panel(LayeredGrid(SPEC, layers))
-    assert panel.image[0, 1].tolist() == plot.colour_bytes(np.array(panel.legend["appeared"])).tolist()
-    assert panel.image[6, 4].tolist() == plot.colour_bytes(np.array(panel.legend["went away"]) / 2).tolist()
+    assert panel.image[0, 1].tolist() == colour_bytes(np.array(panel.legend["appeared"])).tolist()
+    assert panel.image[6, 4].tolist() == colour_bytes(np.array(panel.legend["went away"]) / 2).tolist()
     assert np.count_nonzero(panel.image.any(axis=-1)) == 2
     with pytest.raises(KeyError, match="no layer 'occupied_to_free'"):
         plot.conflict_panel(LayeredGrid(SPEC, {"free_to_occupied": appeared}))
@@ -133,7 +136,7 @@ def test_cells_and_dots_put_front_up_and_left_left_and_show_the_highest() -> Non
     assert image[0, 0].tolist() == [255, 0, 0]
     assert np.count_nonzero(image) == 1
     xyz = np.array([[1.9, 0.9, 2.0], [1.9, 0.9, 1.0], [9.0, 0.0, 5.0]])
-    image = plot.dots_panel(xyz, np.eye(3), spec, "", {}).image
+    image = dots_panel(xyz, np.eye(3), spec, "", {}).image
     assert image.shape == (8, 4, 3)
     assert image[0, 0].tolist() == [255, 0, 0]  # the higher of the two; the third is outside
     assert (image.reshape(-1, 3)[1:] == image[1, 1]).all()
@@ -146,14 +149,14 @@ def luminance(colours: np.ndarray) -> np.ndarray:
 
 
 def contrast(colours: np.ndarray) -> np.ndarray:
-    return (luminance(colours) + 0.05) / (luminance(np.array(plot.BEHIND_POINTS)) + 0.05)
+    return (luminance(colours) + 0.05) / (luminance(np.array(BEHIND_POINTS)) + 0.05)
 
 
 def test_points_of_every_height_stand_out_from_what_is_behind_them() -> None:
     heights = np.linspace(-5, 9, 500)
-    colours = plot.height_colours(heights)
+    colours = height_colours(heights)
     assert contrast(colours).min() > 4.45
-    inside = colours[(heights > plot.LOWEST) & (heights < plot.HIGHEST)]
+    inside = colours[(heights > LOWEST) & (heights < HIGHEST)]
     assert len(np.unique(inside.round(3), axis=0)) > 100  # and they tell heights apart
 
 
@@ -199,14 +202,14 @@ def test_the_ground_is_found_below_what_stands_on_it() -> None:
 def test_wide_dots_cover_no_others() -> None:
     spec = GridSpec(1.0, (3, 3), (0.0, 0.0))
     xyz, colours = np.array([[1.25, 1.25, 0], [1.75, 1.25, 1]]), np.eye(3)[:2]
-    image = plot.dots_panel(xyz, colours, spec, "", {}, width=3).image
+    image = dots_panel(xyz, colours, spec, "", {}, width=3).image
     row, column = 6 - 1 - 2, 6 - 1 - 2  # of the first point
     assert image[row, column].tolist() == [255, 0, 0]
     assert image[row - 1, column].tolist() == [0, 255, 0]
     lit = np.argwhere(image.max(-1) > 200)
     assert (lit.min(axis=0).tolist(), lit.max(axis=0).tolist()) == ([1, 2], [4, 4])
     assert len(lit) == 4 * 3
-    assert np.count_nonzero(plot.dots_panel(xyz, colours, spec, "", {}).image.max(-1) > 200) == 2
+    assert np.count_nonzero(dots_panel(xyz, colours, spec, "", {}).image.max(-1) > 200) == 2
 
 
 def test_layers_are_shown_from_lowest_to_highest_and_grey_without_a_value() -> None:
@@ -216,7 +219,7 @@ def test_layers_are_shown_from_lowest_to_highest_and_grey_without_a_value() -> N
     assert panel.title == "height"
     assert list(panel.legend) == ["-2", "1", "4", "no value"]
     for cell, name in (((0, 0), "-2"), ((0, 1), "4"), ((1, 0), "1"), ((6, 0), "no value")):
-        assert panel.image[cell].tolist() == plot.colour_bytes(np.array(panel.legend[name])).tolist()
+        assert panel.image[cell].tolist() == colour_bytes(np.array(panel.legend[name])).tolist()
     flat = plot.layer_panel(LayeredGrid(SPEC, {"height": np.ones(SPEC.shape)}), "height")
     assert list(flat.legend) == ["1", "no value"]
     assert list(plot.layer_panel(LayeredGrid(SPEC, {"h": numbers * np.nan}), "h").legend) == ["no value"]
@@ -245,7 +248,7 @@ def test_a_dynamic_grid_is_grey_where_it_stands_and_coloured_where_it_moves() ->
     assert np.abs(cells[at(0.0, 0.0)] - round(255 * 0.9)).max() <= 1  # free 0.8
     assert cells[at(0.0, 7.5)].max() <= 13  # static 0.9
     for place, heading in (((9.0, 1.0), 0.0), ((9.0, 3.0), np.pi), ((-10.75, 0.25), np.arctan2(0.15, 2.85))):
-        wanted = 255 * (0.8 * plot.heading_colours(np.array(heading)) + 0.05)
+        wanted = 255 * (0.8 * heading_colours(np.array(heading)) + 0.05)
         assert np.abs(cells[at(*place)] - wanted).max() <= 2, place
     assert panel.wheel
     assert list(panel.legend) == ["static", "free", "unknown"]
@@ -253,9 +256,9 @@ def test_a_dynamic_grid_is_grey_where_it_stands_and_coloured_where_it_moves() ->
 
 def test_each_moving_group_has_one_arrow_as_long_as_its_way() -> None:
     """Two vehicles side by side in opposite directions are two groups, one that turns is one."""
-    arrows = plot.moving_arrows(street(), seconds=0.5)
+    arrows = moving_arrows(street(), seconds=0.5)
     np.testing.assert_allclose(arrows, [[-9, 0, 1.5, 0.6], [9, 1, 4, 0], [9, 3, -3, 0]], atol=1e-6)
-    groups = plot.moving_groups(street())
+    groups = moving_groups(street())
     assert groups.max() == 3
     assert (groups > 0).sum() == 3 * 32
     with pytest.raises(ValueError, match="seconds of the arrows must be 0 or more, got -1"):
@@ -269,7 +272,7 @@ def test_groups_are_those_of_a_search_from_cell_to_cell() -> None:
     velocity = rng.choice([-4.0, 0.5, 3.0], (*spec.shape, 2)).astype(np.float32)
     velocity[5:7, 5:9] = np.nan
     grid = DynamicGrid(spec, mass, velocity, np.zeros((*spec.shape, 2, 2), np.float32))
-    found = plot.moving_groups(grid)
+    found = moving_groups(grid)
     wanted, count = np.zeros(spec.shape, int), 0
     moving = (mass[..., 1:].sum(-1) > 0.5) & (mass[..., 2] > mass[..., 1]) & ~np.isnan(velocity[..., 0])
     for start in zip(*np.nonzero(moving), strict=True):
@@ -294,21 +297,21 @@ def test_groups_are_those_of_a_search_from_cell_to_cell() -> None:
 def test_nothing_that_stands_or_is_slow_or_small_has_an_arrow() -> None:
     grid = street()
     stands = DynamicGrid(MOVING, grid.mass, grid.velocity * 0.01, grid.covariance)
-    assert plot.moving_arrows(stands).shape == (0, 4)
+    assert moving_arrows(stands).shape == (0, 4)
     one = grid.mass.copy()
-    one[..., 2][plot.moving_groups(grid) > 1] = 0
+    one[..., 2][moving_groups(grid) > 1] = 0
     one[..., 2][MOVING.index(9.0, 1.0)] = 0.8
-    assert len(plot.moving_arrows(DynamicGrid(MOVING, one, grid.velocity, grid.covariance))) == 1
+    assert len(moving_arrows(DynamicGrid(MOVING, one, grid.velocity, grid.covariance))) == 1
     nothing = DynamicGrid(MOVING, grid.mass * 0, grid.velocity, grid.covariance)
-    assert plot.moving_arrows(nothing).shape == (0, 4)
+    assert moving_arrows(nothing).shape == (0, 4)
     assert (plot.dynamic_panel(nothing).image == 128).all()
 
 
 def test_the_wheel_has_forward_up_and_left_left() -> None:
-    wheel = plot.heading_wheel(60)
+    wheel = heading_wheel(60)
     for place, heading in (((3, 30), 0.0), ((30, 3), np.pi / 2), ((56, 30), np.pi), ((30, 56), -np.pi / 2)):
         assert wheel[(*place, 3)] == 255
-        assert np.abs(wheel[place][:3] - 255 * plot.heading_colours(np.array(heading))).max() < 12
+        assert np.abs(wheel[place][:3] - 255 * heading_colours(np.array(heading))).max() < 12
     assert wheel[0, 0, 3] == wheel[30, 30, 3] == 0
 
 

@@ -17,6 +17,7 @@ from moving import street
 from PIL import Image
 
 from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, Scan, open_dataset, plot
+from ogm.plot.panels import APPEARED, CONFLICT_LAYERS, NO_VALUE, colour_bytes, heading_colours
 
 SPEC = GridSpec(1.0, (7, 5), (-2.0, -2.0))
 
@@ -106,16 +107,16 @@ def test_layers_are_shown_side_by_side_and_conflict_as_one() -> None:
     layers["height"][:150] = np.nan
     image = pixels(LayeredGrid(spec, layers)._repr_png_())
     assert image.shape == (300, 4 * 300 + 3 * 6, 3)
-    assert image[299, 0].tolist() == plot.colour_bytes(np.array(plot.NO_VALUE)).tolist()  # behind is below
+    assert image[299, 0].tolist() == colour_bytes(np.array(NO_VALUE)).tolist()  # behind is below
     assert image[0, 0].tolist() != image[299, 0].tolist()
     text = " ".join(Checked(LayeredGrid(spec, layers)._repr_html_()).texts)
     assert "0 … 0, 50.0 % of the cells" in text
     assert "and_more 4 … 4" in text
-    conflict = {name: np.zeros(spec.shape) for name in plot.CONFLICT_LAYERS}
+    conflict = {name: np.zeros(spec.shape) for name in CONFLICT_LAYERS}
     conflict["free_to_occupied"][299, 299] = 1
     image = pixels(LayeredGrid(spec, conflict)._repr_png_())
     assert image.shape == (300, 300, 3)
-    assert np.abs(image[0, 0] - 255 * np.array(plot.APPEARED)).max() <= 1
+    assert np.abs(image[0, 0] - 255 * np.array(APPEARED)).max() <= 1
     empty = LayeredGrid(spec, {})
     assert empty._repr_png_() is None
     assert "300 x 300" in " ".join(Checked(empty._repr_html_()).texts)
@@ -204,5 +205,5 @@ def test_a_large_dynamic_grid_becomes_a_small_picture_that_keeps_what_moves() ->
     grid = DynamicGrid(spec, mass, velocity, np.zeros((*spec.shape, 2, 2), np.float32))
     image = pixels(grid._repr_png_())
     assert max(image.shape) <= 520
-    assert np.abs(image[0, 0] - 255 * plot.heading_colours(np.array(np.pi / 2))).max() <= 1
+    assert np.abs(image[0, 0] - 255 * heading_colours(np.array(np.pi / 2))).max() <= 1
     assert (image.reshape(-1, 3)[1:] >= 200).all()

@@ -13,20 +13,10 @@ from ogm import GridSpec
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
 from ogm.state import PARTICIPANT, CellState, Truth
-from ogm.truth import (
-    HEIGHT_LIMITS,
-    TRUTH_SPEC,
-    Kind,
-    boxes_seen_from,
-    cells_in_boxes,
-    cells_in_footprint,
-    count_returns,
-    finalize_truth,
-    height_above_ground,
-    observe_points,
-    rays,
-    truth_from_points,
-)
+from ogm.truth import HEIGHT_LIMITS, TRUTH_SPEC, Kind, cells_in_boxes, rays, truth_from_points
+from ogm.truth.boxes import boxes_seen_from, cells_in_footprint, count_returns
+from ogm.truth.observe import observe_points
+from ogm.truth.points import finalize_truth, height_above_ground
 from ogm.truth.rays import observe_rays
 
 UNKNOWN, FREE, OCCUPIED, IGNORE = CellState

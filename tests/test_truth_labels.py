@@ -10,19 +10,11 @@ from ogm import GridSpec
 from ogm.pose import inverse, pose, transform_points
 from ogm.scan import Boxes
 from ogm.state import CellState, Truth
-from ogm.truth import (
-    boxes_over_points,
-    cells_in_areas,
-    cells_in_boxes,
-    combine_truths,
-    contradicted,
-    count_returns,
-    ignore_cells,
-    moving_tracks,
-    truth_from_boxes,
-    truth_from_road,
-    truth_from_scans,
-)
+from ogm.truth import cells_in_boxes, combine_truths, truth_from_boxes, truth_from_road, truth_from_scans
+from ogm.truth.boxes import boxes_over_points, count_returns, moving_tracks
+from ogm.truth.combine import ignore_cells
+from ogm.truth.road import cells_in_areas
+from ogm.truth.scans import contradicted
 
 UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
 

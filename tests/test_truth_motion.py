@@ -14,7 +14,9 @@ from ogm import GridSpec, Motion, Truth
 from ogm.pose import pose
 from ogm.scan import Boxes
 from ogm.state import LazyTruth
-from ogm.truth import ignore_cells, motion_of_boxes, track_motion
+from ogm.truth import motion_of_boxes
+from ogm.truth.combine import ignore_cells
+from ogm.truth.motion import track_motion
 
 SPEC = GridSpec(0.2, (60, 50), (-6.0, -5.0))
 STAMPS = [0.1 * k for k in range(10)]

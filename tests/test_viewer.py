@@ -18,7 +18,9 @@ from typer.testing import CliRunner
 
 from ogm import EvidentialGrid, GridSpec, LayeredGrid, plot
 from ogm.cli import app
+from ogm.plot.moving import moving_arrows
 from ogm.plot.overview import halve_mass, mass_to_bytes
+from ogm.plot.panels import CONFLICT_LAYERS, VELOCITY_LAYERS
 from ogm.plot.viewer import TILE, write_view
 from ogm.state import CellState, predict_state
 
@@ -36,8 +38,8 @@ def drawn_grid(spec: GridSpec = SPEC, seed: int = 4) -> EvidentialGrid:
 
 def drawn_layers(spec: GridSpec = SPEC) -> LayeredGrid:
     rng = np.random.default_rng(5)
-    layers = {name: rng.uniform(0, 1, spec.shape) for name in plot.CONFLICT_LAYERS}
-    layers |= {name: rng.uniform(-9, 6, spec.shape) for name in plot.VELOCITY_LAYERS}
+    layers = {name: rng.uniform(0, 1, spec.shape) for name in CONFLICT_LAYERS}
+    layers |= {name: rng.uniform(-9, 6, spec.shape) for name in VELOCITY_LAYERS}
     layers["height"] = np.where(rng.random(spec.shape) < 0.5, np.nan, rng.uniform(-1, 4, spec.shape))
     return LayeredGrid(spec, layers)
 
@@ -268,9 +270,7 @@ def test_every_layer_has_the_colours_of_its_panel(shown: Page, grid: EvidentialG
         "unknown": plot.unknown_panel(grid),
         "probability": plot.probability_panel(grid),
         "state": plot.mass_panel(EvidentialGrid(SPEC, sure)),
-        "velocity": plot.velocity_panel(
-            layers, fastest=max(float(np.abs(layers[n]).max()) for n in plot.VELOCITY_LAYERS)
-        ),
+        "velocity": plot.velocity_panel(layers, fastest=max(float(np.abs(layers[n]).max()) for n in VELOCITY_LAYERS)),
         "conflict": plot.conflict_panel(layers),
         "height": plot.layer_panel(layers, "height"),
     }
@@ -490,7 +490,7 @@ def test_the_page_of_a_dynamic_grid_holds_what_moves(tmp_path: Path) -> None:
     names = [one["name"] for one in page.data["layers"]]
     assert names[0] == "motion"
     assert {"belief", "state", "velocity", "speed", "static", "dynamic", "velocity_covariance_xy"} < set(names)
-    assert np.allclose(page.data["layers"][0]["arrows"], plot.moving_arrows(grid), atol=1e-3)
+    assert np.allclose(page.data["layers"][0]["arrows"], moving_arrows(grid), atol=1e-3)
     number = next(k for k, one in enumerate(page.data["stored"]) if one["names"] == ["velocity_x", "velocity_y"])
     one, cells = page.data["stored"][number], page.level(number, 0)[::-1, ::-1].astype(float)
     shown = np.where(cells < 1, np.nan, one["low"] + (cells - 1) * one["step"])

@@ -5,6 +5,6 @@
 >>> calibrate(open_dataset("data/", split="train"), "ray").save("ray.json")                        # doctest: +SKIP
 """
 
-from ogm.calibration.fit import BOUNDS, FITTED, calibrate
+from ogm.calibration.fit import calibrate
 
-__all__ = ["BOUNDS", "FITTED", "calibrate"]
+__all__ = ["calibrate"]

@@ -49,7 +49,7 @@ def convert(
     """
     from dataclasses import replace
 
-    from ogm.io.grids import check_grid_output, read_placed_grid, write_grid
+    from ogm.io.grids.files import check_grid_output, read_placed_grid, write_grid
     from ogm.pose import pose as pose_of
 
     check_grid_output(out, mode=mode, message=message, crs=crs)  # type: ignore[arg-type]

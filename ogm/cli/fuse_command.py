@@ -136,7 +136,7 @@ def fuse(
 
     from ogm.datasets import open_dataset
     from ogm.grid import GridSpec
-    from ogm.io.grids import check_grid_output
+    from ogm.io.grids.files import check_grid_output
     from ogm.models.named import describe_model
     from ogm.workflows import FuseInto, FuseOptions, Outputs, drives_of, fuse_drive
 

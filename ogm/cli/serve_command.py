@@ -76,8 +76,9 @@ def serve(
     from ogm.datasets import open_dataset
     from ogm.fusion import make_mapper, rolling_window
     from ogm.grid import GridSpec
-    from ogm.live import FoxglovePublisher, receive_frames, return_large_blocks, warm_up
+    from ogm.live import FoxglovePublisher, receive_frames, warm_up
     from ogm.live import serve as served
+    from ogm.live.memory import return_large_blocks
     from ogm.models.named import load_model, with_radar
     from ogm.scan import Mount
 

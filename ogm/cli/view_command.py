@@ -50,7 +50,7 @@ def view(
     import webbrowser
 
     from ogm.grid import GridSpec
-    from ogm.io.grids import read_any_grid
+    from ogm.io.grids.files import read_any_grid
     from ogm.plot.viewer import write_view
 
     if (length is None) != (width is None):

@@ -146,7 +146,7 @@ def export(
 ) -> None:
     """Write a part of a map in another format, all of it as one .zip archive, or pictures of its tiles in a folder."""
     from ogm.io import PlacedGrid, write_grid
-    from ogm.io.grids import check_grid_output
+    from ogm.io.grids.files import check_grid_output
     from ogm.world import WorldMap, write_pyramid
 
     with WorldMap.open(url) as world:

@@ -14,11 +14,5 @@ from ogm.datasets.poses import with_odometry, with_poses
 from ogm.datasets.truth import SOURCES
 
 __all__ = [
-    "SOURCES",
-    "Dataset",
-    "frame_numbers",
-    "open_dataset",
-    "truth_from_neighbours",
-    "with_odometry",
-    "with_poses",
-]
+    "SOURCES", "Dataset", "frame_numbers", "open_dataset", "truth_from_neighbours", "with_odometry", "with_poses",
+]  # fmt: skip

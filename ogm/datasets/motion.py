@@ -13,8 +13,9 @@ from ogm.grid import GridSpec
 from ogm.pose import inverse
 from ogm.scan import Boxes
 from ogm.state import Motion
-from ogm.truth import BoxMotion, cells_in_footprint, motion_of_boxes, track_motion
-from ogm.truth.motion import NEEDED, REACH
+from ogm.truth import motion_of_boxes
+from ogm.truth.boxes import cells_in_footprint
+from ogm.truth.motion import NEEDED, REACH, BoxMotion, track_motion
 
 __all__ = ["MotionReader"]
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm import truth as rules
 from ogm.datasets.frames import EGO
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
 from ogm.datasets.recording import Recording
@@ -16,7 +15,20 @@ from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.state import CellState, Truth
 from ogm.storage.files import OgmError
-from ogm.truth import MARGIN, MIN_RETURNS, TRUTH_SPEC, Kind
+from ogm.truth import TRUTH_SPEC, Kind
+from ogm.truth.boxes import (
+    MIN_RETURNS,
+    boxes_over_points,
+    cells_in_boxes,
+    cells_in_footprint,
+    count_returns,
+    moving_tracks,
+    truth_from_boxes,
+)
+from ogm.truth.combine import combine_truths, ignore_cells
+from ogm.truth.points import truth_from_points
+from ogm.truth.road import cells_in_areas, truth_from_road
+from ogm.truth.scans import MARGIN
 
 __all__ = ["ABOVE_BOTTOM", "SOURCES", "RecordedTruth"]
 
@@ -113,20 +125,20 @@ class RecordedTruth:
         parts = [makers[one](n) for one in self.sources if one in makers]
         labelled, boxes, uncertain = self.recording.boxes(n), None, None
         if "boxes" in self.sources and labelled is not None:
-            returns = rules.count_returns(self.recording.scan(n).points, labelled, above_bottom=ABOVE_BOTTOM)
-            boxes = rules.truth_from_boxes(labelled, returns, TRUTH_SPEC)
-            uncertain = rules.cells_in_boxes(labelled.select(returns < MIN_RETURNS), TRUTH_SPEC)
-        return rules.combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=self._ego_cells())
+            returns = count_returns(self.recording.scan(n).points, labelled, above_bottom=ABOVE_BOTTOM)
+            boxes = truth_from_boxes(labelled, returns, TRUTH_SPEC)
+            uncertain = cells_in_boxes(labelled.select(returns < MIN_RETURNS), TRUTH_SPEC)
+        return combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=self._ego_cells())
 
     def _ego_cells(self) -> NDArray[np.bool_]:
-        return rules.cells_in_footprint(self.recording.ego_footprint or EGO, TRUTH_SPEC)
+        return cells_in_footprint(self.recording.ego_footprint or EGO, TRUTH_SPEC)
 
     # --- Parts ---------------------------------------------------------------------------------------
 
     def _from_classes(self, n: int) -> Truth:
         raw = self.recording.raw(n)
         kinds = np.zeros(0, np.uint8) if raw.kinds is None else raw.kinds
-        return rules.truth_from_points(raw.scan.points, kinds, TRUTH_SPEC, unobserved=self._ego_cells())
+        return truth_from_points(raw.scan.points, kinds, TRUTH_SPEC, unobserved=self._ego_cells())
 
     def _from_map(self, n: int) -> Truth:
         """Return the free road. Where the map has no ground, it is taken to be as low as under the vehicle."""
@@ -136,8 +148,8 @@ class RecordedTruth:
         ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(x.shape)
         points = raw.scan.points if raw.all_points is None else raw.all_points
         below = hd_map.ground(points[:, :3].astype(np.float64))
-        return rules.truth_from_road(
-            rules.cells_in_areas(hd_map.outlines, TRUTH_SPEC),
+        return truth_from_road(
+            cells_in_areas(hd_map.outlines, TRUTH_SPEC),
             np.where(np.isnan(ground), low, ground),
             points,
             points[:, 2] - np.where(np.isnan(below), low, below),
@@ -162,7 +174,7 @@ class RecordedTruth:
         clouds, is_ground = [], []
         for k in chosen:
             raw = self.recording.raw(members[k])
-            kept = ~rules.boxes_over_points(raw.scan.points, self._moving_boxes(members[k]).widened(MARGIN))
+            kept = ~boxes_over_points(raw.scan.points, self._moving_boxes(members[k]).widened(MARGIN))
             if raw.moving is not None:
                 kept &= ~raw.moving
             clouds.append(transform_points(T_here_other[k], raw.scan.points[kept]))
@@ -179,9 +191,9 @@ class RecordedTruth:
             min_scans=1 if len(chosen) < _FEW else 2,
         )
         if here.moving is not None and here.moving.any():
-            truth = rules.ignore_cells(truth, _near(here.scan.points[here.moving]))
+            truth = ignore_cells(truth, _near(here.scan.points[here.moving]))
         # No static object stands where the ego vehicle was at any time: another road user followed it
-        return rules.ignore_cells(truth, ego_path_cells(T_here_other) & (truth.state == CellState.OCCUPIED))
+        return ignore_cells(truth, ego_path_cells(T_here_other) & (truth.state == CellState.OCCUPIED))
 
     def _find_moving(self, sequence: str) -> frozenset[str]:
         """Return the tracks of a sequence that move."""
@@ -191,7 +203,7 @@ class RecordedTruth:
             if ref.T_map_sensor is not None and ref.stamp is not None:
                 stamps.append(ref.stamp)
                 boxes.append(self.recording.read_boxes(n).moved(ref.T_map_sensor))
-        return rules.moving_tracks(stamps, boxes)
+        return moving_tracks(stamps, boxes)
 
     def _moving_boxes(self, n: int) -> Boxes:
         """Return the boxes of objects that move, in scan n and its frame, and of those without a track."""

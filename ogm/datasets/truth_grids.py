@@ -9,7 +9,7 @@ import numpy as np
 from ogm.datasets.frames import FrameRef
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.grid import GridSpec
-from ogm.io.grids import GRID_ENDINGS, read_grid
+from ogm.io.grids.files import GRID_ENDINGS, read_grid
 from ogm.io.reading import parse_array, read_bytes
 from ogm.state import CellState, Truth, predict_state
 from ogm.storage.files import OgmError

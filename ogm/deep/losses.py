@@ -29,15 +29,8 @@ from ogm.evidence.dirichlet import dirichlet_kl_gradient
 from ogm.state import CellState
 
 __all__ = [
-    "class_weights",
-    "digamma_loss",
-    "log_loss",
-    "masked_mean",
-    "reverse_kl",
-    "sum_of_squares",
-    "targets",
-    "uniform_kl",
-]
+    "class_weights", "digamma_loss", "log_loss", "masked_mean", "reverse_kl", "sum_of_squares", "targets", "uniform_kl",
+]  # fmt: skip
 
 _CHUNK = 32768  # cells at a time on a CPU, so that intermediate results stay near its cores
 

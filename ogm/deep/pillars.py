@@ -17,15 +17,8 @@ from ogm.grid import GridSpec
 from ogm.scan import Mount, Scan
 
 __all__ = [
-    "FEATURES",
-    "Pillars",
-    "cap_pillars",
-    "collate",
-    "pillarize",
-    "pillarize_torch",
-    "ray_masses",
-    "to_ground_frame",
-]
+    "FEATURES", "Pillars", "cap_pillars", "collate", "pillarize", "pillarize_torch", "ray_masses", "to_ground_frame",
+]  # fmt: skip
 
 
 class Pillars(NamedTuple):

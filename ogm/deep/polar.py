@@ -19,15 +19,8 @@ from ogm.pose import rotate
 from ogm.scan import Mount, Scan
 
 __all__ = [
-    "CHANNELS",
-    "RadarGrid",
-    "PolarView",
-    "RadarNoise",
-    "polar_features",
-    "polar_places",
-    "view_of",
-    "write_masses",
-]
+    "CHANNELS", "RadarGrid", "PolarView", "RadarNoise", "polar_features", "polar_places", "view_of", "write_masses",
+]  # fmt: skip
 
 CHANNELS = (
     "static", "moving", "cross section", "Doppler", "range in cell", "azimuth in cell", "height", "detections before",

@@ -14,18 +14,7 @@ from ogm.evaluation.runner import evaluate
 from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean_interval, ratio_interval
 
 __all__ = [
-    "Comparison",
-    "Evaluation",
-    "FrameInfo",
-    "FusedMethod",
-    "Interval",
-    "MethodRunner",
-    "PrecomputedGrids",
-    "SingleScanMethod",
-    "compare_paired",
-    "evaluate",
-    "evaluation_record",
-    "mean_interval",
-    "ratio_interval",
+    "Comparison", "Evaluation", "FrameInfo", "FusedMethod", "Interval", "MethodRunner", "PrecomputedGrids",
+    "SingleScanMethod", "compare_paired", "evaluate", "evaluation_record", "mean_interval", "ratio_interval",
     "write_report",
-]
+]  # fmt: skip

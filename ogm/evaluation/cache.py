@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.motion import FrameMotion
-from ogm.metrics import ConfusionSums, MotionSums, ObjectCells, PredictionSums
+from ogm.metrics import ConfusionSums, MotionSums, PredictionSums
+from ogm.metrics.detection_time import ObjectCells
 from ogm.storage.archive import UNREADABLE
 from ogm.storage.files import OgmError, atomic_write, update_hint
 

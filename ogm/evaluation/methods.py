@@ -19,7 +19,7 @@ from ogm.evidence.map_rules import BAYES, DYNAMIC, NUSS
 from ogm.fusion import DynamicMapper, Mapper, make_mapper, resample_to, rolling_window, update_map
 from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import read_grid
+from ogm.io.grids.files import read_grid
 from ogm.models.named import describe_model, load_model, with_radar
 from ogm.scan import Frame, InverseSensorModel
 

@@ -12,20 +12,18 @@ from ogm.evaluation.predictions import PREDICTED
 from ogm.evaluation.statistics import Interval, mean_interval
 from ogm.metrics import (
     MOTION_METRICS,
-    Detection,
     MotionSums,
-    ObjectCells,
     PredictionSums,
     accumulate_motion,
     detection_times,
     distances,
-    motion_by_range,
     motion_curve,
-    object_cells,
-    predicted_moving,
     score_motion,
     score_prediction,
-)  # fmt: skip
+)
+from ogm.metrics.detection_time import Detection, ObjectCells, object_cells
+from ogm.metrics.motion import predicted_moving
+from ogm.metrics.motion_scores import motion_by_range
 from ogm.scan import Boxes
 from ogm.state import Motion
 

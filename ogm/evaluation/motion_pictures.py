@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from ogm import plot
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import GridSpec
-from ogm.metrics import predicted_moving
-from ogm.metrics.motion import MOVING
+from ogm.metrics.motion import MOVING, predicted_moving
 from ogm.plot.colours import colours
 from ogm.state import Motion
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.evaluation.methods import FusedMethod
-from ogm.fusion import grid_pose
+from ogm.fusion.pipeline import grid_pose
 from ogm.grid import GridSpec
 from ogm.metrics import PREDICTION_METRICS, PredictionSums, accumulate_prediction
 from ogm.scan import Frame

@@ -70,16 +70,15 @@ from ogm.evidence.subjective import (
 )
 
 __all__ = [
-    "Conclusion", "Opinion", "alpha_to_evidence", "averaging", "belief_constraint", "bold", "cautious",
-    "check_mass", "close_world", "comultiplication", "confidence_base_rate", "conflict",
-    "conflict_direction", "conjunctive", "consensus_compromise", "contextual_discount", "counts_to_mass",
-    "cumulative", "cumulative_base_rate", "cumulative_epistemic", "cumulative_unfusion", "deduction",
-    "degree_of_conflict", "dempster", "deng_entropy", "dirichlet_entropy", "dirichlet_kl", "discount",
-    "discount_evidence", "discount_over_time", "disjunctive", "dissonance", "dubois_prade",
-    "evidence_to_alpha", "evidence_to_mass", "jirousek_shenoy_entropy", "jousselme_distance",
-    "log_odds_to_mass", "mass_to_evidence", "mass_to_log_odds", "mass_to_probability",
-    "maximize_uncertainty", "multiplication", "murphy", "nonspecificity", "normalized_cautious", "pcr5",
-    "pcr6", "pcr6_plus", "pignistic", "pignistic_entropy", "plausibility_transform",
-    "probability_to_mass", "renormalize", "specificity", "trust_discount", "trust_discount_opposite",
-    "unknown", "vacuity", "weighted", "yager", "yager_entropy",
+    "Conclusion", "Opinion", "alpha_to_evidence", "averaging", "belief_constraint", "bold", "cautious", "check_mass",
+    "close_world", "comultiplication", "confidence_base_rate", "conflict", "conflict_direction", "conjunctive",
+    "consensus_compromise", "contextual_discount", "counts_to_mass", "cumulative", "cumulative_base_rate",
+    "cumulative_epistemic", "cumulative_unfusion", "deduction", "degree_of_conflict", "dempster", "deng_entropy",
+    "dirichlet_entropy", "dirichlet_kl", "discount", "discount_evidence", "discount_over_time", "disjunctive",
+    "dissonance", "dubois_prade", "evidence_to_alpha", "evidence_to_mass", "jirousek_shenoy_entropy",
+    "jousselme_distance", "log_odds_to_mass", "mass_to_evidence", "mass_to_log_odds", "mass_to_probability",
+    "maximize_uncertainty", "multiplication", "murphy", "nonspecificity", "normalized_cautious", "pcr5", "pcr6",
+    "pcr6_plus", "pignistic", "pignistic_entropy", "plausibility_transform", "probability_to_mass", "renormalize",
+    "specificity", "trust_discount", "trust_discount_opposite", "unknown", "vacuity", "weighted", "yager",
+    "yager_entropy",
 ]  # fmt: skip

@@ -9,39 +9,17 @@ from ogm.fusion.bayes import BinaryBayesMapper
 from ogm.fusion.dynamic.mapper import DynamicMapper
 from ogm.fusion.dynamic.objects import Objects, find_objects
 from ogm.fusion.dynamic.prediction import predict_dynamic
-from ogm.fusion.dynamic.settings import DynamicSettings
-from ogm.fusion.ego.deskewing import deskew, extrapolate
+from ogm.fusion.ego.deskewing import deskew
 from ogm.fusion.ego.registration import odometry
 from ogm.fusion.evidential import EvidentialMapper
 from ogm.fusion.factory import covering_window, make_mapper, rolling_window
 from ogm.fusion.mapper import Mapper
-from ogm.fusion.pipeline import FusionStep, deskew_frame, fuse, grid_pose, map_scans, update_map
+from ogm.fusion.pipeline import FusionStep, fuse, map_scans, update_map
 from ogm.fusion.resample import coarsen, resample_to, warp
 from ogm.fusion.update_gate import PoseJump
 
 __all__ = [
-    "BinaryBayesMapper",
-    "DynamicMapper",
-    "DynamicSettings",
-    "EvidentialMapper",
-    "FusionStep",
-    "Mapper",
-    "Objects",
-    "PoseJump",
-    "coarsen",
-    "covering_window",
-    "deskew",
-    "deskew_frame",
-    "extrapolate",
-    "find_objects",
-    "fuse",
-    "grid_pose",
-    "make_mapper",
-    "map_scans",
-    "odometry",
-    "predict_dynamic",
-    "resample_to",
-    "rolling_window",
-    "update_map",
-    "warp",
-]
+    "BinaryBayesMapper", "DynamicMapper", "EvidentialMapper", "FusionStep", "Mapper", "Objects", "PoseJump", "coarsen",
+    "covering_window", "deskew", "find_objects", "fuse", "make_mapper", "map_scans", "odometry", "predict_dynamic",
+    "resample_to", "rolling_window", "update_map", "warp",
+]  # fmt: skip

@@ -9,15 +9,9 @@ from numpy.typing import NDArray
 from ogm.grid import GridSpec
 
 __all__ = [
-    "Window",
-    "WindowMode",
-    "affine_between",
-    "cell_transform",
-    "check_choice",
-    "overlaps",
-    "planar_transform",
+    "Window", "WindowMode", "affine_between", "cell_transform", "check_choice", "overlaps", "planar_transform",
     "samples_per_axis",
-]
+]  # fmt: skip
 
 WindowMode = Literal["rolling", "fixed"]
 _MAX_TILT = 45.0  # [deg]

@@ -14,16 +14,10 @@ array([[1., 0.],
 """
 
 from ogm.io.axes import AXES, Axes
-from ogm.io.grids import (
-    GridLog,
-    PlacedGrid,
-    from_xarray,
-    read_any_grid,
-    read_grid,
-    read_placed_grid,
-    to_xarray,
-    write_grid,
-)
+from ogm.io.grids.files import read_any_grid, read_grid, read_placed_grid, write_grid
+from ogm.io.grids.logged import GridLog
+from ogm.io.grids.placed import PlacedGrid
+from ogm.io.grids.scientific import from_xarray, to_xarray
 from ogm.io.kitti import read_calibration
 from ogm.io.poses import Poses, read_poses, write_poses
 from ogm.io.scan import describe, read_points, read_scan, read_scan_file
@@ -32,26 +26,7 @@ from ogm.io.sensor_height import estimate_sensor_height
 from ogm.io.transforms import StampedTransform, TransformBuffer
 
 __all__ = [
-    "AXES",
-    "Axes",
-    "FileFacts",
-    "GridLog",
-    "PlacedGrid",
-    "Poses",
-    "StampedTransform",
-    "TransformBuffer",
-    "describe",
-    "estimate_sensor_height",
-    "from_xarray",
-    "read_any_grid",
-    "read_calibration",
-    "read_grid",
-    "read_placed_grid",
-    "read_points",
-    "read_poses",
-    "read_scan",
-    "read_scan_file",
-    "to_xarray",
-    "write_grid",
-    "write_poses",
-]
+    "AXES", "Axes", "FileFacts", "GridLog", "PlacedGrid", "Poses", "StampedTransform", "TransformBuffer", "describe",
+    "estimate_sensor_height", "from_xarray", "read_any_grid", "read_calibration", "read_grid", "read_placed_grid",
+    "read_points", "read_poses", "read_scan", "read_scan_file", "to_xarray", "write_grid", "write_poses",
+]  # fmt: skip

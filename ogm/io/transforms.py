@@ -14,13 +14,9 @@ from ogm.pose import Trajectory, check_pose, inverse
 from ogm.storage.files import OgmError
 
 __all__ = [
-    "ExtrapolationError",
-    "NotConnectedError",
-    "StampedTransform",
-    "TransformBuffer",
-    "TransformError",
+    "ExtrapolationError", "NotConnectedError", "StampedTransform", "TransformBuffer", "TransformError",
     "UnknownFrameError",
-]
+]  # fmt: skip
 
 log: logging.Logger = logging.getLogger(__name__)
 

@@ -7,18 +7,7 @@
 """
 
 from ogm.live.foxglove_server import FoxglovePublisher
-from ogm.live.memory import return_large_blocks
-from ogm.live.newest import NewestFrames
 from ogm.live.pipeline import LiveReport, serve, warm_up
-from ogm.live.stream import frame_bytes, receive_frames
+from ogm.live.stream import receive_frames
 
-__all__ = [
-    "FoxglovePublisher",
-    "LiveReport",
-    "NewestFrames",
-    "frame_bytes",
-    "receive_frames",
-    "return_large_blocks",
-    "serve",
-    "warm_up",
-]
+__all__ = ["FoxglovePublisher", "LiveReport", "receive_frames", "serve", "warm_up"]

@@ -10,20 +10,18 @@ the reason. `METRICS` describes each.
 >>> score_motion(accumulate_motion(dynamic_grid, truth.motion, scan_occupied))        # doctest: +SKIP
 """
 
-from ogm.metrics.counts import RANGES, ConfusionSums, accumulate
+from ogm.metrics.counts import ConfusionSums, accumulate
 from ogm.metrics.curves import free_space, intervals, precision_recall, reliability, risk_coverage
-from ogm.metrics.detection_time import Detection, ObjectCells, detection_times, object_cells
-from ogm.metrics.evilog import evilog_kl
-from ogm.metrics.motion import MotionSums, accumulate_motion, moving_score, object_kinds, predicted_moving
-from ogm.metrics.motion_scores import MOTION_METRICS, motion_by_range, motion_curve, score_motion
+from ogm.metrics.detection_time import detection_times
+from ogm.metrics.motion import MotionSums, accumulate_motion
+from ogm.metrics.motion_scores import MOTION_METRICS, motion_curve, score_motion
 from ogm.metrics.prediction import PREDICTION_METRICS, PredictionSums, accumulate_prediction, score_prediction
 from ogm.metrics.ranges import by_range, distances
 from ogm.metrics.scores import METRICS, Metric, reasons, score
 
 __all__ = [
-    "ConfusionSums", "Detection", "METRICS", "MOTION_METRICS", "Metric", "MotionSums", "ObjectCells",
-    "PREDICTION_METRICS", "PredictionSums", "RANGES", "accumulate", "accumulate_motion", "accumulate_prediction",
-    "by_range", "detection_times", "distances", "evilog_kl", "free_space",
-    "intervals", "motion_by_range", "motion_curve", "moving_score", "object_cells", "object_kinds", "precision_recall",
-    "predicted_moving", "reasons", "reliability", "risk_coverage", "score", "score_motion", "score_prediction",
+    "ConfusionSums", "METRICS", "MOTION_METRICS", "Metric", "MotionSums", "PREDICTION_METRICS", "PredictionSums",
+    "accumulate", "accumulate_motion", "accumulate_prediction", "by_range", "detection_times", "distances",
+    "free_space", "intervals", "motion_curve", "precision_recall", "reasons", "reliability", "risk_coverage", "score",
+    "score_motion", "score_prediction",
 ]  # fmt: skip

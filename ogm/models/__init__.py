@@ -13,12 +13,6 @@ from ogm.models.fitted import Calibration
 from ogm.models.named import MODELS, default_model, describe_model, load_model
 
 __all__ = [
-    "MODELS",
-    "Calibration",
-    "CombinedISM",
-    "FreeGate",
-    "StateReliability",
-    "default_model",
-    "describe_model",
+    "MODELS", "Calibration", "CombinedISM", "FreeGate", "StateReliability", "default_model", "describe_model",
     "load_model",
-]
+]  # fmt: skip

@@ -6,56 +6,20 @@
 """
 
 from ogm.plot.figures import save_picture, show
-from ogm.plot.moving import dynamic_panel, heading_wheel, moving_arrows, moving_groups
+from ogm.plot.moving import dynamic_panel
 from ogm.plot.panels import (
-    APPEARED,
-    BLACK,
-    CONFLICT_LAYERS,
-    NO_VALUE,
-    VELOCITY_LAYERS,
-    WENT_AWAY,
     Panel,
     cells_panel,
-    colour_bytes,
     conflict_panel,
-    heading_colours,
     layer_panel,
     mass_panel,
     probability_panel,
     unknown_panel,
-    upright,
     velocity_panel,
 )
-from ogm.plot.points import BEHIND_POINTS, HIGHEST, LOWEST, dots_panel, height_colours, points_panel
+from ogm.plot.points import points_panel
 
 __all__ = [
-    "APPEARED",
-    "BEHIND_POINTS",
-    "BLACK",
-    "CONFLICT_LAYERS",
-    "HIGHEST",
-    "LOWEST",
-    "NO_VALUE",
-    "VELOCITY_LAYERS",
-    "WENT_AWAY",
-    "Panel",
-    "cells_panel",
-    "conflict_panel",
-    "dots_panel",
-    "dynamic_panel",
-    "heading_colours",
-    "heading_wheel",
-    "height_colours",
-    "layer_panel",
-    "mass_panel",
-    "moving_arrows",
-    "moving_groups",
-    "points_panel",
-    "probability_panel",
-    "save_picture",
-    "show",
-    "colour_bytes",
-    "unknown_panel",
-    "upright",
-    "velocity_panel",
-]
+    "Panel", "cells_panel", "conflict_panel", "dynamic_panel", "layer_panel", "mass_panel", "points_panel",
+    "probability_panel", "save_picture", "show", "unknown_panel", "velocity_panel",
+]  # fmt: skip

@@ -30,6 +30,8 @@ from ogm import plot
 from ogm.grid import GridSpec
 from ogm.plot.colours import Colours, colours
 from ogm.plot.drawing import draw_legend, draw_marks, draw_vehicle, font, plain, scaled
+from ogm.plot.panels import APPEARED, BLACK, WENT_AWAY, heading_colours
+from ogm.plot.points import HIGHEST, LOWEST, height_colours
 from ogm.storage.files import atomic_write
 
 __all__ = ["Movie", "open_movie"]
@@ -169,10 +171,10 @@ def palette() -> Image.Image:
 def _palette_with(chosen: Colours) -> Image.Image:
     steps = np.arange(11) / 10
     belief = chosen.mix(np.array([(free, one) for free in steps for one in steps if free + one < 1 + 1e-9]))
-    conflict = (np.linspace(plot.BLACK, one, 16) for one in (plot.APPEARED, plot.WENT_AWAY))
-    heights = plot.height_colours(np.linspace(plot.LOWEST, plot.HIGHEST, 48))
-    grey = np.linspace(plot.BLACK, (1, 1, 1), 28)
-    headings = plot.heading_colours(np.arange(24) * np.pi / 12)
+    conflict = (np.linspace(BLACK, one, 16) for one in (APPEARED, WENT_AWAY))
+    heights = height_colours(np.linspace(LOWEST, HIGHEST, 48))
+    grey = np.linspace(BLACK, (1, 1, 1), 28)
+    headings = heading_colours(np.arange(24) * np.pi / 12)
     moving = (headings, 0.75 * headings + 0.25 * 0.5, 0.5 * headings + 0.5 * 0.5)  # mixed with the grey of unknown
     drawn = np.array([BACKGROUND, INK, FAINT]) / 255
     all_of_them = np.concatenate([belief, *conflict, heights, grey, *moving, drawn, np.full((1, 3), 0.08)])

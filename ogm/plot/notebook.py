@@ -17,7 +17,9 @@ from ogm import plot
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colours import colours
+from ogm.plot.moving import moving_groups
 from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.panels import CONFLICT_LAYERS, VELOCITY_LAYERS
 from ogm.scan import Scan
 
 __all__ = ["facts_html", "html", "png"]
@@ -79,7 +81,7 @@ def _dynamic_html(grid: DynamicGrid) -> str:
     """Return the picture of a dynamic grid, its cells, its shares and how fast what moves is."""
     shares = {name: float(getattr(grid, name).mean()) for name in ("free", "static", "dynamic", "unknown")}
     facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
-    moving = plot.moving_groups(grid) > 0
+    moving = moving_groups(grid) > 0
     facts["moving cells"] = f"{np.count_nonzero(moving)}" + (
         f", median {np.median(grid.speed[moving]):.1f} m/s" if moving.any() else ""
     )
@@ -161,7 +163,7 @@ def _spec_facts(spec: GridSpec) -> dict[str, str]:
 def _layer_panels(layers: LayeredGrid) -> list[plot.Panel]:
     """Return panels of the first layers; those that belong together in one."""
     names, panels = list(layers.layers), []
-    for pair, panel in ((plot.VELOCITY_LAYERS, plot.velocity_panel), (plot.CONFLICT_LAYERS, plot.conflict_panel)):
+    for pair, panel in ((VELOCITY_LAYERS, plot.velocity_panel), (CONFLICT_LAYERS, plot.conflict_panel)):
         if set(pair) <= set(names):
             names = [name for name in names if name not in pair]
             panels.append(panel(_small(layers, pair)))

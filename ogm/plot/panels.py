@@ -10,18 +10,9 @@ from ogm.plot.colour_maps import colour_map
 from ogm.plot.colours import colours
 
 __all__ = [
-    "Panel",
-    "cells_panel",
-    "conflict_panel",
-    "heading_colours",
-    "layer_panel",
-    "mass_panel",
-    "probability_panel",
-    "colour_bytes",
-    "unknown_panel",
-    "upright",
-    "velocity_panel",
-]
+    "Panel", "cells_panel", "conflict_panel", "heading_colours", "layer_panel", "mass_panel", "probability_panel",
+    "colour_bytes", "unknown_panel", "upright", "velocity_panel",
+]  # fmt: skip
 
 CONFLICT_LAYERS, VELOCITY_LAYERS = ("free_to_occupied", "occupied_to_free"), ("velocity_x", "velocity_y")
 BLACK = (0.0, 0.0, 0.0)

@@ -11,7 +11,9 @@ from ogm import plot
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colours import colours
+from ogm.plot.moving import moving_arrows
 from ogm.plot.overview import FULL, Steps
+from ogm.plot.panels import CONFLICT_LAYERS, NO_VALUE, VELOCITY_LAYERS
 
 __all__ = ["Layer", "conflict_layer", "mass_layers", "motion_layer", "number_layer", "velocity_layer"]
 
@@ -49,14 +51,14 @@ def number_layer(stored: int, name: str, steps: Steps) -> Layer:
     """Return a layer that shows one number of each cell."""
     panel = plot.layer_panel(_cells({name: steps.numbers}), name)
     *scale, _ = panel.legend
-    return _layer(name, "sum", [[stored, 0]], [panel], "", scale, {"no value": plot.NO_VALUE})
+    return _layer(name, "sum", [[stored, 0]], [panel], "", scale, {"no value": NO_VALUE})
 
 
 def conflict_layer(stored: Sequence[tuple[int, Steps]]) -> Layer:
     """Return the layer that shows both kinds of conflict, by where each is stored and in which steps."""
     panels = []
-    for name, (_, steps) in zip(plot.CONFLICT_LAYERS, stored, strict=True):
-        numbers = {other: np.zeros(FULL + 1) for other in plot.CONFLICT_LAYERS}
+    for name, (_, steps) in zip(CONFLICT_LAYERS, stored, strict=True):
+        numbers = {other: np.zeros(FULL + 1) for other in CONFLICT_LAYERS}
         panels.append(plot.conflict_panel(_cells(numbers | {name: np.nan_to_num(steps.numbers)})))
     text = "of scans and map: what was free is occupied, or what was occupied is free"
     return _layer("conflict", "sum", [[place, 0] for place, _ in stored], panels, text, swatches=panels[0].legend)
@@ -78,7 +80,7 @@ def motion_layer(masses: int, dynamic: int, velocity: int, grid: DynamicGrid) ->
     of = [[masses, 0], [masses, 1], [dynamic, 0], [velocity, 0], [velocity, 1]]
     swatches = legend | {name: one for name, one in headings.legend.items() if name != "none"}
     layer = _layer("motion", "motion", of, [headings], text, swatches=swatches)
-    return layer | {"arrows": plot.moving_arrows(grid).round(3).tolist()}
+    return layer | {"arrows": moving_arrows(grid).round(3).tolist()}
 
 
 def velocity_layer(stored: int, steps: Steps) -> Layer:
@@ -92,7 +94,7 @@ def velocity_layer(stored: int, steps: Steps) -> Layer:
 def _headings() -> plot.Panel:
     """Return the panel of 256 directions, from forward on."""
     heading = np.arange(256) * (2 * np.pi / 256)
-    parts = zip(plot.VELOCITY_LAYERS, (np.cos(heading), np.sin(heading)), strict=True)
+    parts = zip(VELOCITY_LAYERS, (np.cos(heading), np.sin(heading)), strict=True)
     return plot.velocity_panel(_cells(dict(parts)))
 
 

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, LayeredGrid
-from ogm.plot import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
 from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.panels import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
 from ogm.plot.view_layers import Layer, conflict_layer, mass_layers, motion_layer, number_layer, velocity_layer
 from ogm.storage.files import atomic_write
 

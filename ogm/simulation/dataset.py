@@ -32,7 +32,8 @@ from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_sh
 from ogm.state import Truth
 from ogm.storage.files import naming
 from ogm.storage.locks import locked
-from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
+from ogm.truth import TRUTH_SPEC, cells_in_boxes
+from ogm.truth.boxes import boxes_seen_from
 
 try:
     from ogm.simulation.cells import measure_ground

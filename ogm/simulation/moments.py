@@ -16,7 +16,9 @@ from ogm.simulation.recipe import RECIPES, Country, DataRecipe
 from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of
 from ogm.simulation.town import Town, build_town
-from ogm.simulation.traffic import Object, Traffic, TrafficState, ego_body
+from ogm.simulation.traffic.bodies import ego_body
+from ogm.simulation.traffic.departure import Object
+from ogm.simulation.traffic.motion import Traffic, TrafficState
 
 REACH = 120.0  # [m] around the ego vehicle, within which moving things are put in place
 DRIVES_KEPT = 12  # drives whose traffic is kept in memory, to go on from where they were

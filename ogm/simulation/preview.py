@@ -12,6 +12,7 @@ from ogm import plot
 from ogm.grid import GridSpec
 from ogm.plot.colours import colours
 from ogm.plot.drawing import font, plain
+from ogm.plot.points import dots_panel
 from ogm.simulation.arrays import Floats32
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
@@ -69,7 +70,7 @@ def materials_panel(points: Floats32, material: NDArray[np.uint8], spec: GridSpe
     for colour, members in KINDS.values():
         colours[list(members)] = colour
     legend = {name: colour for name, (colour, _) in KINDS.items()}
-    return plot.dots_panel(points, colours[material], spec, title, legend)
+    return dots_panel(points, colours[material], spec, title, legend)
 
 
 def contact_sheet(path: str | os.PathLike[str], store: Store) -> None:

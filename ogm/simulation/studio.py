@@ -16,7 +16,7 @@ from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.preview import SKY, SUN, Camera, materials_panel, sample_panels, save_views
 from ogm.simulation.sensors import hd_directions
-from ogm.simulation.traffic import ego_vehicle
+from ogm.simulation.traffic.bodies import ego_vehicle
 
 FAR = 900.0  # [m] at which the air hides a third of what is there
 

@@ -21,7 +21,9 @@ from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.scene import Scene
 from ogm.simulation.visibility import View, in_view, lose_sight
 from ogm.state import Truth
-from ogm.truth import HEIGHT_LIMITS, OBSTACLE_SEEN, Kind, finalize_truth
+from ogm.truth import HEIGHT_LIMITS, Kind
+from ogm.truth.observe import OBSTACLE_SEEN
+from ogm.truth.points import finalize_truth
 from ogm.truth.rays import observe_rays
 
 BATCH = 2**19  # rays per call: their hits stay small, however many rays there are

@@ -20,15 +20,8 @@ from typing import IO, Any
 from ogm.storage.locks import locked, sweep, try_lock
 
 __all__ = [
-    "OF_DISK",
-    "OgmError",
-    "atomic_write",
-    "error_text",
-    "finish_zarr",
-    "naming",
-    "temporary_folder",
-    "update_hint",
-]
+    "OF_DISK", "OgmError", "atomic_write", "error_text", "finish_zarr", "naming", "temporary_folder", "update_hint",
+]  # fmt: skip
 
 OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)  # errors of a full or broken disk
 _PREFIX = ".ogm-"

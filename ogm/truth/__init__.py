@@ -25,48 +25,15 @@ The simulator's rays are counted by `ogm.truth.rays`, which is compiled and not 
 32
 """
 
-from ogm.truth.boxes import (
-    MIN_RETURNS,
-    boxes_over_points,
-    boxes_seen_from,
-    cells_in_boxes,
-    cells_in_footprint,
-    count_returns,
-    moving_tracks,
-    truth_from_boxes,
-)
-from ogm.truth.combine import combine_truths, ignore_cells
-from ogm.truth.motion import BoxMotion, motion_of_boxes, track_motion
-from ogm.truth.observe import HEIGHT_LIMITS, OBSTACLE_SEEN, Kind, observe_points
-from ogm.truth.points import TRUTH_SPEC, finalize_truth, height_above_ground, truth_from_points
-from ogm.truth.road import cells_in_areas, truth_from_road
-from ogm.truth.scans import MARGIN, contradicted, truth_from_scans
+from ogm.truth.boxes import cells_in_boxes, truth_from_boxes
+from ogm.truth.combine import combine_truths
+from ogm.truth.motion import motion_of_boxes
+from ogm.truth.observe import HEIGHT_LIMITS, Kind
+from ogm.truth.points import TRUTH_SPEC, truth_from_points
+from ogm.truth.road import truth_from_road
+from ogm.truth.scans import truth_from_scans
 
 __all__ = [
-    "HEIGHT_LIMITS",
-    "MARGIN",
-    "MIN_RETURNS",
-    "OBSTACLE_SEEN",
-    "TRUTH_SPEC",
-    "BoxMotion",
-    "Kind",
-    "boxes_over_points",
-    "boxes_seen_from",
-    "cells_in_areas",
-    "cells_in_boxes",
-    "cells_in_footprint",
-    "combine_truths",
-    "contradicted",
-    "count_returns",
-    "finalize_truth",
-    "height_above_ground",
-    "ignore_cells",
-    "motion_of_boxes",
-    "moving_tracks",
-    "observe_points",
-    "track_motion",
-    "truth_from_boxes",
-    "truth_from_points",
-    "truth_from_road",
-    "truth_from_scans",
-]
+    "HEIGHT_LIMITS", "TRUTH_SPEC", "Kind", "cells_in_boxes", "combine_truths", "motion_of_boxes", "truth_from_boxes",
+    "truth_from_points", "truth_from_road", "truth_from_scans",
+]  # fmt: skip

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from ogm.workflows.scan_maps import ScanMap, map_to_files
 
 __all__ = [
-    "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap",
-    "drives_of", "fuse_drive", "fuse_drives", "map_to_files", "posed",
+    "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap", "drives_of", "fuse_drive",
+    "fuse_drives", "map_to_files", "posed",
 ]  # fmt: skip
 
 __getattr__ = lazy_names(__name__, {

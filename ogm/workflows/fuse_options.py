@@ -10,7 +10,7 @@ from ogm.evidence.map_rules import DYNAMIC, NUSS
 from ogm.extras import import_extra
 from ogm.fusion import make_mapper
 from ogm.grid import GridSpec
-from ogm.io.grids import MAP_ENDINGS, check_grid_output
+from ogm.io.grids.files import MAP_ENDINGS, check_grid_output
 from ogm.models.named import default_model, load_model, with_radar
 from ogm.scan import InverseSensorModel
 from ogm.storage.files import error_text

@@ -18,6 +18,7 @@ from ogm.io import GridLog, PlacedGrid, write_poses
 from ogm.io.messages import StampedTransform
 from ogm.plot import Panel
 from ogm.plot.movie import Movie
+from ogm.plot.moving import moving_groups
 from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Boxes, Frame
 from ogm.storage.files import OF_DISK, error_text
@@ -237,7 +238,7 @@ class FusionRun:
             **{self.names[0]: model, "mapper": mapper, "map": f"{cells}: {_shares(self.mapper.grid)}"},
         }
         if isinstance(self.mapper, DynamicMapper):
-            groups = plot.moving_groups(self.mapper.dynamic_grid)
+            groups = moving_groups(self.mapper.dynamic_grid)
             cells = f"{np.count_nonzero(groups)} cells in {groups.max()} groups"
             facts["moving"] = f"{cells}, by {self.mapper.particles} particles"
         if self.restarts:

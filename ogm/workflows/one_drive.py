@@ -11,7 +11,8 @@ import numpy as np
 
 from ogm.datasets import Dataset, with_odometry
 from ogm.fusion import DynamicMapper, FusionStep, covering_window, fuse, make_mapper, rolling_window
-from ogm.io.grids import GridLog, write_grid
+from ogm.io.grids.files import write_grid
+from ogm.io.grids.logged import GridLog
 from ogm.io.logs import LOG_ENDINGS
 from ogm.models.compilation import compiled_ahead
 from ogm.plot.movie import open_movie

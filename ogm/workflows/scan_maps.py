@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from ogm.datasets import Dataset
 from ogm.grid import EvidentialGrid
-from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, write_grid
+from ogm.io.grids.files import MAP_ENDINGS, check_grid_output, write_grid
+from ogm.io.grids.placed import PlacedGrid
 from ogm.plot import points_panel, save_picture
 from ogm.scan import Frame, InverseSensorModel, run_model
 from ogm.storage.files import error_text

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.plot import upright
 from ogm.plot.overview import FULL, halve_mass, mass_to_bytes
+from ogm.plot.panels import upright
 from ogm.plot.view_layers import mass_layers
 from ogm.plot.viewer import ROUGHEST, page_of_tiles
 from ogm.storage.files import OgmError

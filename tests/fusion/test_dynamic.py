@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays as hypothesis_arrays
 
 from ogm import evidence
-from ogm.fusion import DynamicMapper, DynamicSettings, EvidentialMapper, fuse, make_mapper
+from ogm.fusion import DynamicMapper, EvidentialMapper, fuse, make_mapper
 from ogm.fusion.dynamic.cells import share_particles
 from ogm.fusion.dynamic.prediction import predict_dynamic
 from ogm.fusion.dynamic.resampling import group_velocities
+from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from cases import each, refused
 
-from ogm.fusion import DynamicMapper, DynamicSettings
+from ogm.fusion import DynamicMapper
 from ogm.fusion.dynamic.scan_history import ScanHistory
+from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ogm.fusion import DynamicMapper, DynamicSettings
+from ogm.fusion import DynamicMapper
 from ogm.fusion.dynamic.hashed_noise import scan_key
 from ogm.fusion.dynamic.reference import MeasuredGroups, NumpyFilter
 from ogm.fusion.dynamic.resampling import group_velocities
+from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 

@@ -9,7 +9,8 @@ from cases import each, refused
 from random_grids import layers, uniform
 
 from ogm.evidence import conjunctive, dempster, probability_to_mass
-from ogm.fusion import BinaryBayesMapper, DynamicMapper, DynamicSettings, EvidentialMapper, PoseJump
+from ogm.fusion import BinaryBayesMapper, DynamicMapper, EvidentialMapper, PoseJump
+from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 

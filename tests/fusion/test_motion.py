@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from cases import each, refused
 
-from ogm.fusion import deskew, extrapolate
+from ogm.fusion import deskew
+from ogm.fusion.ego.deskewing import extrapolate
 from ogm.pose import Trajectory, inverse, pose, transform_points
 
 STAMP = 735.25

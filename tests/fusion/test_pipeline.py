@@ -14,13 +14,13 @@ from ogm.fusion import (
     BinaryBayesMapper,
     EvidentialMapper,
     covering_window,
-    deskew_frame,
     fuse,
     make_mapper,
     map_scans,
     rolling_window,
     update_map,
 )
+from ogm.fusion.pipeline import deskew_frame
 from ogm.pose import Trajectory, pose, transform_points
 from ogm.scan import LazyFrame, run_model
 

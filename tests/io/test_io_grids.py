@@ -10,7 +10,7 @@ from cases import each
 from PIL import Image
 
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import read_grid
+from ogm.io.grids.files import read_grid
 from ogm.storage.files import OgmError
 
 AREA = GridSpec(0.5, (4, 6), (-1.0, -2.0))

@@ -10,8 +10,12 @@ from plain import FREE, IGNORE, OCCUPIED, UNKNOWN
 from scipy import special
 
 from ogm.evidence import dirichlet_kl, evidence_to_mass
-from ogm.metrics import RANGES, ConfusionSums, accumulate, by_range, divergence, evilog_kl, free_space, reasons, score
+from ogm.metrics import ConfusionSums, accumulate, divergence, free_space, score
+from ogm.metrics.counts import RANGES
+from ogm.metrics.evilog import evilog_kl
+from ogm.metrics.ranges import by_range
 from ogm.metrics.ranking import auroc, average_precision, false_positive_rate
+from ogm.metrics.scores import reasons
 from ogm.state import predict_state
 
 

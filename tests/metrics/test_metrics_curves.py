@@ -9,10 +9,8 @@ from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
 from ogm.metrics import (
     METRICS,
-    RANGES,
     ConfusionSums,
     accumulate,
-    by_range,
     distances,
     free_space,
     intervals,
@@ -21,6 +19,8 @@ from ogm.metrics import (
     risk_coverage,
     score,
 )
+from ogm.metrics.counts import RANGES
+from ogm.metrics.ranges import by_range
 
 SHAPE = (40, 30)
 CURVES = (

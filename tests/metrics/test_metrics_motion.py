@@ -11,17 +11,9 @@ from moving_scenes import LABELS, SPEC, motionless, perfect, scene
 from scipy.stats import chi2
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.metrics import (
-    MOTION_METRICS,
-    MotionSums,
-    accumulate_motion,
-    distances,
-    motion_by_range,
-    motion_curve,
-    moving_score,
-    object_kinds,
-    score_motion,
-)  # fmt: skip
+from ogm.metrics import MOTION_METRICS, MotionSums, accumulate_motion, distances, motion_curve, score_motion
+from ogm.metrics.motion import moving_score, object_kinds
+from ogm.metrics.motion_scores import motion_by_range
 from ogm.state import Motion
 
 SEEDS = st.integers(0, 2**31)

@@ -10,15 +10,8 @@ from hypothesis import strategies as st
 from moving_scenes import SPEC, motionless, perfect, scene
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.metrics import (
-    PREDICTION_METRICS,
-    ObjectCells,
-    PredictionSums,
-    accumulate_prediction,
-    detection_times,
-    object_cells,
-    score_prediction,
-)  # fmt: skip
+from ogm.metrics import PREDICTION_METRICS, PredictionSums, accumulate_prediction, detection_times, score_prediction
+from ogm.metrics.detection_time import ObjectCells, object_cells
 from ogm.state import CellState, Motion, Truth
 
 SEEDS = st.integers(0, 2**31)

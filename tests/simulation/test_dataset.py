@@ -14,7 +14,8 @@ from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.sample import LABELS, RANGE_STEP, SimulatedSample
 from ogm.simulation.sensors import LIDARS
 from ogm.state import CellState
-from ogm.truth import TRUTH_SPEC, count_returns
+from ogm.truth import TRUTH_SPEC
+from ogm.truth.boxes import count_returns
 
 pytestmark = pytest.mark.usefixtures("kept_towns")
 PLAN = DatasetPlan(town_size=240.0, mounts=only("vlp-32c"))

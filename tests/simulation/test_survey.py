@@ -13,7 +13,7 @@ from ogm.simulation.mesh import Mesh, box, cylinder, empty, merge, quads
 from ogm.simulation.scene import Scene
 from ogm.simulation.survey import Known, aimed_truth, hd_truth
 from ogm.state import CellState, Truth
-from ogm.truth import boxes_seen_from, cells_in_footprint
+from ogm.truth.boxes import boxes_seen_from, cells_in_footprint
 
 SPEC = GridSpec.centered(20.48, 20.48, 0.16)  # 128 x 128 cells: 10 m around the sensor
 VIEW = (np.deg2rad(-25.0), np.deg2rad(15.0))

@@ -13,7 +13,7 @@ from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh
 from ogm.simulation.recipe import Country
 from ogm.simulation.town import Lane, Town, build_town
-from ogm.simulation.traffic import Traffic
+from ogm.simulation.traffic.motion import Traffic
 
 FROZEN = pytest.mark.slow  # frozen code: test_dataset.py compares what samples hold
 SIZE = 240.0

@@ -6,12 +6,13 @@ from cases import each
 
 from ogm.simulation.materials import Material
 from ogm.simulation.town import Lane
-from ogm.simulation.traffic import Traffic, ego_vehicle
-from ogm.simulation.traffic.bodies import CARS, VANS, car
+from ogm.simulation.traffic.bodies import CARS, VANS, car, ego_vehicle
 from ogm.simulation.traffic.heavy import bus, trailer, truck
+from ogm.simulation.traffic.motion import Traffic
 from ogm.simulation.traffic.parked import overlap
 from ogm.simulation.traffic.people import bicycle, motorcycle, standing, walking
-from ogm.truth import boxes_seen_from, track_motion
+from ogm.truth.boxes import boxes_seen_from
+from ogm.truth.motion import track_motion
 
 pytestmark = pytest.mark.usefixtures("kept_towns")  # for its worker: kernels of the traffic take half a minute
 FROZEN = pytest.mark.slow  # frozen code: test_dataset.py compares what samples hold

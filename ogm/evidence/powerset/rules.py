@@ -23,8 +23,8 @@ from ogm.evidence.powerset.transforms import (
 from ogm.evidence.rules import OnConflict, check_policy, refuse_total_conflict
 
 __all__ = [
-    "averaging", "bold", "cautious", "conjunctive", "consensus_compromise", "cumulative", "dempster",
-    "disjunctive", "dubois_prade", "murphy", "pcr5", "weighted", "yager",
+    "averaging", "bold", "cautious", "conjunctive", "consensus_compromise", "cumulative", "dempster", "disjunctive",
+    "dubois_prade", "murphy", "pcr5", "weighted", "yager",
 ]  # fmt: skip
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from ogm.evidence.arrays import Array, check_float, namespace, refuse_worst, split_open, tolerance_of
 
 __all__ = [
-    "belief_to_mass", "check_powerset", "commonality_to_mass", "from_pair", "implicability_to_mass",
-    "mass_to_belief", "mass_to_commonality", "mass_to_implicability", "mass_to_plausibility",
-    "plausibility_to_mass", "subset", "to_pair", "to_triple",
+    "belief_to_mass", "check_powerset", "commonality_to_mass", "from_pair", "implicability_to_mass", "mass_to_belief",
+    "mass_to_commonality", "mass_to_implicability", "mass_to_plausibility", "plausibility_to_mass", "subset", "to_pair",
+    "to_triple",
 ]  # fmt: skip
 
 MAX_STATES = 6

@@ -6,19 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "Breaks",
-    "Cells",
-    "GroundLimits",
-    "HeightBand",
-    "Points",
-    "PolarGrid",
-    "RayLimits",
-    "RayNumbers",
-    "Rays",
-    "SectorRays",
-    "Surface",
-    "WorkSpace",
-]
+    "Breaks", "Cells", "GroundLimits", "HeightBand", "Points", "PolarGrid", "RayLimits", "RayNumbers", "Rays",
+    "SectorRays", "Surface", "WorkSpace",
+]  # fmt: skip
 
 
 class Cells(NamedTuple):

@@ -8,9 +8,7 @@ from ogm.geometric.kernels.breaks import HOLE, PROFILE_BITS, STEP
 from ogm.geometric.kernels.polar import ROW_BITS
 from ogm.jit import kernel
 
-__all__ = [
-    "DEEP", "FACE_OF_STEP", "GROUND", "NONE", "NO_RETURN", "OBSTACLE", "OVERHEAD", "classify_rays",
-]  # fmt: skip
+__all__ = ["DEEP", "FACE_OF_STEP", "GROUND", "NONE", "NO_RETURN", "OBSTACLE", "OVERHEAD", "classify_rays"]
 
 NONE = 0  # no effect: multipath, or straight up or down
 GROUND = 1

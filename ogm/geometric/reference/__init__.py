@@ -10,15 +10,6 @@ from ogm.geometric.reference.height_band import height_band_mass, line_cells
 from ogm.geometric.reference.ray import ray_grid_mass, silence_reliability
 
 __all__ = [
-    "Beam",
-    "Break",
-    "classify",
-    "find_breaks",
-    "ground_map",
-    "height_band_mass",
-    "line_cells",
-    "lower_envelope",
-    "profiles_of",
-    "ray_grid_mass",
-    "silence_reliability",
-]
+    "Beam", "Break", "classify", "find_breaks", "ground_map", "height_band_mass", "line_cells", "lower_envelope",
+    "profiles_of", "ray_grid_mass", "silence_reliability",
+]  # fmt: skip

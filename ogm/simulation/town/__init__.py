@@ -22,7 +22,7 @@ from ogm.simulation.town.network import StreetNetwork, make_network
 from ogm.simulation.town.terrain import Raster, make_terrain, raised
 from ogm.simulation.town.trips import SHORTEST, round_trip
 
-__all__ = ["Country", "Lane", "Town", "build_town"]
+__all__ = ["Town", "build_town"]
 
 HEIGHT_STEP = 0.25  # [m] of the raster of ground heights
 ATTEMPTS = 20  # draws of streets

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ogm.simulation.arrays import Floats, Floats32, Mask
-from ogm.simulation.town import Lane
+from ogm.simulation.town.lanes import Lane
 from ogm.simulation.traffic.paths import Lines, lines
 
 SIDEWAYS = 2.0  # [m/s^2] comfortable in a bend

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import PlacedGrid, read_grid, read_placed_grid, write_grid
+from ogm.io.grids.files import read_grid, read_placed_grid, write_grid
+from ogm.io.grids.placed import PlacedGrid
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 

@@ -12,17 +12,10 @@ from moving import street
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import (
-    MAP_ENDINGS,
-    GridMessage,
-    PlacedGrid,
-    check_grid_output,
-    from_xarray,
-    read_grid,
-    read_placed_grid,
-    to_xarray,
-    write_grid,
-)
+from ogm.io.grids.files import MAP_ENDINGS, check_grid_output, read_grid, read_placed_grid, write_grid
+from ogm.io.grids.logged import GridMessage
+from ogm.io.grids.placed import PlacedGrid
+from ogm.io.grids.scientific import from_xarray, to_xarray
 from ogm.pose import pose
 from ogm.state import predict_state
 from ogm.storage.files import OgmError

@@ -12,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import PlacedGrid, from_xarray, read_grid, read_placed_grid, to_xarray, write_grid
+from ogm.io.grids.files import read_grid, read_placed_grid, write_grid
+from ogm.io.grids.placed import PlacedGrid
+from ogm.io.grids.scientific import from_xarray, to_xarray
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 
