@@ -90,6 +90,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return record_of(folder, write(folder / "curves.csv", other_figures()))
 
 
+@pytest.mark.slow
 def test_the_record_names_command_commit_and_values(found: dict[str, Any]) -> None:
     words = "--curves curves.csv --out found.json --picture found.png"
     assert found["command"] == f"python benchmarks/paper_curves.py {words}"
@@ -100,6 +101,7 @@ def test_the_record_names_command_commit_and_values(found: dict[str, Any]) -> No
         assert found["curves"][name]["frame of the most"] == values.argmax(), name
 
 
+@pytest.mark.slow
 def test_the_scale_of_made_up_figures_is_found(found: dict[str, Any]) -> None:
     scale = found[f"{LABEL}what the released code computes"]
     assert scale["E"]["value"] == pytest.approx(1, rel=1e-6)
@@ -117,6 +119,7 @@ def test_the_interval_of_the_scale_holds_it_where_figures_are_noisy(tmp_path: Pa
     assert 0.9 < scale["R2"] < 1
 
 
+@pytest.mark.slow
 def test_demixing_undoes_the_mean_of_both(found: dict[str, Any]) -> None:
     own = figures(averaged=False).kl_geo
     assert found["geometric de-mixed"] == pytest.approx({"mean": own.mean(), "least": own.min(), "most": own.max()})
@@ -137,6 +140,7 @@ def test_a_figure_of_a_dirichlet_divergence_gives_its_scale(other: dict[str, Any
     assert other[f"{LABEL}a Dirichlet KL"] == pytest.approx({"E": 4, "R2": 1}, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_turning_leaves_without_a_label_is_what_lies_outside(found: dict[str, Any]) -> None:
     turned = found[TURNED]
     assert turned["share of cells at 90 degrees"] == pytest.approx(1 - 56.32 / 81.92)
@@ -156,6 +160,7 @@ def test_values_that_are_no_masses_or_have_other_names_are_refused(tmp_path: Pat
     assert "give the values behind the paper's figures with --curves" in asked.stdout
 
 
+@pytest.mark.slow
 def test_the_record_is_that_of_the_papers_values(real: Callable[[str], Path], tmp_path: Path) -> None:
     path = real("kitti_object").parents[1] / "paper_fig_curves.csv"
     if not path.is_file():

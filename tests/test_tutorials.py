@@ -19,7 +19,7 @@ from ogm.geometric import RayISM
 ROOT = Path(__file__).parents[1]
 TUTORIALS = ROOT / "docs" / "tutorials"
 PAGES = [*sorted(set(TUTORIALS.glob("*.md")) - {TUTORIALS / "index.md"}), ROOT / "README.md"]
-SIMULATING = {"own-sensor-model", "train-on-own-sensor"}  # minutes
+EVERY_RUN = {"README", "bag-to-nav2", "map-a-scan"}  # the others take minutes together
 BLOCK = re.compile(r"^```(python|console)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PRELUDE = """
 def command(*words):
@@ -49,7 +49,7 @@ def program(text: str) -> str:
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(one, marks=[pytest.mark.slow] if one.stem in SIMULATING else [], id=one.stem) for one in PAGES],
+    [pytest.param(one, marks=[] if one.stem in EVERY_RUN else [pytest.mark.slow], id=one.stem) for one in PAGES],
 )
 def test_a_tutorial_runs(page: Path, tmp_path: Path) -> None:
     for example in (ROOT / "examples").glob("*.py"):
