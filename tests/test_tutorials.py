@@ -48,8 +48,7 @@ def program(text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "page",
-    [pytest.param(one, marks=[] if one.stem in EVERY_RUN else [pytest.mark.slow], id=one.stem) for one in PAGES],
+    "page", [pytest.param(one, marks=[] if one.stem in EVERY_RUN else [pytest.mark.slow], id=one.stem) for one in PAGES]
 )
 def test_a_tutorial_runs(page: Path, tmp_path: Path) -> None:
     for example in (ROOT / "examples").glob("*.py"):

@@ -14,7 +14,7 @@ import pytest
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan
 from ogm.storage.files import OgmError
-from ogm.workflows import FusedDrive, fuse_drives
+from ogm.workflows import FusedDrive, drives, fuse_drives
 
 
 def frame(name: str, k: int) -> Frame:
@@ -99,6 +99,11 @@ def test_two_workers_give_the_files_of_one_though_one_is_killed(tmp_path: Path) 
     assert (tmp_path / "marker").exists()
     assert sorted(two) == one
     assert contents(tmp_path / "two") == contents(tmp_path / "one")
+
+
+def test_what_a_worker_finished_before_it_died_is_taken(tmp_path: Path) -> None:
+    task, job = drives._Task(Names(), tmp_path), drives._Job("a", "key", DRIVES["a"])
+    assert task(job) == task(job) == FusedDrive("a", {"frames": 3})
 
 
 @pytest.mark.slow

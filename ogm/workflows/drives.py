@@ -138,10 +138,14 @@ class _Task:
 
     def __call__(self, job: _Job) -> FusedDrive:
         try:
+            if (
+                facts := _finished(self.out / job.name, job.key)
+            ) is not None:  # by a worker that died before it said so
+                return FusedDrive(job.name, facts)
             with temporary_folder(self.out) as folder:
                 made = folder / job.name
                 made.mkdir()
-                facts = self.fuse_drive(job.frames, made)
+                facts = dict(self.fuse_drive(job.frames, made))
                 with atomic_write(made / _NOTE, "w") as file:
                     json.dump({"format": _FORMAT, "key": job.key, "facts": facts}, file, indent=1)
                 os.rename(made, self.out / job.name)
