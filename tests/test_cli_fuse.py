@@ -11,13 +11,15 @@ from commands import ogm
 from PIL import Image
 from samples import BEAMS, flat_sample, flat_steps
 
+from ogm.datasets import open_dataset, with_poses
 from ogm.geometric import RayISM
-from ogm.grid import EvidentialGrid
+from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import read_poses, write_poses
 from ogm.plot.viewer import write_view
 from ogm.pose import Trajectory, inverse, pose, transform_points
 from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
+from ogm.workflows import FuseOptions, Outputs, fuse_drive
 
 FUSE = importlib.import_module("ogm.workflows.fuse_options")
 HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
@@ -82,6 +84,17 @@ def test_all_formats_of_poses_give_the_same_map(scans: Path, tmp_path: Path, pos
     assert all(np.allclose(one.mass, maps[0].mass, atol=1e-5) for one in maps)
     assert maps[0].at(WALL + 0.25, 1.0).occupied > 0.9
     assert maps[0].at(7.0, 1.0).free > 0.8
+
+
+def test_a_drive_is_fused_from_python_as_by_the_command(scans: Path, poses: Path, tmp_path: Path) -> None:
+    drive = with_poses(open_dataset(scans), poses)
+    options = FuseOptions(spec=GridSpec.centered(length=24, width=16, resolution=0.5))
+    run = fuse_drive(drive, Outputs(map=tmp_path / "python.npz"), options)
+    assert (run.facts()["scans"], run.code) == ("8 mapped, 0 skipped", 0)
+    assert ogm("fuse", scans, "--poses", poses, "--out", tmp_path / "command.npz", *SMALL).exit_code == 0
+    own, other = (EvidentialGrid.load(tmp_path / name) for name in ("python.npz", "command.npz"))
+    assert own.spec == other.spec
+    np.testing.assert_array_equal(own.mass, other.mass)
 
 
 def test_a_film_has_a_frame_per_scan_at_the_pace_of_the_drive(scans: Path, poses: Path, tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ def test_an_own_driver_is_served() -> None:
     module.FoxglovePublisher = Publisher
     thread = threading.Thread(target=lambda: results.append(module.main(sweeps(), port=0)))
     thread.start()
-    assert started.wait(60)
+    assert started.wait(300)  # kernels may have to be compiled
     publisher = results[0]
     with Client(publisher.port, ("/map",)) as client:
         until(publisher._map.has_sinks)
