@@ -1,6 +1,7 @@
 """Tables of cases that run as one test."""
 
 import functools
+import importlib.util
 import inspect
 import re
 import reprlib
@@ -8,6 +9,13 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import pytest
+
+
+def needs(*packages: str) -> None:
+    """Skip the module that calls this where a package is missing; none is imported, as that takes long."""
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            pytest.skip(f"no {package}", allow_module_level=True)
 
 
 def each(names: str | tuple[str, ...], cases: Iterable[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import needs
 from commands import ogm
 from samples import flat_sample, flat_steps
 
@@ -26,7 +27,7 @@ from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState
 
-pytest.importorskip("zarr")
+needs("zarr")
 SPEC = GridSpec.centered()
 BEAMS = Beams(
     "flat", tuple(np.linspace(-0.4, 0.1, 12)), (0.0,) * 12, -2 * np.pi / 180, 180, 10.0, ((0.0, 0.0, 0.0),) * 12

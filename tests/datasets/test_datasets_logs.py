@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from cases import each
-from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
 from ogm.cli import app
@@ -504,6 +503,8 @@ def test_fuse_makes_of_a_log_the_map_of_the_files(
 
 def test_packets_decode_to_the_clouds_of_the_driver(real: Callable[[str], Path]) -> None:
     """As far as the other interpolation of azimuths allows: one of the scans is the driver's cloud."""
+    from scipy.spatial import cKDTree
+
     pytest.importorskip("velodyne_decoder")
     (path,) = real("nebula_apache2").glob("vlp16/*/*.db3")
     (cloud_file,) = real("nebula_apache2").glob("vlp16/*.pcd")

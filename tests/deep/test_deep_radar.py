@@ -22,7 +22,6 @@ from ogm.deep.radar_data import STEP, RadarBatch, RadarDataset
 from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.deep.radar_onnx import FORMAT
 from ogm.deep.recipe import LITE_RECIPE, RADAR_RECIPE, Recipe
-from ogm.deep.training import train
 from ogm.evidence import check_mass
 from ogm.fusion import EvidentialMapper
 from ogm.geometric import moving_detections, sensor_velocity
@@ -239,6 +238,8 @@ def recipe() -> Recipe:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, recipe: Recipe) -> Path:
+    from ogm.deep.training import train
+
     out = tmp_path_factory.mktemp("run")
     options = {"accelerator": "cpu", "workers": 0, "progress": False, "precision": "32-true"}
     train(frames(16), frames(4), SMALL, out, recipe, facts={"data": "made up"}, **options)
@@ -255,6 +256,7 @@ def test_training_learns_and_states_where_the_weights_come_from(run: Path) -> No
 
 @pytest.mark.slow
 def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from ogm.deep.training import train
     from ogm.deep.training_run import TrainingRun
 
     options = {"accelerator": "cpu", "workers": 0, "progress": False, "precision": "32-true"}
@@ -277,6 +279,8 @@ def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, mon
 
 
 def test_a_recipe_of_radar_is_not_for_lidars(tmp_path: Path) -> None:
+    from ogm.deep.training import train
+
     with pytest.raises(ValueError, match="networks of radars a RadarGrid"):
         train([], frames(1), SPEC, tmp_path, RADAR_RECIPE)
     with pytest.raises(ValueError, match="networks of lidars take a GridSpec"):

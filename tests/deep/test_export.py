@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cases import each
+from cases import each, needs
 
 from ogm.deep.export import export_onnx
 from ogm.deep.export_parts import _Masses
@@ -20,9 +20,7 @@ from ogm.deep.pillars import Pillars, pillarize
 from ogm.deep.points import SortedPoints, sort_points
 from ogm.grid import GridSpec
 
-onnx = pytest.importorskip("onnx")
-pytest.importorskip("onnxruntime")
-pytest.importorskip("onnxscript")
+needs("onnx", "onnxruntime", "onnxscript")
 
 SPEC = GridSpec.centered(length=10.24, width=5.12, resolution=0.16)
 OTHER = GridSpec(0.16, (96, 16), (-3.2, -2.0))  # its sides are multiples of both networks'
@@ -58,6 +56,8 @@ def mass_of(network: PillarNetwork, pillars: Pillars) -> np.ndarray:
 
 
 def metadata_of(path: Path) -> dict[str, str]:
+    import onnx
+
     return {entry.key: entry.value for entry in onnx.load(path).metadata_props}
 
 
@@ -100,6 +100,8 @@ def test_evidence_of_any_size_is_exact() -> None:
 
 
 def test_the_file_explains_itself(exported: tuple[PillarNetwork, Path]) -> None:
+    import onnx
+
     network, path = exported
     model = onnx.load(path)
     onnx.checker.check_model(model, full_check=True)

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 import torch
 from cases import each
-from lightning.fabric import Fabric
 
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import PAPER
 from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
-from ogm.deep.training import train
-from ogm.deep.training_run import TrainingRun
 from ogm.storage.locks import locked
 
 
@@ -35,6 +32,8 @@ def recipe(tiny):
 
 @pytest.fixture
 def go(frames, small, recipe, tmp_path):
+    from ogm.deep.training import train
+
     def run(out="run", training=frames[:8], validation=frames[8:], **options):
         fixed = {"workers": 0, "accelerator": "cpu", "progress": False, "picture_every": 0, "recipe": recipe}
         options = fixed | options
@@ -88,6 +87,8 @@ def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, recipe, frames, tmp_
 
 def test_an_interrupt_within_a_step_changes_nothing(go, tmp_path, monkeypatch):
     """The forward pass has changed the statistics of the batch norms when the backward pass is interrupted."""
+    from lightning.fabric import Fabric
+
     whole = go("whole")
     backward, calls = Fabric.backward, []
 
@@ -123,6 +124,8 @@ def test_a_full_disk_under_the_state_is_an_error_that_names_it(go, tmp_path):
 @pytest.mark.parametrize("epoch", [1, 2])
 def test_a_run_that_is_killed_between_the_record_and_the_state_of_an_epoch(go, tmp_path, monkeypatch, epoch):
     go("whole")
+    from ogm.deep.training_run import TrainingRun
+
     save = TrainingRun.save
     with monkeypatch.context() as patch:  # what stands on disk then is what a kill leaves
         patch.setattr(TrainingRun, "save", lambda run: save(run) if run.epoch < epoch else sys.exit(9))

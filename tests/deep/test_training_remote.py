@@ -7,8 +7,6 @@ from walls import BEAMS, sample
 from ogm.datasets import open_dataset
 from ogm.deep import order
 from ogm.deep.recipe import Recipe
-from ogm.deep.training import train
-from ogm.deep.training_run import TrainingRun
 from ogm.simulation.store import Store
 from ogm.storage.remote import object_store
 
@@ -33,6 +31,9 @@ def data(tmp_path_factory, s3):
 
 @pytest.mark.slow
 def test_a_run_is_the_same_with_loading_processes_and_resumed(data, small, tiny, tmp_path, monkeypatch):
+    from ogm.deep.training import train
+    from ogm.deep.training_run import TrainingRun
+
     monkeypatch.setattr(order, "STREAMS", 2)
     recipe = Recipe(tiny, epochs=2, batch=4, warmup=2, learning_rate=1e-2)
     options = {"accelerator": "cpu", "progress": False, "picture_every": 0}

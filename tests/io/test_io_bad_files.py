@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.dataset  # noqa: F401  its first import is not memory that a file takes
 import pytest
 from cases import each
 
@@ -49,6 +48,8 @@ end_header
 
 def refused(path: Path, message: str = ".") -> str:
     """Read the file, take its OgmError, and check that it names the file once and asks for little memory."""
+    import pyarrow.dataset  # noqa: F401  its first import is not memory that a file takes
+
     tracemalloc.start()
     try:
         with pytest.raises(OgmError, match=message) as caught:

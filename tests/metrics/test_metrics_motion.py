@@ -8,7 +8,6 @@ from cases import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import LABELS, SPEC, motionless, perfect, scene
-from scipy.stats import chi2
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.metrics import MOTION_METRICS, MotionSums, accumulate_motion, distances, motion_curve, score_motion
@@ -54,6 +53,8 @@ def test_a_grid_in_which_nothing_moves_is_at_chance(seed: int) -> None:
 
 def plain(grid: DynamicGrid, motion: Motion, occupied: np.ndarray, kind: str | None = None) -> dict[str, float]:
     """The scores from their definitions, one cell after the other."""
+    from scipy.stats import chi2
+
     rows = []
     for i, j in np.ndindex(*grid.spec.shape):
         true = motion.velocity[i, j].astype(float)

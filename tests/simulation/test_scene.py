@@ -1,7 +1,6 @@
 """Laws of casting rays: analytic distances, and a slow twin that casts at everything merged into one."""
 
 import numpy as np
-import open3d
 import pytest
 from cases import each
 from hypothesis import given, settings
@@ -24,11 +23,13 @@ def sphere(count: int, seed: int = 0) -> np.ndarray:
 
 def slow_cast(parts: list[Mesh], things: list[int], origin: np.ndarray, rays: np.ndarray) -> Hits:
     """Cast at one scene that holds everything; no glass."""
+    from open3d import core, t
+
     merged = merge(parts)
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(open3d.core.Tensor(merged.vertices), open3d.core.Tensor(merged.triangles))
+    scene = t.geometry.RaycastingScene()
+    scene.add_triangles(core.Tensor(merged.vertices), core.Tensor(merged.triangles))
     starts = np.broadcast_to(np.asarray(origin, np.float32), rays.shape)
-    answer = scene.cast_rays(open3d.core.Tensor(np.concatenate([starts, rays], axis=1)))
+    answer = scene.cast_rays(core.Tensor(np.concatenate([starts, rays], axis=1)))
     distance = answer["t_hit"].numpy()
     hit = np.isfinite(distance)
     triangle = np.where(hit, answer["primitive_ids"].numpy(), 0)

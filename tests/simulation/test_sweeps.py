@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, needs
 from stand_in import BEAMS, stand_in
 
 from ogm import open_dataset
@@ -22,7 +22,7 @@ from ogm.simulation.radars import RADARS
 from ogm.simulation.store import Damaged, Store
 from ogm.storage.files import OgmError
 
-pytest.importorskip("zarr")
+needs("zarr")
 TWO = radars_at(["ars548", "corner@rear-left"])
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, needs
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
@@ -15,7 +15,7 @@ from ogm.io.messages.occupancy import occupancy_values
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 
-pytest.importorskip("rosbags")
+needs("rosbags")
 SPEC = GridSpec(0.25, (9, 5), (-1.75, 2.5))
 T = pose(12.0, -3.0, 0.5, yaw=0.6)
 ENDINGS = (".mcap", ".db3", ".bag")

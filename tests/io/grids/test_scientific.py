@@ -4,10 +4,11 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, needs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,8 +19,7 @@ from ogm.io.grids.scientific import from_xarray, to_xarray
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 
-xarray = pytest.importorskip("xarray")
-netCDF4 = pytest.importorskip("netCDF4")
+needs("xarray", "netCDF4")
 
 SPEC = GridSpec(1 / 3, (9, 5), (-1.7, 2.3))
 BOTH = each("ending", [".nc", ".zarr"])
@@ -31,7 +31,10 @@ def grid() -> EvidentialGrid:
     return EvidentialGrid(SPEC, mass)
 
 
-def opened(path: Path) -> "xarray.Dataset":
+def opened(path: Path) -> Any:
+    """Return the `xarray.Dataset` of a file."""
+    import xarray
+
     if path.suffix == ".zarr":
         pytest.importorskip("zarr")
         return xarray.open_zarr(path, consolidated=False, chunks=None).load()
@@ -41,6 +44,8 @@ def opened(path: Path) -> "xarray.Dataset":
 
 @BOTH
 def test_it_comes_back_exactly_also_through_xarray(tmp_path: Path, ending: str) -> None:
+    import xarray
+
     path = tmp_path / f"map{ending}"
     for _ in range(2):  # the second time over the first
         write_grid(path, PlacedGrid(grid(), frame_id="odom", stamp=1.5))
@@ -158,6 +163,8 @@ def test_what_is_no_grid_is_refused() -> None:
 
 @BOTH
 def test_damaged_and_foreign_files_are_refused_by_their_name(tmp_path: Path, ending: str) -> None:
+    import xarray
+
     path = tmp_path / f"map{ending}"
     write_grid(path, grid())
     good = next(one for one in (path / "free" / "c", path) if one.exists())
@@ -182,6 +189,8 @@ def test_damaged_and_foreign_files_are_refused_by_their_name(tmp_path: Path, end
 
 
 def test_a_netcdf_that_promises_more_than_a_grid_has_is_not_read(tmp_path: Path) -> None:
+    import netCDF4
+
     with netCDF4.Dataset(tmp_path / "huge.nc", "w") as file:
         for name in "xy":
             file.createDimension(name, 10**5)
@@ -219,6 +228,8 @@ def test_a_zarr_folder_packed_by_what_a_crafted_chunk_can_crash_is_not_read(tmp_
 
 
 def test_a_folder_that_is_no_grid_is_never_replaced(tmp_path: Path) -> None:
+    import xarray
+
     pytest.importorskip("zarr")
     path = tmp_path / "data.zarr"
     xarray.Dataset({"mine": ("x", [1.0])}).to_zarr(path, zarr_format=3, consolidated=False)

@@ -7,8 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cases import each
-from scipy.spatial import cKDTree
+from cases import each, needs
 
 from ogm.io import read_scan
 from ogm.io.messages import scan_from_velodyne_scan, scans_from_pcap
@@ -16,7 +15,7 @@ from ogm.io.messages.velodyne import VELODYNE_MODELS
 from ogm.pose import pose, transform_points
 from ogm.storage.files import OgmError
 
-pytest.importorskip("velodyne_decoder")
+needs("velodyne_decoder")
 KIND = "velodyne_msgs/msg/VelodyneScan"
 
 # folder, the message of the cloud beside it, its points, model, what 99 of 100 points keep to [m]
@@ -42,6 +41,8 @@ def recorded(real, stores):
 
 @each("folder, which, number, model, tolerance", RECORDED)
 def test_packets_give_the_cloud_of_the_other_driver(folder, which, number, model, tolerance, recorded):
+    from scipy.spatial import cKDTree
+
     messages, cloud = recorded(folder)
     scan = scan_from_velodyne_scan(messages[which])
     assert len(cloud) == number
@@ -63,6 +64,8 @@ def test_packets_give_the_cloud_of_the_other_driver(folder, which, number, model
 
 def test_beams_without_echo(recorded):
     """Distances that are 0 in the packets; and beams that are blanked there are found in their direction."""
+    from scipy.spatial import cKDTree
+
     messages, _ = recorded("vlp32")
     message = messages[0]
     before = scan_from_velodyne_scan(message)
