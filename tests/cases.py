@@ -3,6 +3,7 @@
 import functools
 import importlib.util
 import inspect
+import itertools
 import re
 import reprlib
 from collections.abc import Callable, Iterable
@@ -88,3 +89,17 @@ def refused(
     except Exception as raised:
         raise AssertionError(f"{case} raises {type(raised).__name__}, wanted {error.__name__} {match!r}") from raised
     raise AssertionError(f"{case} raises nothing, wanted {error.__name__} {match!r}")
+
+
+def fail_call(
+    monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, number: int, error: BaseException | None = None
+) -> None:
+    """Let the n-th call of a function, from 1, raise an error instead of doing anything: by default an interrupt."""
+    real, calls = getattr(owner, name), itertools.count(1)
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        if next(calls) == number:
+            raise error or KeyboardInterrupt
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, counted)

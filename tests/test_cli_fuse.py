@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
-from commands import ogm
+from cases import each, fail_call
+from commands import ogm, refused_command
 from PIL import Image
 from samples import BEAMS, flat_sample, flat_steps
+from wall_drive import HEIGHT, WALL, world, write_kitti, write_scans
 
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid
@@ -20,43 +21,22 @@ from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
 
 FUSE = importlib.import_module("ogm.workflows.fuse_options")
-HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
+FRAMES = 8
 SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5)
 POSES = np.array([pose(0.4 * k, 0.05 * k, yaw=0.02 * k) for k in range(FRAMES)])
 STAMPS = np.arange(FRAMES) / 10
 
 
-def world() -> np.ndarray:
-    """Ground, and a wall across the way at x = 10 m."""
-    rng = np.random.default_rng(0)
-    ground, wall = rng.uniform(-20, 20, (20_000, 4)), rng.uniform(-12, 12, (4000, 4))
-    ground[:, 0] = np.minimum(ground[:, 0], WALL)
-    ground[:, 2], wall[:, 0] = -HEIGHT, WALL + 0.25
-    wall[:, 2] = rng.uniform(-HEIGHT, 0.5, len(wall))
-    points = np.concatenate([ground, wall])
-    points[:, 3] = 0.5
-    return points
-
-
-def scan_at(T: np.ndarray) -> np.ndarray:
-    return transform_points(inverse(T), world()).astype(np.float32)
-
-
 @pytest.fixture(scope="session")
 def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of KITTI files whose names sort wrongly as text."""
-    folder = tmp_path_factory.mktemp("drive")
-    for k, T in enumerate(POSES):
-        scan_at(T).tofile(folder / f"scan_{k + 5}.bin")
+    folder = write_scans(tmp_path_factory.mktemp("drive"), world(), POSES, "scan_{}.bin", 5)
     (folder / "notes.txt").write_text("not a scan")
     return folder
 
 
 def kitti(path: Path, poses: np.ndarray = POSES, first: int | None = 5) -> Path:
-    rows = [" ".join(map(repr, T[:3].ravel().tolist())) for T in poses]
-    lines = rows if first is None else [f"{k + first} {row}" for k, row in enumerate(rows)]
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    return write_kitti(path, poses, first)
 
 
 @pytest.fixture
@@ -142,15 +122,7 @@ def test_after_three_jumps_the_map_begins_anew_and_the_old_one_is_kept(scans: Pa
 def test_an_error_or_interrupt_half_way_writes_the_map_so_far(
     scans: Path, tmp_path: Path, poses: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
 ) -> None:
-    real, calls = RayISM.__call__, []
-
-    def interrupted(*arguments: object) -> EvidentialGrid:
-        calls.append(arguments)
-        if len(calls) == 4:
-            raise error
-        return real(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(RayISM, "__call__", interrupted)
+    fail_call(monkeypatch, RayISM, "__call__", 4, error)
     out, movie = tmp_path / "m.npz", tmp_path / "m.png"
     result = ogm("fuse", scans, "--poses", poses, "--out", out, "--movie", movie, *SMALL)
     assert result.exit_code == code, result.output
@@ -293,10 +265,9 @@ def test_errors_are_one_line_and_exit_code_2_before_the_work(
     far[-1, :2, 3] = 1e5
     names["far"] = kitti(tmp_path / "far.txt", far)
     more = () if {"--out", "--picture"} & set(words) else ("--out", tmp_path / "m.npz")
-    result = ogm("fuse", *SMALL, *(word.format(**names) for word in words), *more)  # the last --length counts
-    assert result.exit_code == 2, result.output
-    assert message in result.output
-    assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1, result.output
+    refused_command(
+        message, "fuse", *SMALL, *(word.format(**names) for word in words), *more
+    )  # the last --length counts
     assert not list(tmp_path.glob("*.npz"))
 
 

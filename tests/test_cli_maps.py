@@ -9,20 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, fail_call
 from click.testing import Result
 from commands import ogm
+from wall_drive import HEIGHT, WALL, write_drive
 
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid, write_poses
+from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.io.logs import open_log
 from ogm.io.messages import grid_from_occupancy_grid, transforms_from_tf
 from ogm.io.messages.occupancy import occupancy_values
-from ogm.pose import Trajectory, inverse, pose, transform_points
+from ogm.pose import pose
 from ogm.state import predict_state
 
-HEIGHT, FRAMES, WALL = 1.7, 4, 10.0
+FRAMES = 4
 SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5)
 POSES = np.array([pose(0.7 * k, 0.05 * k, 0.1 * k, yaw=0.02 * k) for k in range(FRAMES)])
 STAMPS = 1_700_000_000 + np.arange(FRAMES) / 10
@@ -38,17 +39,7 @@ def grid() -> EvidentialGrid:
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four scans of a plane and a wall across the way, and their poses."""
-    folder, rng = tmp_path_factory.mktemp("drive"), np.random.default_rng(0)
-    ground, wall = rng.uniform(-20, 20, (20_000, 4)), rng.uniform(-12, 12, (4000, 4))
-    ground[:, 0], ground[:, 2] = np.minimum(ground[:, 0], WALL), -HEIGHT
-    wall[:, 0], wall[:, 2] = WALL + 0.25, rng.uniform(-HEIGHT, 0.5, len(wall))
-    world = np.concatenate([ground, wall])
-    world[:, 3] = 0.5
-    for k, T in enumerate(POSES):
-        transform_points(inverse(T), world).astype(np.float32).tofile(folder / f"{k}.bin")
-    write_poses(folder / "poses.csv", Trajectory(STAMPS, POSES), np.arange(FRAMES))
-    return folder
+    return write_drive(tmp_path_factory.mktemp("drive"), POSES, STAMPS)
 
 
 def fused(drive: Path, out: Path, *words: object) -> Result:
@@ -184,15 +175,7 @@ def test_a_log_has_the_map_and_the_pose_after_each_scan(drive: Path, tmp_path: P
 
 
 def test_ctrl_c_keeps_the_maps_so_far(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, calls = RayISM.__call__, []
-
-    def interrupted(*arguments: object) -> EvidentialGrid:
-        calls.append(arguments)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return real(*arguments)
-
-    monkeypatch.setattr(RayISM, "__call__", interrupted)
+    fail_call(monkeypatch, RayISM, "__call__", 3)
     assert fused(drive, tmp_path / "m.mcap", "--message", "grid-map").exit_code == 130
     with open_log(tmp_path / "m.mcap") as log:
         assert log.topics["/map"].count == 2
@@ -203,29 +186,14 @@ def test_ctrl_c_keeps_the_maps_so_far(drive: Path, tmp_path: Path, monkeypatch: 
 def test_ctrl_c_while_the_first_map_is_logged_keeps_it(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, calls = GridLog.write, []
-
-    def interrupted(*arguments: object) -> None:
-        calls.append(arguments)
-        if len(calls) == 1:
-            raise KeyboardInterrupt
-        real(*arguments)
-
-    monkeypatch.setattr(GridLog, "write", interrupted)
+    fail_call(monkeypatch, GridLog, "write", 1)
     assert fused(drive, tmp_path / "m.mcap").exit_code == 130
     assert read_grid(tmp_path / "m.mcap").at(WALL + 0.25, 1.0).occupied > 0.5
 
 
 def test_a_full_disk_leaves_earlier_outputs(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, calls = GridLog.write, []
-
-    def full(*arguments: object) -> None:
-        calls.append(arguments)
-        if len(calls) == 2:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path / "m.db3"))
-        real(*arguments)
-
-    monkeypatch.setattr(GridLog, "write", full)
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path / "m.db3"))
+    fail_call(monkeypatch, GridLog, "write", 2, full)
     for name in ("m.db3", "poses.txt"):
         (tmp_path / name).write_text("earlier")
     result = fused(drive, tmp_path / "m.db3", "--save-poses", tmp_path / "poses.txt")

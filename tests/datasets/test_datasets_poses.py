@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wall_drive import write_kitti, write_scans
 
 from ogm.datasets import Dataset, open_dataset, with_odometry, with_poses
 from ogm.io import read_poses, write_poses
@@ -30,17 +31,11 @@ def scanned(T: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("drive")
-    for k, T in enumerate(POSES):
-        scanned(T).tofile(folder / f"scan_{k + 5}.bin")
-    return folder
+    return write_scans(tmp_path_factory.mktemp("drive"), world(), POSES, "scan_{}.bin", 5)
 
 
 def kitti(path: Path, poses: np.ndarray = POSES, first: int | None = 5) -> Path:
-    rows = [" ".join(map(repr, T[:3].ravel().tolist())) for T in poses]
-    lines = rows if first is None else [f"{k + first} {row}" for k, row in enumerate(rows)]
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    return write_kitti(path, poses, first)
 
 
 def placed(dataset: Dataset) -> np.ndarray:

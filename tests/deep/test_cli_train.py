@@ -14,14 +14,7 @@ from ogm.scan import Mount
 
 EXTENT = ("--length", 30.72, "--width", 20.48, "--resolution", 0.64)
 SMALL = (*EXTENT, "--workers", 0, "--accelerator", "cpu", "--batch", 4)
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def test_train_writes_weights_that_can_be_used(store: Path, frames: list, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from cases import each, needs
+from networks import SPEC, trained
 
 from ogm.deep.export import export_onnx
 from ogm.deep.export_parts import _Masses
@@ -22,25 +23,11 @@ from ogm.grid import GridSpec
 
 needs("onnx", "onnxruntime", "onnxscript")
 
-SPEC = GridSpec.centered(length=10.24, width=5.12, resolution=0.16)
 OTHER = GridSpec(0.16, (96, 16), (-3.2, -2.0))  # its sides are multiples of both networks'
 NETWORKS = {
     "small": replace(LITE, blocks=((8, 1), (12, 2), (16, 1), (16, 1))),
     "paper": replace(PAPER, blocks=((8, 2), (8, 1), (8, 1)), up=8, evidence="relu"),  # as published
 }
-
-
-def trained(config: NetworkConfig) -> PillarNetwork:
-    """Make a network whose normalisation is not the identity, as after training."""
-    torch.manual_seed(1)
-    network = PillarNetwork(config, SPEC).eval()
-    for module in network.modules():
-        if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
-            torch.nn.init.normal_(module.running_mean, 0, 0.1)
-            torch.nn.init.uniform_(module.running_var, 0.5, 2)
-            torch.nn.init.uniform_(module.weight, 0.5, 2)
-            torch.nn.init.normal_(module.bias, 0, 0.3)
-    return network
 
 
 def scan(n: int) -> np.ndarray:

@@ -9,20 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from cases import each
+from cases import each, fail_call
 
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import PAPER
 from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
 from ogm.storage.locks import locked
 
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture
@@ -90,16 +84,8 @@ def test_an_interrupt_within_a_step_changes_nothing(go, tmp_path, monkeypatch):
     from lightning.fabric import Fabric
 
     whole = go("whole")
-    backward, calls = Fabric.backward, []
-
-    def interrupted(*arguments, **options):
-        calls.append(arguments)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return backward(*arguments, **options)
-
     with monkeypatch.context() as patch:
-        patch.setattr(Fabric, "backward", interrupted)
+        fail_call(patch, Fabric, "backward", 3)
         with pytest.raises(KeyboardInterrupt):
             go("stopped")
     assert go("stopped", resume=True).read_bytes() == whole.read_bytes()
