@@ -14,6 +14,13 @@ def ogm(*words: object) -> Result:
     return result
 
 
+def completed(*words: object) -> Result:
+    """Run a command that must succeed."""
+    result = ogm(*words)
+    assert result.exit_code == 0, result.output
+    return result
+
+
 def refused_command(message: str, *words: object) -> Result:
     """Run a command that must end with exit code 2 and one line of error that holds a message."""
     result = ogm(*words)

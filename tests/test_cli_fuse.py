@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import each, fail_call
-from commands import ogm, refused_command
+from commands import completed, ogm, refused_command
 from PIL import Image
 from samples import BEAMS, flat_sample, flat_steps
 from wall_drive import HEIGHT, WALL, world, write_kitti, write_scans
@@ -52,8 +52,7 @@ def test_all_formats_of_poses_give_the_same_map(scans: Path, tmp_path: Path, pos
     maps = []
     order = {"poses.txt": "by frame number", "tum.txt": "in their order", "ours.csv": "by frame number"}
     for name, how in (order | {"plain.txt": "in their order", "whole.txt": "row by frame number"}).items():
-        result = ogm("fuse", scans, "--poses", tmp_path / name, "--out", tmp_path / "m.npz", *SMALL)
-        assert result.exit_code == 0, result.output
+        result = completed("fuse", scans, "--poses", tmp_path / name, "--out", tmp_path / "m.npz", *SMALL)
         assert how in result.output
         assert "8 mapped, 0 skipped" in result.output
         assert "sensor height 1.70 m" in result.output
@@ -66,8 +65,7 @@ def test_all_formats_of_poses_give_the_same_map(scans: Path, tmp_path: Path, pos
 
 def test_a_film_has_a_frame_per_scan_at_the_pace_of_the_drive(scans: Path, poses: Path, tmp_path: Path) -> None:
     movie, picture = tmp_path / "m.gif", tmp_path / "m.png"
-    result = ogm("fuse", scans, "--poses", poses, "--rate", 5, "--picture", picture, "--movie", movie, *SMALL)
-    assert result.exit_code == 0, result.output
+    result = completed("fuse", scans, "--poses", poses, "--rate", 5, "--picture", picture, "--movie", movie, *SMALL)
     assert "1.4 s" in result.output
     with Image.open(movie) as film, Image.open(picture) as shown:
         assert film.n_frames == FRAMES
@@ -146,28 +144,23 @@ def test_nothing_mapped_is_an_error_and_writes_nothing(scans: Path, tmp_path: Pa
 @each("numbered", [5, None])
 def test_the_first_scans_alone_can_be_mapped(scans: Path, tmp_path: Path, numbered: int | None) -> None:
     poses = kitti(tmp_path / "poses.txt", first=numbered)
-    result = ogm("fuse", scans, "--poses", poses, "--first", 3, "--out", tmp_path / "m.npz", *SMALL)
-    assert result.exit_code == 0, result.output
+    result = completed("fuse", scans, "--poses", poses, "--first", 3, "--out", tmp_path / "m.npz", *SMALL)
     assert "3 mapped, 0 skipped" in result.output
-    result = ogm("fuse", scans, "--poses", poses, "--first", 0, *SMALL)
-    assert result.exit_code == 2
-    assert "--first must be at least 1" in result.output
+    refused_command("--first must be at least 1", "fuse", scans, "--poses", poses, "--first", 0, *SMALL)
 
 
 @each("rule", ["dempster", "pcr6", "weighted", "bayes"])
 def test_every_rule_maps_the_drive(scans: Path, poses: Path, tmp_path: Path, rule: str) -> None:
     movie = ("--movie", tmp_path / "m.png") if rule == "bayes" else ()  # it has other panels
     words = ("--rule", rule, "--half-life", 1, "--out", tmp_path / "m.npz", *movie)
-    result = ogm("fuse", scans, "--poses", poses, *words, *SMALL)
-    assert result.exit_code == 0, result.output
+    completed("fuse", scans, "--poses", poses, *words, *SMALL)
     grid = EvidentialGrid.load(tmp_path / "m.npz")
     assert grid.at(WALL + 0.25, 1.0).occupied > 0.5
     assert grid.at(7.0, 1.0).free > 0.4
 
 
 def test_a_fixed_window_maps_the_drive(scans: Path, poses: Path, tmp_path: Path) -> None:
-    result = ogm("fuse", scans, "--poses", poses, "--window", "fixed", "--out", tmp_path / "m.npz", *SMALL)
-    assert result.exit_code == 0, result.output
+    completed("fuse", scans, "--poses", poses, "--window", "fixed", "--out", tmp_path / "m.npz", *SMALL)
     grid = EvidentialGrid.load(tmp_path / "m.npz")
     assert grid.spec.extent[0] <= -12
     assert grid.spec.extent[1] >= POSES[-1, 0, 3] + 12
@@ -196,8 +189,7 @@ def test_deskewing_takes_the_ego_motion_out(tmp_path: Path) -> None:
     words = ("--poses", tmp_path / "p.txt", "--sensor-height", HEIGHT, *SMALL)
     grids = []
     for folder, more in ((straight, ()), (distorted, ("--deskew",)), (distorted, ())):
-        result = ogm("fuse", folder, *words, *more, "--out", tmp_path / "m.npz")
-        assert result.exit_code == 0, result.output
+        result = completed("fuse", folder, *words, *more, "--out", tmp_path / "m.npz")
         grids.append(EvidentialGrid.load(tmp_path / "m.npz").occupied)
     off = [float(np.abs(one - grids[0]).mean()) for one in grids[1:]]
     assert off[0] < 0.1 * off[1]
@@ -223,8 +215,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Path) -> None:
-    result = ogm("fuse", data, "--out", tmp_path / "m.npz", "--save-poses", tmp_path / "p.txt", *SMALL)
-    assert result.exit_code == 0, result.output
+    result = completed("fuse", data, "--out", tmp_path / "m.npz", "--save-poses", tmp_path / "p.txt", *SMALL)
     assert "3 mapped, 0 skipped" in result.output
     assert EvidentialGrid.load(tmp_path / "m.npz").at(WALL + 0.25, 0.0).occupied > 0.5
     used = read_poses(tmp_path / "p.txt")
@@ -289,8 +280,7 @@ def test_outputs_may_lie_in_new_folders_and_extents_follow_the_resolution(
 ) -> None:
     out = tmp_path / "new" / "dir" / "m.npz"
     words = ("--out", out, "--first", 2, "--resolution", 0.7, "--sensor-height", HEIGHT)
-    result = ogm("fuse", scans, "--poses", poses, *words)
-    assert result.exit_code == 0, result.output
+    completed("fuse", scans, "--poses", poses, *words)
     assert EvidentialGrid.load(out).spec.resolution == 0.7
 
 
@@ -299,8 +289,7 @@ def test_a_page_shows_the_map_and_its_conflict(scans: Path, poses: Path, tmp_pat
     for rule, has_conflict in (("cautious", True), ("bayes", False)):
         page, grid = tmp_path / f"{rule}.html", tmp_path / f"{rule}.npz"
         words = ("--rule", rule, "--page", page, "--out", grid, *SMALL)
-        result = ogm("fuse", scans, "--poses", poses, *words)
-        assert result.exit_code == 0, result.output
+        result = completed("fuse", scans, "--poses", poses, *words)
         assert f"page {page}" in result.output
         write_view(tmp_path / "alone.html", EvidentialGrid.load(grid))
         masses = [
@@ -332,8 +321,7 @@ def test_a_data_set_with_its_own_poses_needs_none_and_a_drive_is_picked_by_name(
     saved = tmp_path / "p.csv"
     words = ("--out", tmp_path / "m.npz", "--save-poses", saved, *SMALL)
     for given, first in (((), 0), (("--sequence", "07"), 4), (("--sequence", 1), 4)):
-        result = ogm("fuse", sequences, *given, *words)
-        assert result.exit_code == 0, result.output
+        result = completed("fuse", sequences, *given, *words)
         assert "4 mapped, 0 skipped" in result.output
         assert ("drive: 00, the first of 2" in result.output) is (given == ())
         assert np.allclose(read_poses(saved).poses[0], POSES[first], atol=1e-6)
@@ -369,6 +357,4 @@ def test_options_of_many_drives_that_exclude_others(
     scans: Path, tmp_path: Path, words: tuple[object, ...], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    result = ogm("fuse", scans, *words)
-    assert result.exit_code == 2
-    assert message in result.output
+    refused_command(message, "fuse", scans, *words)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cases import each
+from cases import each, refused
 from scipy.ndimage import map_coordinates
 
 from ogm import Frame, GridSpec, Mount, Scan
@@ -200,8 +200,7 @@ def test_the_grid_moves_with_the_mounting(network: RadarNetwork) -> None:
 
 @each("change", [{"half_width": 0.0}, {"azimuth_noise": math.nan}, {"doppler_noise": -1.0}])
 def test_impossible_numbers_are_refused(network: RadarNetwork, change: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(change))):
-        DeepRadarISM(network, SPEC, FRONT, RadarNoise()._replace(**change))
+    refused(next(iter(change)), DeepRadarISM, network, SPEC, FRONT, RadarNoise()._replace(**change))
 
 
 def test_what_is_repeated_from_one_place_does_not_accumulate(network: RadarNetwork) -> None:
@@ -281,15 +280,12 @@ def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, mon
 def test_a_recipe_of_radar_is_not_for_lidars(tmp_path: Path) -> None:
     from ogm.deep.training import train
 
-    with pytest.raises(ValueError, match="networks of radars a RadarGrid"):
-        train([], frames(1), SPEC, tmp_path, RADAR_RECIPE)
-    with pytest.raises(ValueError, match="networks of lidars take a GridSpec"):
-        train([], frames(1), SMALL, tmp_path, LITE_RECIPE)
+    refused("networks of radars a RadarGrid", train, [], frames(1), SPEC, tmp_path, RADAR_RECIPE)
+    refused("networks of lidars take a GridSpec", train, [], frames(1), SMALL, tmp_path, LITE_RECIPE)
 
 
 def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
-    with pytest.raises(OgmError, match="describes no network"):
-        load_network(run / "best.safetensors")
+    refused("describes no network", load_network, run / "best.safetensors", error=OgmError)
     from ogm.deep.engines import weights_of
 
     with weights_of("lite") as path, pytest.raises(OgmError, match="describes no network"):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cases import each, needs
+from cases import each, needs, refused
 from networks import SPEC, trained
 
 from ogm.deep.export import export_onnx
@@ -142,12 +142,9 @@ def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
 
 def test_what_cannot_be_exported_is_refused_before_the_work(tmp_path: Path) -> None:
     network = trained(NETWORKS["small"])
-    with pytest.raises(ValueError, match=r"named \.onnx"):
-        export_onnx(network, tmp_path / "lite.pt")
-    with pytest.raises(ValueError, match="load_network"):
-        export_onnx(fused(network), tmp_path / "lite.onnx")
-    with pytest.raises(FileNotFoundError, match="create it first"):
-        export_onnx(network, tmp_path / "no" / "lite.onnx")
+    refused(r"named \.onnx", export_onnx, network, tmp_path / "lite.pt")
+    refused("load_network", export_onnx, fused(network), tmp_path / "lite.onnx")
+    refused("create it first", export_onnx, network, tmp_path / "no" / "lite.onnx", error=FileNotFoundError)
     assert not list(tmp_path.iterdir())
 
 
@@ -159,8 +156,7 @@ def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
         raise RuntimeError("no")
 
     monkeypatch.setattr("ogm.deep.export._model", fail)
-    with pytest.raises(RuntimeError, match="no"):
-        export_onnx(trained(NETWORKS["small"]), path)
+    refused("no", export_onnx, trained(NETWORKS["small"]), path, error=RuntimeError)
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
 

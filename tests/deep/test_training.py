@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from cases import each, fail_call
+from cases import each, fail_call, refused
 
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import PAPER
@@ -99,8 +99,7 @@ def test_a_full_disk_under_the_state_is_an_error_that_names_it(go, tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2 * size, before[1]))
     try:
-        with pytest.raises(OSError, match=r"state\.pt"):
-            go("full")
+        refused(r"state\.pt", go, "full", error=OSError)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, ignored)
@@ -141,16 +140,13 @@ def test_workers_change_nothing(go):
 
 def test_a_run_is_not_overwritten(go):
     go()
-    with pytest.raises(ValueError, match="--resume"):
-        go()
+    refused("--resume", go)
 
 
 def test_another_recipe_or_data_does_not_resume(go, recipe, frames):
     go()
-    with pytest.raises(ValueError, match="another recipe"):
-        go(resume=True, recipe=replace(recipe, weight_decay=0.5))
-    with pytest.raises(ValueError, match="another frames"):
-        go(resume=True, training=frames[:7])
+    refused("another recipe", go, resume=True, recipe=replace(recipe, weight_decay=0.5))
+    refused("another frames", go, resume=True, training=frames[:7])
 
 
 def test_a_run_goes_on_with_another_learning_rate(go, recipe, frames, tmp_path):
@@ -182,8 +178,7 @@ def test_a_hostile_state_is_not_unpickled(go, tmp_path):
 
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "state.pt").write_bytes(pickle.dumps({"recipe": Evil()}))
-    with pytest.raises(ValueError, match="cannot resume"):
-        go(resume=True)
+    refused("cannot resume", go, resume=True)
     assert not (tmp_path / "owned").exists()
 
 
@@ -212,8 +207,7 @@ def test_the_error_for_too_little_memory_has_the_way_out(go, monkeypatch):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     monkeypatch.setattr("ogm.deep.training_run.mean_loss", full)
-    with pytest.raises(MemoryError, match="--batch"):
-        go()
+    refused("--batch", go, error=MemoryError)
 
 
 def test_every_loss_and_the_published_recipe_can_be_trained_with(go, recipe, tmp_path):
@@ -231,10 +225,8 @@ def test_every_loss_and_the_published_recipe_can_be_trained_with(go, recipe, tmp
         ({"batch": 9}, "fewer than one batch"),
     ])  # fmt: skip
 def test_recipes_out_of_range_are_refused(go, recipe, change, match):
-    with pytest.raises(ValueError, match=match):
-        go(recipe=replace(recipe, **change))
+    refused(match, go, recipe=replace(recipe, **change))
 
 
 def test_weights_are_not_chosen_without_validation(go):
-    with pytest.raises(ValueError, match="validation"):
-        go(validation=[])
+    refused("validation", go, validation=[])
