@@ -55,15 +55,21 @@ class Parser(argparse.ArgumentParser):
         The docstring of the benchmark.
     picture, quick, real : bool
         Adds ``--picture``, ``--quick``, ``--real``. With ``--quick``, record and picture go to runs/ by default.
+    rounds : int
+        Adds ``--rounds`` with this default, unless 0.
     """
 
-    def __init__(self, description: str, *, picture: bool = False, quick: bool = False, real: bool = False) -> None:
+    def __init__(
+        self, description: str, *, picture: bool = False, quick: bool = False, real: bool = False, rounds: int = 0
+    ) -> None:
         super().__init__(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument("--out", type=Path, help="record (default: benchmarks/results)")
         if picture:
             self.add_argument("--picture", type=Path, help="picture (default: docs/pictures)")
         if quick:
             self.add_argument("--quick", action="store_true", help="check that everything runs; writes to runs/")
+        if rounds:
+            self.add_argument("--rounds", type=int, default=rounds)
         if real:
             self.add_argument("--real", type=Path, default=DATA, help="folder of real recordings (default: OGM_DATA)")
 

@@ -201,9 +201,8 @@ def picture(path: Path, median: Mapping[str, float], record: Mapping[str, Any]) 
 
 
 def main() -> None:
-    parser = run.Parser(__doc__, picture=True, quick=True)
+    parser = run.Parser(__doc__, picture=True, quick=True, rounds=15)
     parser.add_argument("--data", type=Path, help="data set of `ogm simulate`, to time its reading")
-    parser.add_argument("--rounds", type=int, default=15)
     options = parser.parse_args()
     record = run.environment("lite")
     torch.set_num_threads(run.CORES)

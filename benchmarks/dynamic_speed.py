@@ -180,8 +180,7 @@ def verdicts(
 
 
 def main() -> None:
-    parser = run.Parser(__doc__, picture=True, quick=True)
-    parser.add_argument("--rounds", type=int, default=20)
+    parser = run.Parser(__doc__, picture=True, quick=True, rounds=20)
     parser.add_argument("--scans", type=int, default=10_000, help="of the long drive")
     given = parser.parse_args()
     rounds, count = (2, 300) if given.quick else (given.rounds, given.scans)

@@ -114,9 +114,8 @@ def whole(dataset: Dataset, frames: int) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = run.Parser(__doc__, quick=True)
+    parser = run.Parser(__doc__, quick=True, rounds=20)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--rounds", type=int, default=20)
     given = parser.parse_args()
     found = run.environment("lite")
     frame = open_dataset(given.data, split="sequences")[50]

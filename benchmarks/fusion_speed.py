@@ -139,8 +139,7 @@ def verdicts(times: Mapping[str, Times], drive: Mapping[str, Any]) -> list[dict[
 
 
 def main() -> None:
-    parser = run.Parser(__doc__, picture=True, quick=True)
-    parser.add_argument("--rounds", type=int, default=30)
+    parser = run.Parser(__doc__, picture=True, quick=True, rounds=30)
     parser.add_argument("--scans", type=int, default=10_000, help="of the long drive")
     given = parser.parse_args()
     rounds, scans = (2, 400) if given.quick else (given.rounds, given.scans)

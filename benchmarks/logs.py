@@ -163,9 +163,8 @@ def measured(folder: Path, scans: int, rounds: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = run.Parser(__doc__, picture=True, quick=True)
+    parser = run.Parser(__doc__, picture=True, quick=True, rounds=5)
     parser.add_argument("--scans", type=int, default=80)
-    parser.add_argument("--rounds", type=int, default=5)
     given = parser.parse_args()
     found = run.environment()
     with tempfile.TemporaryDirectory() as folder:

@@ -52,8 +52,7 @@ def scene(rng: np.random.Generator) -> tuple[list[NDArray[np.bool_]], NDArray[np
 
 
 def main() -> None:
-    parser = run.Parser(__doc__)
-    parser.add_argument("--rounds", type=int, default=30)
+    parser = run.Parser(__doc__, rounds=30)
     given = parser.parse_args()
     record: dict[str, Any] = run.environment()
     (now, *before), moving = scene(np.random.default_rng(0))

@@ -1,13 +1,22 @@
 """Tables of cases that run as one test."""
 
 import functools
+import importlib.util
 import inspect
+import itertools
 import re
 import reprlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import pytest
+
+
+def needs(*packages: str) -> None:
+    """Skip the module that calls this where a package is missing; none is imported, as that takes long."""
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            pytest.skip(f"no {package}", allow_module_level=True)
 
 
 def each(names: str | tuple[str, ...], cases: Iterable[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -80,3 +89,17 @@ def refused(
     except Exception as raised:
         raise AssertionError(f"{case} raises {type(raised).__name__}, wanted {error.__name__} {match!r}") from raised
     raise AssertionError(f"{case} raises nothing, wanted {error.__name__} {match!r}")
+
+
+def fail_call(
+    monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, number: int, error: BaseException | None = None
+) -> None:
+    """Let the n-th call of a function, from 1, raise an error instead of doing anything: by default an interrupt."""
+    real, calls = getattr(owner, name), itertools.count(1)
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        if next(calls) == number:
+            raise error or KeyboardInterrupt
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, counted)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cases import each
-from commands import ogm
+from cases import each, fail_call
+from commands import completed, ogm, refused_command
 from PIL import Image
 from samples import BEAMS, flat_sample, flat_steps
 
@@ -79,8 +79,7 @@ def test_models_are_evaluated_on_the_same_samples(
 ) -> None:
     monkeypatch.setattr(report, "ROWS", 2)
     folder = tmp_path / "new" / "report"
-    result = ogm("evaluate", data, "--ism", "height-band", "ray", weights, "--out", folder)
-    assert result.exit_code == 0, result.output
+    result = completed("evaluate", data, "--ism", "height-band", "ray", weights, "--out", folder)
     for text in ("Means over data, validation, 4 frames", "IoU occupied", "small against ray", "ratio of means"):
         assert text in result.output
     record = record_of(folder)
@@ -115,8 +114,7 @@ def test_models_are_evaluated_on_the_same_samples(
 
 @pytest.mark.usefixtures("no_pictures")
 def test_the_released_baseline_is_evaluated_on_the_fine_cells(data: Path, tmp_path: Path) -> None:
-    result = ogm("evaluate", data, "--ism", "height-band-released", "--out", tmp_path)
-    assert result.exit_code == 0, result.output
+    completed("evaluate", data, "--ism", "height-band-released", "--out", tmp_path)
     record = record_of(tmp_path)
     assert record["grid"]["shape"] == [512, 352]
     assert record["methods"]["height-band-released"]["macro"]["iou_free"]["value"] == 0.0
@@ -128,8 +126,7 @@ def test_the_released_baseline_is_evaluated_on_the_fine_cells(data: Path, tmp_pa
 def test_samples_are_drawn_by_the_seed_and_the_report_repeats(data: Path, tmp_path: Path) -> None:
     def record(seed: int, folder: str) -> dict:
         words = ("--ism", "ray", "--samples", 2, "--seed", seed, "--out", tmp_path / folder)
-        result = ogm("evaluate", data, *words)
-        assert result.exit_code == 0, result.output
+        completed("evaluate", data, *words)
         return record_of(tmp_path / folder)
 
     one, again = record(3, "a"), record(3, "b")
@@ -157,19 +154,6 @@ def evaluated(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return seen
 
 
-def interrupted(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
-    """Let the user interrupt after some frames."""
-    calls = []
-
-    def stopping(*words: object) -> object:
-        calls.append(0)
-        if len(calls) > after:
-            raise KeyboardInterrupt
-        return accumulate(*words)
-
-    monkeypatch.setattr(tasks, "accumulate", stopping)
-
-
 @each("folder", ["a", "a/frames"])
 def test_one_process_evaluates_into_a_folder_at_a_time(data: Path, tmp_path: Path, folder: str) -> None:
     (tmp_path / folder).mkdir(parents=True)
@@ -185,14 +169,13 @@ def test_an_interrupted_run_keeps_its_frames_and_resumes(
 ) -> None:
     words = ("evaluate", data, "--ism", "ray", "--out", tmp_path / "a")
     with monkeypatch.context() as patch:
-        interrupted(patch, 2)
+        fail_call(patch, tasks, "accumulate", 3)
         result = ogm(*words)
     assert result.exit_code == 130
     assert "2 of 4 frames are finished and kept: repeat the command to resume" in result.output
     assert not (tmp_path / "a" / "report.json").exists()
     assert evaluated == [0, 1]
-    result = ogm(*words)
-    assert result.exit_code == 0, result.output
+    result = completed(*words)
     assert "2 of 4 frames were finished before" in result.output
     assert evaluated == [0, 1, 2, 3]
     assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path / "b").exit_code == 0
@@ -219,7 +202,7 @@ def test_frames_of_other_settings_are_not_mixed(
     data: Path, tmp_path: Path, evaluated: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        interrupted(patch, 1)
+        fail_call(patch, tasks, "accumulate", 2)
         assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 130
     result = ogm("evaluate", data, "--ism", "height-band", "--out", tmp_path)
     assert result.exit_code == 2
@@ -237,14 +220,12 @@ def test_an_interrupted_run_does_not_resume_with_files_that_changed(
 ) -> None:
     words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
     with monkeypatch.context() as patch:
-        interrupted(patch, 1)
+        fail_call(patch, tasks, "accumulate", 2)
         assert ogm(*words).exit_code == 130
     for changed in ("truth/2.png", "nothing/2.npz"):
         before = (folders / changed).stat()
         os.utime(folders / changed, (0, 0))
-        result = ogm(*words)
-        assert result.exit_code == 2
-        assert "files that have changed since" in result.output
+        refused_command("files that have changed since", *words)
         os.utime(folders / changed, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert ogm(*words).exit_code == 0
     assert evaluated == [0, 1, 2]
@@ -264,12 +245,10 @@ def test_grids_that_were_written_again_are_evaluated_again(folders: Path) -> Non
 @pytest.mark.usefixtures("no_pictures")
 def test_frames_by_another_ogm_are_not_mixed(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        interrupted(patch, 1)
+        fail_call(patch, tasks, "accumulate", 2)
         assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 130
     monkeypatch.setattr(runner, "code_state", lambda: "another")
-    result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
-    assert result.exit_code == 2
-    assert "by another ogm" in result.output
+    refused_command("by another ogm", "evaluate", data, "--ism", "ray", "--out", tmp_path)
 
 
 def test_the_state_of_files_leaves_out_the_report_beside_them(tmp_path: Path) -> None:
@@ -301,9 +280,7 @@ def test_a_folder_of_frames_that_is_not_ours_is_left_alone(data: Path, tmp_path:
     note.parent.mkdir()
     for text in ('{"mine": 1}', "mine"):
         note.write_text(text)
-        result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
-        assert result.exit_code == 2
-        assert "is damaged or not from `ogm evaluate`" in result.output
+        refused_command("is damaged or not from `ogm evaluate`", "evaluate", data, "--ism", "ray", "--out", tmp_path)
         assert note.read_text() == text
 
 
@@ -330,8 +307,7 @@ def folders(tmp_path: Path) -> Path:
 @pytest.mark.usefixtures("no_pictures")
 def test_folders_of_grids_pair_by_their_frames_names(folders: Path) -> None:
     grids = ("--grids", folders / "nothing", "--grids", folders / "perfect")
-    result = ogm("evaluate", folders / "truth", *grids, "--out", folders / "report")
-    assert result.exit_code == 0, result.output
+    completed("evaluate", folders / "truth", *grids, "--out", folders / "report")
     record = record_of(folders / "report")
     assert list(record["methods"]) == ["nothing", "perfect"]
     for metric in ("iou_free", "iou_occupied", "iou_unknown", "auroc_unknown"):
@@ -350,8 +326,7 @@ def test_grids_of_other_cells_are_resampled_on_request_only(folders: Path) -> No
     assert result.exit_code == 2
     for text in ("400 x 250 cells of 0.2 m", "512 x 352 cells of 0.16 m", "--resample area"):
         assert text in result.output
-    result = ogm(*words, "--resample", "nearest")
-    assert result.exit_code == 0, result.output
+    result = completed(*words, "--resample", "nearest")
     assert record_of(folders / "report")["methods"]["nothing"]["macro"]["mean_unknown"]["value"] == 1.0
 
 
@@ -369,17 +344,14 @@ def test_grids_with_nan_masses_are_refused(folders: Path) -> None:
 def test_a_truth_of_a_part_of_the_cells_leaves_out_the_rest(folders: Path) -> None:
     (folders / "truth" / "0.png").unlink()
     EvidentialGrid.vacuous(GridSpec(0.32, (128, 176), (-40.96, -28.16))).save(folders / "truth" / "0.npz")
-    result = ogm("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
-    assert result.exit_code == 0, result.output
+    completed("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
     assert record_of(folders / "report")["truth per frame"]["ignored"] == [0.5, 0.0, 0.0]
 
 
 def test_the_report_is_not_written_into_the_evaluated_data(folders: Path) -> None:
     for out in ("truth", "nothing"):
         words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / out)
-        result = ogm(*words)
-        assert result.exit_code == 2
-        assert "holds what is evaluated" in result.output
+        refused_command("holds what is evaluated", *words)
         assert len(list((folders / out).iterdir())) == 3
 
 
@@ -451,8 +423,7 @@ def driven(index: int) -> Sample:
 @pytest.mark.usefixtures("no_pictures")
 def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: Path, tmp_path: Path) -> None:
     words = ("--ism", "ray", "--fused", "cautious,bayes", "--every", 3, "--out", tmp_path)
-    result = ogm("evaluate", drive, *words)
-    assert result.exit_code == 0, result.output
+    completed("evaluate", drive, *words)
     record = record_of(tmp_path)
     assert list(record["methods"]) == ["ray", "ray + cautious", "ray + bayes"]
     names = [frame["name"] for frame in record["frames"]]
@@ -479,7 +450,7 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
 def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ("evaluate", drive, "--ism", "ray", "--fused", "dempster", "--every", 4)
     with monkeypatch.context() as patch:
-        interrupted(patch, 5)
+        fail_call(patch, tasks, "accumulate", 6)
         assert ogm(*words, "--out", tmp_path / "a").exit_code == 130
     assert ogm(*words, "--out", tmp_path / "a").exit_code == 0
     assert ogm(*words, "--out", tmp_path / "b").exit_code == 0
@@ -514,10 +485,7 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
     names = {"data": data, "nothing": tmp_path / "nothing", "file": file}
     out = () if "--out" in words else ("--out", tmp_path / "report")
     ism = () if "--ism" in words else ("--ism", "ray")
-    result = ogm("evaluate", *(str(word).format(**names) for word in words), *ism, *out)
-    assert result.exit_code == 2, result.output
-    assert text in result.output
-    assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
+    refused_command(text, "evaluate", *(str(word).format(**names) for word in words), *ism, *out)
     assert not (tmp_path / "report").exists()
 
 
@@ -529,8 +497,7 @@ def test_a_real_drive_is_compared_with_its_boxes_and_its_other_scans(
     real: Callable[[str], Path], tmp_path: Path
 ) -> None:
     words = ("--ism", "ray", "--fused", "cautious", "--every", 10, "--out", tmp_path)
-    result = ogm("evaluate", real("kitti_raw_0005"), *words)
-    assert result.exit_code == 0, result.output
+    completed("evaluate", real("kitti_raw_0005"), *words)
     record = record_of(tmp_path)
     assert record["data"]["kind"] == "KITTI raw drive"
     assert record["methods"]["ray"]["macro"]["auroc_unknown"]["value"] is None  # no label states what is unknown

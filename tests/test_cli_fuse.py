@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
-from commands import ogm
+from cases import each, fail_call
+from commands import completed, ogm, refused_command
 from PIL import Image
 from samples import BEAMS, flat_sample, flat_steps
+from wall_drive import HEIGHT, WALL, world, write_kitti, write_scans
 
 from ogm.datasets import open_dataset, with_poses
 from ogm.geometric import RayISM
@@ -22,43 +23,22 @@ from ogm.simulation.store import Store
 from ogm.workflows import FuseOptions, Outputs, fuse_drive
 
 FUSE = importlib.import_module("ogm.workflows.fuse_options")
-HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
+FRAMES = 8
 SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5)
 POSES = np.array([pose(0.4 * k, 0.05 * k, yaw=0.02 * k) for k in range(FRAMES)])
 STAMPS = np.arange(FRAMES) / 10
 
 
-def world() -> np.ndarray:
-    """Ground, and a wall across the way at x = 10 m."""
-    rng = np.random.default_rng(0)
-    ground, wall = rng.uniform(-20, 20, (20_000, 4)), rng.uniform(-12, 12, (4000, 4))
-    ground[:, 0] = np.minimum(ground[:, 0], WALL)
-    ground[:, 2], wall[:, 0] = -HEIGHT, WALL + 0.25
-    wall[:, 2] = rng.uniform(-HEIGHT, 0.5, len(wall))
-    points = np.concatenate([ground, wall])
-    points[:, 3] = 0.5
-    return points
-
-
-def scan_at(T: np.ndarray) -> np.ndarray:
-    return transform_points(inverse(T), world()).astype(np.float32)
-
-
 @pytest.fixture(scope="session")
 def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of KITTI files whose names sort wrongly as text."""
-    folder = tmp_path_factory.mktemp("drive")
-    for k, T in enumerate(POSES):
-        scan_at(T).tofile(folder / f"scan_{k + 5}.bin")
+    folder = write_scans(tmp_path_factory.mktemp("drive"), world(), POSES, "scan_{}.bin", 5)
     (folder / "notes.txt").write_text("not a scan")
     return folder
 
 
 def kitti(path: Path, poses: np.ndarray = POSES, first: int | None = 5) -> Path:
-    rows = [" ".join(map(repr, T[:3].ravel().tolist())) for T in poses]
-    lines = rows if first is None else [f"{k + first} {row}" for k, row in enumerate(rows)]
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    return write_kitti(path, poses, first)
 
 
 @pytest.fixture
@@ -74,8 +54,7 @@ def test_all_formats_of_poses_give_the_same_map(scans: Path, tmp_path: Path, pos
     maps = []
     order = {"poses.txt": "by frame number", "tum.txt": "in their order", "ours.csv": "by frame number"}
     for name, how in (order | {"plain.txt": "in their order", "whole.txt": "row by frame number"}).items():
-        result = ogm("fuse", scans, "--poses", tmp_path / name, "--out", tmp_path / "m.npz", *SMALL)
-        assert result.exit_code == 0, result.output
+        result = completed("fuse", scans, "--poses", tmp_path / name, "--out", tmp_path / "m.npz", *SMALL)
         assert how in result.output
         assert "8 mapped, 0 skipped" in result.output
         assert "sensor height 1.70 m" in result.output
@@ -99,8 +78,7 @@ def test_a_drive_is_fused_from_python_as_by_the_command(scans: Path, poses: Path
 
 def test_a_film_has_a_frame_per_scan_at_the_pace_of_the_drive(scans: Path, poses: Path, tmp_path: Path) -> None:
     movie, picture = tmp_path / "m.gif", tmp_path / "m.png"
-    result = ogm("fuse", scans, "--poses", poses, "--rate", 5, "--picture", picture, "--movie", movie, *SMALL)
-    assert result.exit_code == 0, result.output
+    result = completed("fuse", scans, "--poses", poses, "--rate", 5, "--picture", picture, "--movie", movie, *SMALL)
     assert "1.4 s" in result.output
     with Image.open(movie) as film, Image.open(picture) as shown:
         assert film.n_frames == FRAMES
@@ -155,15 +133,7 @@ def test_after_three_jumps_the_map_begins_anew_and_the_old_one_is_kept(scans: Pa
 def test_an_error_or_interrupt_half_way_writes_the_map_so_far(
     scans: Path, tmp_path: Path, poses: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
 ) -> None:
-    real, calls = RayISM.__call__, []
-
-    def interrupted(*arguments: object) -> EvidentialGrid:
-        calls.append(arguments)
-        if len(calls) == 4:
-            raise error
-        return real(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(RayISM, "__call__", interrupted)
+    fail_call(monkeypatch, RayISM, "__call__", 4, error)
     out, movie = tmp_path / "m.npz", tmp_path / "m.png"
     result = ogm("fuse", scans, "--poses", poses, "--out", out, "--movie", movie, *SMALL)
     assert result.exit_code == code, result.output
@@ -187,28 +157,23 @@ def test_nothing_mapped_is_an_error_and_writes_nothing(scans: Path, tmp_path: Pa
 @each("numbered", [5, None])
 def test_the_first_scans_alone_can_be_mapped(scans: Path, tmp_path: Path, numbered: int | None) -> None:
     poses = kitti(tmp_path / "poses.txt", first=numbered)
-    result = ogm("fuse", scans, "--poses", poses, "--first", 3, "--out", tmp_path / "m.npz", *SMALL)
-    assert result.exit_code == 0, result.output
+    result = completed("fuse", scans, "--poses", poses, "--first", 3, "--out", tmp_path / "m.npz", *SMALL)
     assert "3 mapped, 0 skipped" in result.output
-    result = ogm("fuse", scans, "--poses", poses, "--first", 0, *SMALL)
-    assert result.exit_code == 2
-    assert "--first must be at least 1" in result.output
+    refused_command("--first must be at least 1", "fuse", scans, "--poses", poses, "--first", 0, *SMALL)
 
 
 @each("rule", ["dempster", "pcr6", "weighted", "bayes"])
 def test_every_rule_maps_the_drive(scans: Path, poses: Path, tmp_path: Path, rule: str) -> None:
     movie = ("--movie", tmp_path / "m.png") if rule == "bayes" else ()  # it has other panels
     words = ("--rule", rule, "--half-life", 1, "--out", tmp_path / "m.npz", *movie)
-    result = ogm("fuse", scans, "--poses", poses, *words, *SMALL)
-    assert result.exit_code == 0, result.output
+    completed("fuse", scans, "--poses", poses, *words, *SMALL)
     grid = EvidentialGrid.load(tmp_path / "m.npz")
     assert grid.at(WALL + 0.25, 1.0).occupied > 0.5
     assert grid.at(7.0, 1.0).free > 0.4
 
 
 def test_a_fixed_window_maps_the_drive(scans: Path, poses: Path, tmp_path: Path) -> None:
-    result = ogm("fuse", scans, "--poses", poses, "--window", "fixed", "--out", tmp_path / "m.npz", *SMALL)
-    assert result.exit_code == 0, result.output
+    completed("fuse", scans, "--poses", poses, "--window", "fixed", "--out", tmp_path / "m.npz", *SMALL)
     grid = EvidentialGrid.load(tmp_path / "m.npz")
     assert grid.spec.extent[0] <= -12
     assert grid.spec.extent[1] >= POSES[-1, 0, 3] + 12
@@ -237,8 +202,7 @@ def test_deskewing_takes_the_ego_motion_out(tmp_path: Path) -> None:
     words = ("--poses", tmp_path / "p.txt", "--sensor-height", HEIGHT, *SMALL)
     grids = []
     for folder, more in ((straight, ()), (distorted, ("--deskew",)), (distorted, ())):
-        result = ogm("fuse", folder, *words, *more, "--out", tmp_path / "m.npz")
-        assert result.exit_code == 0, result.output
+        result = completed("fuse", folder, *words, *more, "--out", tmp_path / "m.npz")
         grids.append(EvidentialGrid.load(tmp_path / "m.npz").occupied)
     off = [float(np.abs(one - grids[0]).mean()) for one in grids[1:]]
     assert off[0] < 0.1 * off[1]
@@ -264,8 +228,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Path) -> None:
-    result = ogm("fuse", data, "--out", tmp_path / "m.npz", "--save-poses", tmp_path / "p.txt", *SMALL)
-    assert result.exit_code == 0, result.output
+    result = completed("fuse", data, "--out", tmp_path / "m.npz", "--save-poses", tmp_path / "p.txt", *SMALL)
     assert "3 mapped, 0 skipped" in result.output
     assert EvidentialGrid.load(tmp_path / "m.npz").at(WALL + 0.25, 0.0).occupied > 0.5
     used = read_poses(tmp_path / "p.txt")
@@ -306,10 +269,9 @@ def test_errors_are_one_line_and_exit_code_2_before_the_work(
     far[-1, :2, 3] = 1e5
     names["far"] = kitti(tmp_path / "far.txt", far)
     more = () if {"--out", "--picture"} & set(words) else ("--out", tmp_path / "m.npz")
-    result = ogm("fuse", *SMALL, *(word.format(**names) for word in words), *more)  # the last --length counts
-    assert result.exit_code == 2, result.output
-    assert message in result.output
-    assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1, result.output
+    refused_command(
+        message, "fuse", *SMALL, *(word.format(**names) for word in words), *more
+    )  # the last --length counts
     assert not list(tmp_path.glob("*.npz"))
 
 
@@ -331,8 +293,7 @@ def test_outputs_may_lie_in_new_folders_and_extents_follow_the_resolution(
 ) -> None:
     out = tmp_path / "new" / "dir" / "m.npz"
     words = ("--out", out, "--first", 2, "--resolution", 0.7, "--sensor-height", HEIGHT)
-    result = ogm("fuse", scans, "--poses", poses, *words)
-    assert result.exit_code == 0, result.output
+    completed("fuse", scans, "--poses", poses, *words)
     assert EvidentialGrid.load(out).spec.resolution == 0.7
 
 
@@ -341,8 +302,7 @@ def test_a_page_shows_the_map_and_its_conflict(scans: Path, poses: Path, tmp_pat
     for rule, has_conflict in (("cautious", True), ("bayes", False)):
         page, grid = tmp_path / f"{rule}.html", tmp_path / f"{rule}.npz"
         words = ("--rule", rule, "--page", page, "--out", grid, *SMALL)
-        result = ogm("fuse", scans, "--poses", poses, *words)
-        assert result.exit_code == 0, result.output
+        result = completed("fuse", scans, "--poses", poses, *words)
         assert f"page {page}" in result.output
         write_view(tmp_path / "alone.html", EvidentialGrid.load(grid))
         masses = [
@@ -374,8 +334,7 @@ def test_a_data_set_with_its_own_poses_needs_none_and_a_drive_is_picked_by_name(
     saved = tmp_path / "p.csv"
     words = ("--out", tmp_path / "m.npz", "--save-poses", saved, *SMALL)
     for given, first in (((), 0), (("--sequence", "07"), 4), (("--sequence", 1), 4)):
-        result = ogm("fuse", sequences, *given, *words)
-        assert result.exit_code == 0, result.output
+        result = completed("fuse", sequences, *given, *words)
         assert "4 mapped, 0 skipped" in result.output
         assert ("drive: 00, the first of 2" in result.output) is (given == ())
         assert np.allclose(read_poses(saved).poses[0], POSES[first], atol=1e-6)
@@ -411,6 +370,4 @@ def test_options_of_many_drives_that_exclude_others(
     scans: Path, tmp_path: Path, words: tuple[object, ...], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    result = ogm("fuse", scans, *words)
-    assert result.exit_code == 2
-    assert message in result.output
+    refused_command(message, "fuse", scans, *words)

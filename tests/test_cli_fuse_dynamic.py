@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cases import each
-from commands import ogm
+from commands import completed, ogm
 from PIL import Image
-from test_cli_fuse import HEIGHT, WALL, kitti, scan_at
+from wall_drive import HEIGHT, WALL, world, write_kitti
 
 from ogm import Boxes, DynamicGrid, EvidentialGrid, plot
 from ogm.fusion import DynamicMapper
@@ -30,9 +30,9 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, ...]:
     for k, T in enumerate(POSES):
         block = rng.uniform((6, -1, -HEIGHT + 0.3, 0.5), (7.5, 1, 0, 0.5), (1500, 4))
         block[:, 1] += SPEED * (0.1 * k - 0.9)
-        points = np.concatenate([scan_at(T), transform_points(inverse(T), block).astype(np.float32)])
+        points = transform_points(inverse(T), np.concatenate([world(), block])).astype(np.float32)
         points.tofile(folder / "scans" / f"{k:03d}.bin")
-    words = (folder / "scans", "--poses", kitti(folder / "p.txt", POSES, 0), "--sensor-height", HEIGHT)
+    words = (folder / "scans", "--poses", write_kitti(folder / "p.txt", POSES, 0), "--sensor-height", HEIGHT)
     return (*words, *SMALL, "--dynamic", "--particles", 30_000)
 
 
@@ -43,8 +43,7 @@ def block_of(grid: DynamicGrid, k: int = FRAMES - 1) -> tuple[np.ndarray, np.nda
 
 
 def test_what_moves_has_its_velocity_and_what_stands_has_none(drive: tuple[object, ...], tmp_path: Path) -> None:
-    result = ogm("fuse", *drive, "--out", tmp_path / "m.npz")
-    assert result.exit_code == 0, result.output
+    result = completed("fuse", *drive, "--out", tmp_path / "m.npz")
     assert f"{FRAMES} mapped, 0 skipped" in result.output
     assert "by 30000 particles" in result.output
     grid = DynamicGrid.load(tmp_path / "m.npz")
@@ -61,8 +60,7 @@ def test_what_moves_has_its_velocity_and_what_stands_has_none(drive: tuple[objec
 
 def test_film_picture_and_page_show_it(drive: tuple[object, ...], tmp_path: Path) -> None:
     film, picture, page = (tmp_path / f"m.{ending}" for ending in ("gif", "png", "html"))
-    result = ogm("fuse", *drive, "--movie", film, "--picture", picture, "--page", page)
-    assert result.exit_code == 0, result.output
+    completed("fuse", *drive, "--movie", film, "--picture", picture, "--page", page)
     with Image.open(film) as read:
         assert read.n_frames == FRAMES
         read.seek(FRAMES - 1)
@@ -82,18 +80,15 @@ def test_layers_are_kept_where_the_format_holds_them(
 ) -> None:
     out = tmp_path / f"m.{ending}"
     words = ("--message", message) if message else ()
-    result = ogm("fuse", *drive, "--first", 4, "--out", out, *words)
-    assert result.exit_code == 0, result.output
+    completed("fuse", *drive, "--first", 4, "--out", out, *words)
     assert isinstance(read_any_grid(out), DynamicGrid if whole else EvidentialGrid)
     assert read_grid(out).occupied.max() > 0.9
-    result = ogm("convert", out, tmp_path / "again.npz")
-    assert result.exit_code == 0, result.output
+    completed("convert", out, tmp_path / "again.npz")
     assert (read_any_grid(tmp_path / "again.npz") == read_any_grid(out)) is True
 
 
 def test_nuss_is_a_rule_of_dynamic_maps(drive: tuple[object, ...], tmp_path: Path) -> None:
-    result = ogm("fuse", *drive, "--rule", "nuss", "--first", 4, "--out", tmp_path / "m.npz")
-    assert result.exit_code == 0, result.output
+    completed("fuse", *drive, "--rule", "nuss", "--first", 4, "--out", tmp_path / "m.npz")
     assert not DynamicGrid.load(tmp_path / "m.npz").static.any()
 
 
@@ -120,8 +115,7 @@ def test_objects_that_the_map_follows_are_drawn_in_the_vehicles_axes(
     monkeypatch.setattr(DynamicMapper, "objects", lambda _: found, raising=False)
     drawn: list[plot.Panel] = []
     monkeypatch.setattr(plot, "save_picture", lambda path, *panels: drawn.extend(panels))
-    result = ogm("fuse", *drive, "--picture", tmp_path / "m.png")
-    assert result.exit_code == 0, result.output
+    completed("fuse", *drive, "--picture", tmp_path / "m.png")
     T = inverse(POSES[-1])
     np.testing.assert_allclose(drawn[2].arrows[0, :2], (T @ (6.75, 1.6, 0, 1))[:2], atol=1e-5)
     np.testing.assert_allclose(drawn[2].arrows[0, 2:], T[:2, :2] @ (0, SPEED), atol=1e-5)

@@ -9,20 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, fail_call
 from click.testing import Result
-from commands import ogm
+from commands import completed, ogm, refused_command
+from wall_drive import HEIGHT, WALL, write_drive
 
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid, write_poses
+from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.io.logs import open_log
 from ogm.io.messages import grid_from_occupancy_grid, transforms_from_tf
 from ogm.io.messages.occupancy import occupancy_values
-from ogm.pose import Trajectory, inverse, pose, transform_points
+from ogm.pose import pose
 from ogm.state import predict_state
 
-HEIGHT, FRAMES, WALL = 1.7, 4, 10.0
+FRAMES = 4
 SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5)
 POSES = np.array([pose(0.7 * k, 0.05 * k, 0.1 * k, yaw=0.02 * k) for k in range(FRAMES)])
 STAMPS = 1_700_000_000 + np.arange(FRAMES) / 10
@@ -38,17 +39,7 @@ def grid() -> EvidentialGrid:
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four scans of a plane and a wall across the way, and their poses."""
-    folder, rng = tmp_path_factory.mktemp("drive"), np.random.default_rng(0)
-    ground, wall = rng.uniform(-20, 20, (20_000, 4)), rng.uniform(-12, 12, (4000, 4))
-    ground[:, 0], ground[:, 2] = np.minimum(ground[:, 0], WALL), -HEIGHT
-    wall[:, 0], wall[:, 2] = WALL + 0.25, rng.uniform(-HEIGHT, 0.5, len(wall))
-    world = np.concatenate([ground, wall])
-    world[:, 3] = 0.5
-    for k, T in enumerate(POSES):
-        transform_points(inverse(T), world).astype(np.float32).tofile(folder / f"{k}.bin")
-    write_poses(folder / "poses.csv", Trajectory(STAMPS, POSES), np.arange(FRAMES))
-    return folder
+    return write_drive(tmp_path_factory.mktemp("drive"), POSES, STAMPS)
 
 
 def fused(drive: Path, out: Path, *words: object) -> Result:
@@ -61,8 +52,7 @@ def test_a_chain_of_conversions_brings_the_same_masses_back(tmp_path: Path) -> N
     endings = ("tif", "nc", "zarr", "npz")
     for k, ending in enumerate(endings):
         before = next(tmp_path.glob(f"{k}.*"))
-        result = ogm("convert", before, tmp_path / f"{k + 1}.{ending}")
-        assert result.exit_code == 0, result.output
+        result = completed("convert", before, tmp_path / f"{k + 1}.{ending}")
         assert "9 x 5 of 0.25 m" in result.output
     assert read_grid(tmp_path / "4.npz") == grid()
 
@@ -75,9 +65,7 @@ def test_a_pose_and_a_system_place_the_map_on_earth(tmp_path: Path) -> None:
     wanted = PlacedGrid(grid(), pose(367000, 5600000, yaw=-0.5)).corner
     assert placed.crs == "EPSG:25832"
     assert placed.corner == pytest.approx(wanted, abs=1e-8)
-    result = ogm("convert", tmp_path / "new" / "m.tif", tmp_path / "back.npz")
-    assert result.exit_code == 2
-    assert "turned by" in result.output
+    refused_command("turned by", "convert", tmp_path / "new" / "m.tif", tmp_path / "back.npz")
     assert ogm("convert", tmp_path / "new" / "m.tif", tmp_path / "m.yaml", "--mode", "raw").exit_code == 0
     assert read_placed_grid(tmp_path / "m.yaml").corner == pytest.approx(wanted, abs=1e-8)
 
@@ -110,9 +98,7 @@ def test_wrong_words_are_one_line_and_exit_code_2(
     for name in ("m.npz", "m.yaml"):
         write_grid(name, grid())
     before = sorted(tmp_path.iterdir())
-    result = ogm("convert", *words)
-    assert result.exit_code == 2, result.output
-    assert message in result.output
+    result = refused_command(message, "convert", *words)
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1, result.output
     assert sorted(tmp_path.iterdir()) == before
 
@@ -184,15 +170,7 @@ def test_a_log_has_the_map_and_the_pose_after_each_scan(drive: Path, tmp_path: P
 
 
 def test_ctrl_c_keeps_the_maps_so_far(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, calls = RayISM.__call__, []
-
-    def interrupted(*arguments: object) -> EvidentialGrid:
-        calls.append(arguments)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return real(*arguments)
-
-    monkeypatch.setattr(RayISM, "__call__", interrupted)
+    fail_call(monkeypatch, RayISM, "__call__", 3)
     assert fused(drive, tmp_path / "m.mcap", "--message", "grid-map").exit_code == 130
     with open_log(tmp_path / "m.mcap") as log:
         assert log.topics["/map"].count == 2
@@ -203,29 +181,14 @@ def test_ctrl_c_keeps_the_maps_so_far(drive: Path, tmp_path: Path, monkeypatch: 
 def test_ctrl_c_while_the_first_map_is_logged_keeps_it(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, calls = GridLog.write, []
-
-    def interrupted(*arguments: object) -> None:
-        calls.append(arguments)
-        if len(calls) == 1:
-            raise KeyboardInterrupt
-        real(*arguments)
-
-    monkeypatch.setattr(GridLog, "write", interrupted)
+    fail_call(monkeypatch, GridLog, "write", 1)
     assert fused(drive, tmp_path / "m.mcap").exit_code == 130
     assert read_grid(tmp_path / "m.mcap").at(WALL + 0.25, 1.0).occupied > 0.5
 
 
 def test_a_full_disk_leaves_earlier_outputs(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, calls = GridLog.write, []
-
-    def full(*arguments: object) -> None:
-        calls.append(arguments)
-        if len(calls) == 2:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path / "m.db3"))
-        real(*arguments)
-
-    monkeypatch.setattr(GridLog, "write", full)
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path / "m.db3"))
+    fail_call(monkeypatch, GridLog, "write", 2, full)
     for name in ("m.db3", "poses.txt"):
         (tmp_path / name).write_text("earlier")
     result = fused(drive, tmp_path / "m.db3", "--save-poses", tmp_path / "poses.txt")
@@ -239,9 +202,7 @@ def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: P
     result = fused(drive, tmp_path / "data.zarr")
     assert result.exit_code == 2
     assert "is no grid of ogm" in result.output
-    result = ogm("fuse", drive / "0.bin", drive / "m.bag", "--out", drive / "m.bag", *SMALL)
-    assert result.exit_code == 2
-    assert "which is read" in result.output
+    refused_command("which is read", "fuse", drive / "0.bin", drive / "m.bag", "--out", drive / "m.bag", *SMALL)
     result = fused(drive, tmp_path / "m.png", "--picture", tmp_path / "m.png")
     assert "both be written" in result.output
     result = fused(drive, tmp_path / "m.npz", "--message", "grid-map")
@@ -252,8 +213,7 @@ def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: P
 def test_a_scan_is_mapped_to_every_format(drive: Path, tmp_path: Path, ending: str) -> None:
     words = ("--sensor-height", HEIGHT, *SMALL)
     for _ in range(2):  # the second time over the first
-        result = ogm("map", drive / "0.bin", "--out", tmp_path / f"m.{ending}", *words)
-        assert result.exit_code == 0, result.output
+        completed("map", drive / "0.bin", "--out", tmp_path / f"m.{ending}", *words)
     assert ogm("map", drive / "0.bin", "--out", tmp_path / "m.npz", *words).exit_code == 0
     wanted = EvidentialGrid.load(tmp_path / "m.npz")
     again = read_grid(tmp_path / f"m.{ending}", wanted.spec)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import ogm
+from cases import needs, refused
+from commands import completed, refused_command
 from samples import flat_sample, flat_steps
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
@@ -26,7 +27,7 @@ from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState
 
-pytest.importorskip("zarr")
+needs("zarr")
 SPEC = GridSpec.centered()
 BEAMS = Beams(
     "flat", tuple(np.linspace(-0.4, 0.1, 12)), (0.0,) * 12, -2 * np.pi / 180, 180, 10.0, ((0.0, 0.0, 0.0),) * 12
@@ -68,8 +69,7 @@ def splits(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(*words: object) -> str:
     """Return what a command that succeeds prints."""
-    result = ogm(*words)
-    assert result.exit_code == 0, result.output
+    result = completed(*words)
     return result.output
 
 
@@ -95,9 +95,7 @@ def test_evaluate_and_map_take_the_frames_of_one_radar(data: Path, tmp_path: Pat
 
 
 def test_a_sensor_that_is_not_there_is_refused_by_name(data: Path, tmp_path: Path) -> None:
-    result = ogm("fuse", data, "--sensor", "sonar", "--out", tmp_path / "m.npz")
-    assert result.exit_code == 2
-    assert "no sensor 'sonar'" in result.output
+    refused_command("no sensor 'sonar'", "fuse", data, "--sensor", "sonar", "--out", tmp_path / "m.npz")
 
 
 def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
@@ -118,8 +116,7 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
     # one name for all scans, and names that are none
     only = load_model("radar", SPEC)
     np.testing.assert_array_equal(run_model(only, radar).mass, expected(radar.scan).mass)
-    with pytest.raises(ValueError, match="no sensor model of radars 'ray'"):
-        load_model("ray+ray", SPEC)
+    refused("no sensor model of radars 'ray'", load_model, "ray+ray", SPEC)
 
 
 def test_train_and_export_a_network_of_radars(splits: Path, tmp_path: Path) -> None:
@@ -166,6 +163,4 @@ def test_what_a_network_of_radars_lacks_is_refused(splits: Path, data: Path, tmp
         ((data,), "no split 'training'"),
     ):
         options = ("--model", "radar", "--batch", 4, "--accelerator", "cpu", "--out", tmp_path / "run")
-        result = ogm("train", *words, *options)
-        assert result.exit_code == 2, result.output
-        assert message in result.output
+        refused_command(message, "train", *words, *options)

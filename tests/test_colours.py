@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 
 from ogm import EvidentialGrid, GridSpec, plot
 from ogm.evaluation.figures import COLOURS as METHODS
@@ -81,5 +81,4 @@ def test_all_pictures_take_the_chosen_colours() -> None:
     colours.use_colours("paper")
     assert plot.mass_panel(grid).image[0].tolist() == [[237, 41, 41], [26, 204, 51]]
     assert "green free" in grid._repr_html_()
-    with pytest.raises(ValueError, match="no colours 'rainbow': choose safe or paper"):
-        colours.use_colours("rainbow")
+    refused("no colours 'rainbow': choose safe or paper", colours.use_colours, "rainbow")

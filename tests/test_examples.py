@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -13,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 from foxglove_client import Client, grid_fields
-from rosbags.typesys import Stores, get_typestore
 
 from ogm import Frame, GridSpec, Mount, Scan
 from ogm.fusion import EvidentialMapper, fuse, rolling_window
@@ -23,7 +23,6 @@ from ogm.io.transforms import ExtrapolationError, TransformBuffer
 from ogm.pose import inverse, pose, transform_points
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 SPEC, MOUNT = GridSpec.centered(length=20, width=20, resolution=0.25), Mount(1.8)
 CLOUD, TF, GRID = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/OccupancyGrid"
 T_BASE_LIDAR = pose(0.5, 0.0, 1.8)
@@ -61,9 +60,17 @@ def T_map_base(k: int) -> np.ndarray:  # noqa: N802
     return pose(0.1 * k, 0.05 * k, yaw=0.02 * k)
 
 
+@cache
+def types() -> Any:
+    """Return the message types of ROS 2 as rosbags has them."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
 def as_rosbags(plain: Any, kind: str) -> Any:
     """Return a message of rosbags' own classes, by way of its bytes."""
-    return TYPES.deserialize_cdr(TYPES.serialize_cdr(plain, kind), kind)
+    return types().deserialize_cdr(types().serialize_cdr(plain, kind), kind)
 
 
 def messages() -> Iterator[tuple[str, Any]]:
@@ -256,14 +263,14 @@ def test_the_bridge_maps_clouds_of_another_session() -> None:
         zenoh.open(config(connect=f"tcp/127.0.0.1:{port}", listen="tcp/127.0.0.1:0")) as theirs,
     ):
         theirs.declare_subscriber(
-            "map", lambda sample: grids.append(TYPES.deserialize_cdr(sample.payload.to_bytes(), GRID))
+            "map", lambda sample: grids.append(types().deserialize_cdr(sample.payload.to_bytes(), GRID))
         )
         publishers = {key: theirs.declare_publisher(key) for key in ("points", "tf")}
         static = zenoh.ext.declare_advanced_publisher(
             theirs, "tf_static", cache=zenoh.ext.CacheConfig(10), publisher_detection=True
         )
         static.put(
-            next(bytes(TYPES.serialize_cdr(message, TF)) for _, message in messages())
+            next(bytes(types().serialize_cdr(message, TF)) for _, message in messages())
         )  # before there is a bridge
         thread = threading.Thread(target=lambda: reports.append(module.bridge(ours, MOUNT, "odom", stop)))
         thread.start()
@@ -271,7 +278,7 @@ def test_the_bridge_maps_clouds_of_another_session() -> None:
         publishers["points"].put(b"no cloud")
         until(lambda: lines)
         for topic, message in list(messages())[1:]:
-            publishers[topic].put(bytes(TYPES.serialize_cdr(message, CLOUD if topic == "points" else TF)))
+            publishers[topic].put(bytes(types().serialize_cdr(message, CLOUD if topic == "points" else TF)))
             if topic == "tf" and message.transforms[0].header.stamp.sec >= 100:
                 clouds = len(grids)
                 until(lambda: len(grids) > clouds)  # noqa: B023

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from cases import each
+from cases import each, fail_call
 from test_faults import file_size_limit
 from typer.testing import CliRunner
 
@@ -169,15 +169,7 @@ def test_what_zarr_writes_in_threads_of_its_own_is_waited_for(tmp_path: Path) ->
 
 
 def test_an_interrupt_while_a_temporary_folder_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, calls = shutil.rmtree, []
-
-    def interrupted(*arguments: object, **options: object) -> None:
-        calls.append(arguments)
-        if len(calls) == 1:
-            raise KeyboardInterrupt
-        real(*arguments, **options)
-
-    monkeypatch.setattr(shutil, "rmtree", interrupted)
+    fail_call(monkeypatch, shutil, "rmtree", 1)
     with pytest.raises(KeyboardInterrupt), temporary_folder(tmp_path) as folder:
         (folder / "a").touch()
     assert list(tmp_path.iterdir()) == []

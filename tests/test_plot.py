@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from moving import SPEC as MOVING
 from moving import street
 
@@ -110,21 +110,16 @@ def test_axes_have_round_numbers() -> None:
 
 @each("call", [plot.show, lambda *a, **k: plot.save_picture("x.png", *a, **k)])
 def test_what_cannot_be_shown_is_refused(call, ell: EvidentialGrid) -> None:
-    with pytest.raises(ValueError, match="nothing to show"):
-        call()
-    with pytest.raises(ValueError, match="one per item"):
-        call(ell, titles=["a", "b"])
-    with pytest.raises(ValueError, match="need an area"):
-        call(np.zeros((1, 4), np.float32))
+    refused("nothing to show", call)
+    refused("one per item", call, ell, titles=["a", "b"])
+    refused("need an area", call, np.zeros((1, 4), np.float32))
 
 
 def test_save_picture_is_atomic_and_refuses_other_formats(tmp_path: Path, ell: EvidentialGrid) -> None:
     plot.save_picture(tmp_path / "a.png", ell)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ValueError, match=r"saved as \.png"):
-        plot.save_picture(tmp_path / "a.jpg", ell)
-    with pytest.raises(FileNotFoundError, match="no folder"):
-        plot.save_picture(tmp_path / "none" / "a.png", ell)
+    refused(r"saved as \.png", plot.save_picture, tmp_path / "a.jpg", ell)
+    refused("no folder", plot.save_picture, tmp_path / "none" / "a.png", ell, error=FileNotFoundError)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 
 
@@ -261,8 +256,7 @@ def test_each_moving_group_has_one_arrow_as_long_as_its_way() -> None:
     groups = moving_groups(street())
     assert groups.max() == 3
     assert (groups > 0).sum() == 3 * 32
-    with pytest.raises(ValueError, match="seconds of the arrows must be 0 or more, got -1"):
-        plot.dynamic_panel(street(), seconds=-1)
+    refused("seconds of the arrows must be 0 or more, got -1", plot.dynamic_panel, street(), seconds=-1)
 
 
 def test_groups_are_those_of_a_search_from_cell_to_cell() -> None:

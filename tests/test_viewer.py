@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from chromium import Page, open_chromium
 from moving import street
 from typer.testing import CliRunner
@@ -155,14 +155,11 @@ def test_names_cannot_be_markup(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_shown_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"written as \.html"):
-        write_view(tmp_path / "a.png", drawn_grid())
+    refused(r"written as \.html", write_view, tmp_path / "a.png", drawn_grid())
     with pytest.raises(ValueError, match="layers must have the cells of the grid"):
         write_view(tmp_path / "a.html", drawn_grid(), drawn_layers(SPEC.refined(2)))
-    with pytest.raises(ValueError, match="no layers"):
-        write_view(tmp_path / "a.html", LayeredGrid(SPEC, {}))
-    with pytest.raises(FileNotFoundError, match="no folder"):
-        write_view(tmp_path / "none" / "a.html", drawn_grid())
+    refused("no layers", write_view, tmp_path / "a.html", LayeredGrid(SPEC, {}))
+    refused("no folder", write_view, tmp_path / "none" / "a.html", drawn_grid(), error=FileNotFoundError)
     assert list(tmp_path.iterdir()) == []
 
 

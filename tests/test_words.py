@@ -48,31 +48,27 @@ ALLOWED = {
     r"\bbearings\b": "a key of the shipped weights",
     r"^ogm/simulation/town/.*([Hh]ouse|[Dd]oor)": "buildings of the simulator's towns",
 }
-FILES = sorted(
-    path
-    for pattern in (
-        "ogm/**/*.py", "ogm/data/report.*", "docs/*.md", "docs/*.py", "README.md", "pyproject.toml",
-        "CONTRIBUTING.md",
-    )
-    for path in ROOT.glob(pattern)
+PATTERNS = (
+    "ogm/**/*.py", "ogm/data/report.*", "docs/*.md", "docs/*.py", "README.md", "pyproject.toml", "CONTRIBUTING.md"
 )  # fmt: skip
-
-
-LINES = [
-    (f"{path.relative_to(ROOT)}:{number}", line)
-    for path in FILES
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
-]
 
 
 def test_coined_words_are_gone() -> None:
     coined, allowed = re.compile(rf"(?<![\w-])(?:{'|'.join(COINED)})(?![\w-])"), re.compile("|".join(ALLOWED))
+    lines = [
+        (f"{path.relative_to(ROOT)}:{number}", line)
+        for pattern in PATTERNS
+        for path in sorted(ROOT.glob(pattern))
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if coined.search(line)
+    ]
     found = [
         f"{place}: {line.strip()[:80]}: write "
         + next(term for word, term in COINED.items() if re.search(rf"(?<![\w-])(?:{word})(?![\w-])", line))
-        for place, line in LINES
-        if coined.search(line) and not allowed.search(f"{place}: {line}")
+        for place, line in lines
+        if not allowed.search(f"{place}: {line}")
     ]
+    assert lines, "nothing was read"
     assert not found, "\n".join(found)
 
 

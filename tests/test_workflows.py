@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import refused
 
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan
@@ -62,22 +63,17 @@ def test_a_drive_that_is_finished_is_not_fused_again(tmp_path: Path) -> None:
     assert {name for name, one in again.items() if one.reused} == set("abde")
     assert not any(one.error for one in again.values())
     assert (tmp_path / "out" / "c" / "names.txt").read_text() == "c 0 c 1 c 2"
-    with pytest.raises(OgmError, match="of other frames, or by other options"):
-        fused(tmp_path / "out", Names(option=2))
+    refused("of other frames, or by other options", fused, tmp_path / "out", Names(option=2), error=OgmError)
 
 
 def test_what_was_not_fused_here_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
-    with pytest.raises(OgmError, match="no drive that was fused here"):
-        fused(tmp_path)
+    refused("no drive that was fused here", fused, tmp_path, error=OgmError)
     (tmp_path / "b" / "drive.json").write_text("[1")
-    with pytest.raises(OgmError, match="cannot be read"):
-        fused(tmp_path)
+    refused("cannot be read", fused, tmp_path, error=OgmError)
     (tmp_path / "b" / "drive.json").write_text(json.dumps({"format": "ogm.fused/9", "key": "", "facts": {}}))
-    with pytest.raises(OgmError, match="other options"):
-        fused(tmp_path)
-    with pytest.raises(ValueError, match="becomes that of a folder"):
-        list(fuse_drives({"../a": DRIVES["a"]}, Names(), tmp_path))
+    refused("other options", fused, tmp_path, error=OgmError)
+    refused("becomes that of a folder", list, fuse_drives({"../a": DRIVES["a"]}, Names(), tmp_path))
 
 
 class Drive(list[Frame]):

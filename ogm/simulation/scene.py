@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import open3d
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.extras import import_extra
 from ogm.pose import check_pose
 from ogm.simulation import kernels
 from ogm.simulation.arrays import Floats32
@@ -145,7 +145,7 @@ class _Shape:
         _check(mesh)
         self.materials, self.things, self.threads = np.ascontiguousarray(mesh.material), things, threads
         self.empty = not len(mesh.triangles)
-        self._scene = open3d.t.geometry.RaycastingScene(nthreads=threads)
+        self._scene = import_extra("open3d", "sim").t.geometry.RaycastingScene(nthreads=threads)
         if not self.empty:
             self._scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
 
@@ -157,8 +157,8 @@ class _Shape:
         return Answer(t, primitive, normals, self.materials, self.things)
 
 
-def _tensor(array: NDArray[Any]) -> "open3d.core.Tensor":
-    return open3d.core.Tensor.from_numpy(np.ascontiguousarray(array))
+def _tensor(array: NDArray[Any]) -> Any:
+    return import_extra("open3d", "sim").core.Tensor.from_numpy(np.ascontiguousarray(array))
 
 
 def _check(mesh: Mesh) -> None:

@@ -1,13 +1,12 @@
 """Pictures that need the simulator itself: HD points by material, and views of a town with its traffic."""
 
 import os
-from typing import Any
 
 import numpy as np
-import open3d
 from numpy.typing import NDArray
 
 from ogm import plot
+from ogm.extras import import_extra
 from ogm.simulation.arrays import Floats32
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.exchange import PAPER_GRID
@@ -70,7 +69,8 @@ def _from_behind(here: SceneSetup) -> Camera:
 
 def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
     """Draw triangles in sunlight, with shadows and haze; (height, width, 3) uint8."""
-    tensor: Any = open3d.core.Tensor  # its own hints are too narrow
+    open3d = import_extra("open3d", "sim")
+    tensor = open3d.core.Tensor
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(tensor(np.ascontiguousarray(mesh.vertices)), tensor(np.ascontiguousarray(mesh.triangles)))
     directions = camera.directions().reshape(-1, 3)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from samples import flat_sample
 
 from ogm.datasets import open_dataset
@@ -130,9 +130,7 @@ def test_damage_in_a_bucket_is_found(folder: Path, uploaded: S3) -> None:
 def test_what_is_no_data_set_is_refused(uploaded: S3, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="s3://maps/nothing is no data set"):
         open_dataset("s3://maps/nothing", storage=uploaded)
-    with pytest.raises(ValueError, match="storage is for object stores"):
-        open_dataset(tmp_path, storage=uploaded)
-    with pytest.raises(OgmError, match="has no split 'x'"):
-        open_dataset(URL, storage=uploaded, split="x")
+    refused("storage is for object stores", open_dataset, tmp_path, storage=uploaded)
+    refused("has no split 'x'", open_dataset, URL, error=OgmError, storage=uploaded, split="x")
     nobody = ObjectPath(URL, {**uploaded, "endpoint": "http://127.0.0.1:9", "timeout": "1s"})
     assert "secret" not in repr(nobody)

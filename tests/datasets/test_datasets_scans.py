@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import refused
 
 from ogm.datasets import open_dataset
 from ogm.grid import EvidentialGrid, GridSpec
@@ -108,20 +109,15 @@ def test_a_data_set_of_files_goes_to_another_process(folder: Path) -> None:
 
 
 def test_wrong_paths_are_refused(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="one folder alone"):
-        open_dataset([folder, folder / "scan_9.bin"])
+    refused("one folder alone", open_dataset, [folder, folder / "scan_9.bin"])
     with pytest.raises(FileNotFoundError, match="there is no file or folder"):
         open_dataset([tmp_path / "a.bin", tmp_path / "b.bin"])
-    with pytest.raises(ValueError, match="no path to open"):
-        open_dataset([])
-    with pytest.raises(ValueError, match="axes"):
-        open_dataset(folder, axes="foo")
+    refused("no path to open", open_dataset, [])
+    refused("axes", open_dataset, folder, axes="foo")
     (folder / "scan_9.pcd").write_bytes(b"")
-    with pytest.raises(ValueError, match="several formats"):
-        open_dataset(folder)
+    refused("several formats", open_dataset, folder)
     (folder / "scan_9.pcd").rename(folder / "scan_9.bin.xz")
-    with pytest.raises(ValueError, match="holds scan_9 twice"):
-        open_dataset(folder)
+    refused("holds scan_9 twice", open_dataset, folder)
 
 
 # --- Truth grids ------------------------------------------------------------------------------------
@@ -157,13 +153,10 @@ def test_grids_need_the_cells_that_they_show(grids: tuple[Path, Truth]) -> None:
     folder, _ = grids
     for name in ("b.npy", "c.npz"):
         (folder / name).unlink()
-    with pytest.raises(ValueError, match="it holds grids: give spec"):
-        open_dataset(folder)
-    with pytest.raises(ValueError, match=r"truth .* is for recordings"):
-        open_dataset(folder, spec=SPEC, truth="boxes")
+    refused("it holds grids: give spec", open_dataset, folder)
+    refused(r"truth .* is for recordings", open_dataset, folder, spec=SPEC, truth="boxes")
     (folder / "a.npz").write_bytes(b"")
-    with pytest.raises(ValueError, match="two grids of a"):
-        open_dataset(folder, spec=SPEC)
+    refused("two grids of a", open_dataset, folder, spec=SPEC)
 
 
 def test_a_truth_of_other_cells_is_refused(tmp_path: Path) -> None:

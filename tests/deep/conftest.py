@@ -1,14 +1,25 @@
 """Frames, a data set and a network of the small world of `walls`."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import torch
 from walls import BEAMS, frame, sample
 
 from ogm.deep.network import NetworkConfig
 from ogm.grid import GridSpec
 from ogm.scan import Frame
 from ogm.simulation.store import SHARD, Store
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """Let torch compute in one thread."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

@@ -7,27 +7,19 @@ from typing import get_args
 
 import pytest
 import torch
-from commands import ogm
+from commands import completed, ogm, refused_command
 
 from ogm.deep import DeepISM
 from ogm.scan import Mount
 
 EXTENT = ("--length", 30.72, "--width", 20.48, "--resolution", 0.64)
 SMALL = (*EXTENT, "--workers", 0, "--accelerator", "cpu", "--batch", 4)
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def test_train_writes_weights_that_can_be_used(store: Path, frames: list, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    result = ogm("train", store, "--out", run, "--epochs", 2, "--samples", 8, *SMALL)
-    assert result.exit_code == 0, result.output
+    completed("train", store, "--out", run, "--epochs", 2, "--samples", 8, *SMALL)
     assert {file.name for file in run.iterdir()} == {
         *("best.json", "best.safetensors", "epoch-001.png", "epoch-002.png", "log.csv", "state.pt")
     }
@@ -58,20 +50,14 @@ def test_an_interrupted_run_is_saved_and_resumes(store: Path, tmp_path: Path, mo
     assert result.exit_code == 130
     assert "--resume" in result.output
     assert torch.load(tmp_path / "run" / "state.pt", weights_only=True)["step"] == 1
-    again = ogm(*arguments)
-    assert again.exit_code == 2
-    assert "--resume" in again.output
+    refused_command("--resume", *arguments)
     assert ogm(*arguments, "--resume").exit_code == 0
 
 
 def test_missing_data_and_bad_grids_are_refused(store: Path, tmp_path: Path) -> None:
-    result = ogm("train", tmp_path / "nothing", "--out", tmp_path / "run")
-    assert result.exit_code == 2
-    assert "there is no" in result.output
+    refused_command("there is no", "train", tmp_path / "nothing", "--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
-    result = ogm("train", store, "--out", tmp_path / "run", "--samples", 11)
-    assert result.exit_code == 2
-    assert "--samples must be 1 to 10" in result.output
+    refused_command("--samples must be 1 to 10", "train", store, "--out", tmp_path / "run", "--samples", 11)
     result = ogm("train", store, "--out", tmp_path / "run", "--length", 30.08, "--width", 20.48, "--resolution", 0.64)
     assert result.exit_code == 2
     assert "multiples of 16 cells" in result.output

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cases import each
+from cases import each, refused
 from scipy.ndimage import map_coordinates
 
 from ogm import Frame, GridSpec, Mount, Scan
@@ -22,7 +22,6 @@ from ogm.deep.radar_data import STEP, RadarBatch, RadarDataset
 from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.deep.radar_onnx import FORMAT
 from ogm.deep.recipe import LITE_RECIPE, RADAR_RECIPE, Recipe
-from ogm.deep.training import train
 from ogm.evidence import check_mass
 from ogm.fusion import EvidentialMapper
 from ogm.geometric import moving_detections, sensor_velocity
@@ -201,8 +200,7 @@ def test_the_grid_moves_with_the_mounting(network: RadarNetwork) -> None:
 
 @each("change", [{"half_width": 0.0}, {"azimuth_noise": math.nan}, {"doppler_noise": -1.0}])
 def test_impossible_numbers_are_refused(network: RadarNetwork, change: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(change))):
-        DeepRadarISM(network, SPEC, FRONT, RadarNoise()._replace(**change))
+    refused(next(iter(change)), DeepRadarISM, network, SPEC, FRONT, RadarNoise()._replace(**change))
 
 
 def test_what_is_repeated_from_one_place_does_not_accumulate(network: RadarNetwork) -> None:
@@ -239,6 +237,8 @@ def recipe() -> Recipe:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, recipe: Recipe) -> Path:
+    from ogm.deep.training import train
+
     out = tmp_path_factory.mktemp("run")
     options = {"accelerator": "cpu", "workers": 0, "progress": False, "precision": "32-true"}
     train(frames(16), frames(4), SMALL, out, recipe, facts={"data": "made up"}, **options)
@@ -255,6 +255,7 @@ def test_training_learns_and_states_where_the_weights_come_from(run: Path) -> No
 
 @pytest.mark.slow
 def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from ogm.deep.training import train
     from ogm.deep.training_run import TrainingRun
 
     options = {"accelerator": "cpu", "workers": 0, "progress": False, "precision": "32-true"}
@@ -277,15 +278,14 @@ def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, mon
 
 
 def test_a_recipe_of_radar_is_not_for_lidars(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="networks of radars a RadarGrid"):
-        train([], frames(1), SPEC, tmp_path, RADAR_RECIPE)
-    with pytest.raises(ValueError, match="networks of lidars take a GridSpec"):
-        train([], frames(1), SMALL, tmp_path, LITE_RECIPE)
+    from ogm.deep.training import train
+
+    refused("networks of radars a RadarGrid", train, [], frames(1), SPEC, tmp_path, RADAR_RECIPE)
+    refused("networks of lidars take a GridSpec", train, [], frames(1), SMALL, tmp_path, LITE_RECIPE)
 
 
 def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
-    with pytest.raises(OgmError, match="describes no network"):
-        load_network(run / "best.safetensors")
+    refused("describes no network", load_network, run / "best.safetensors", error=OgmError)
     from ogm.deep.engines import weights_of
 
     with weights_of("lite") as path, pytest.raises(OgmError, match="describes no network"):

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cases import each
-from commands import ogm
+from cases import each, refused
+from commands import completed, ogm
 
 from ogm import Mount, OgmError, read_scan
 from ogm.deep import DeepISM, PillarNetwork
@@ -105,8 +105,7 @@ except ImportError as error:
 def test_a_missing_runtime_is_answered_with_the_pip_command(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     extra = {"onnxruntime": "deep"}.get(package, package)
-    with pytest.raises(ImportError, match=rf'pip install "ogm-toolkit\[{extra}\]"'):
-        load_engine("lite", engine=package)
+    refused(rf'pip install "ogm-toolkit\[{extra}\]"', load_engine, "lite", error=ImportError, engine=package)
 
 
 def test_threads_may_share_a_model(scan: Scan) -> None:
@@ -154,18 +153,15 @@ def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch
         ({"device": "warp"}, "use cpu"),
     ])  # fmt: skip
 def test_options_that_an_engine_lacks_are_refused(options: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        load_engine("lite", **options)
+    refused(message, load_engine, "lite", **options)
 
 
 def test_grids_that_do_not_suit_the_network_are_refused() -> None:
     from ogm.grid import GridSpec
 
     engine = load_engine("lite")
-    with pytest.raises(ValueError, match="cells of 0.16 m"):
-        engine.on(GridSpec.centered(length=10.24, width=10.24, resolution=0.32))
-    with pytest.raises(ValueError, match="multiples of 16 cells"):
-        engine.on(GridSpec.centered(length=9 * 0.16, width=8 * 0.16, resolution=0.16))
+    refused("cells of 0.16 m", engine.on, GridSpec.centered(length=10.24, width=10.24, resolution=0.32))
+    refused("multiples of 16 cells", engine.on, GridSpec.centered(length=9 * 0.16, width=8 * 0.16, resolution=0.16))
 
 
 def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, tmp_path: Path) -> None:
@@ -173,10 +169,8 @@ def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, t
     network = PillarNetwork(tiny, small).eval()
     weights = save_network(tmp_path / "best.safetensors", network, {"seen": {"points": [10, 10**6]}})
     assert isinstance(load_engine(tmp_path), TorchEngine)
-    with pytest.raises(FileNotFoundError, match="ogm export"):
-        load_engine(tmp_path, engine="onnxruntime")
-    with pytest.raises(FileNotFoundError, match="ogm export"):
-        load_engine(tmp_path / "best.onnx")
+    refused("ogm export", load_engine, tmp_path, error=FileNotFoundError, engine="onnxruntime")
+    refused("ogm export", load_engine, tmp_path / "best.onnx", error=FileNotFoundError)
 
     exported = weights.with_suffix(".onnx")
     export_onnx(network, exported, description={"seen": {"points": [10, 10**6]}}, weights=weights)
@@ -187,14 +181,12 @@ def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, t
         assert isinstance(ism.engine, OnnxEngine)
         assert ism.description["seen"] == {"points": [10, 10**6]}
         np.testing.assert_allclose(ism(cloud).mass, wanted, atol=1e-5)
-    with pytest.raises(OgmError, match="torch takes weights"):
-        load_engine(exported, engine="torch")
+    refused("torch takes weights", load_engine, exported, error=OgmError, engine="torch")
 
     network.head.bias.data += 1
     save_network(weights, network, {})
     assert isinstance(load_engine(tmp_path), TorchEngine)
-    with pytest.raises(OgmError, match="exported from other weights"):
-        load_engine(tmp_path, engine="onnxruntime")
+    refused("exported from other weights", load_engine, tmp_path, error=OgmError, engine="onnxruntime")
     assert isinstance(load_engine(exported), OnnxEngine)
 
 
@@ -222,8 +214,7 @@ def test_commands_map_and_export_without_words_of_torch(small, tmp_path: Path) -
     config = NetworkConfig(2, ((2, 1),), join="concatenate", up=2)
     save_network(tmp_path / "best.safetensors", PillarNetwork(config, small), {})
     out, grid = tmp_path / "best.onnx", tmp_path / "grid.npz"
-    result = ogm("export", tmp_path, "--out", out)
-    assert result.exit_code == 0, result.output
+    result = completed("export", tmp_path, "--out", out)
     assert read_onnx(out).weights_sum == weights_sum(tmp_path / "best.safetensors")
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
         words = ("map", path, "--axes", "+y,-x,+z", "--sensor-height", 1.98, "--out", grid, "--ism", out)

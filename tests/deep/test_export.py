@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from cases import each
+from cases import each, needs, refused
+from networks import SPEC, trained
 
 from ogm.deep.export import export_onnx
 from ogm.deep.export_parts import _Masses
@@ -20,29 +21,13 @@ from ogm.deep.pillars import Pillars, pillarize
 from ogm.deep.points import SortedPoints, sort_points
 from ogm.grid import GridSpec
 
-onnx = pytest.importorskip("onnx")
-pytest.importorskip("onnxruntime")
-pytest.importorskip("onnxscript")
+needs("onnx", "onnxruntime", "onnxscript")
 
-SPEC = GridSpec.centered(length=10.24, width=5.12, resolution=0.16)
 OTHER = GridSpec(0.16, (96, 16), (-3.2, -2.0))  # its sides are multiples of both networks'
 NETWORKS = {
     "small": replace(LITE, blocks=((8, 1), (12, 2), (16, 1), (16, 1))),
     "paper": replace(PAPER, blocks=((8, 2), (8, 1), (8, 1)), up=8, evidence="relu"),  # as published
 }
-
-
-def trained(config: NetworkConfig) -> PillarNetwork:
-    """Make a network whose normalisation is not the identity, as after training."""
-    torch.manual_seed(1)
-    network = PillarNetwork(config, SPEC).eval()
-    for module in network.modules():
-        if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
-            torch.nn.init.normal_(module.running_mean, 0, 0.1)
-            torch.nn.init.uniform_(module.running_var, 0.5, 2)
-            torch.nn.init.uniform_(module.weight, 0.5, 2)
-            torch.nn.init.normal_(module.bias, 0, 0.3)
-    return network
 
 
 def scan(n: int) -> np.ndarray:
@@ -58,6 +43,8 @@ def mass_of(network: PillarNetwork, pillars: Pillars) -> np.ndarray:
 
 
 def metadata_of(path: Path) -> dict[str, str]:
+    import onnx
+
     return {entry.key: entry.value for entry in onnx.load(path).metadata_props}
 
 
@@ -100,6 +87,8 @@ def test_evidence_of_any_size_is_exact() -> None:
 
 
 def test_the_file_explains_itself(exported: tuple[PillarNetwork, Path]) -> None:
+    import onnx
+
     network, path = exported
     model = onnx.load(path)
     onnx.checker.check_model(model, full_check=True)
@@ -153,12 +142,9 @@ def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
 
 def test_what_cannot_be_exported_is_refused_before_the_work(tmp_path: Path) -> None:
     network = trained(NETWORKS["small"])
-    with pytest.raises(ValueError, match=r"named \.onnx"):
-        export_onnx(network, tmp_path / "lite.pt")
-    with pytest.raises(ValueError, match="load_network"):
-        export_onnx(fused(network), tmp_path / "lite.onnx")
-    with pytest.raises(FileNotFoundError, match="create it first"):
-        export_onnx(network, tmp_path / "no" / "lite.onnx")
+    refused(r"named \.onnx", export_onnx, network, tmp_path / "lite.pt")
+    refused("load_network", export_onnx, fused(network), tmp_path / "lite.onnx")
+    refused("create it first", export_onnx, network, tmp_path / "no" / "lite.onnx", error=FileNotFoundError)
     assert not list(tmp_path.iterdir())
 
 
@@ -170,8 +156,7 @@ def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
         raise RuntimeError("no")
 
     monkeypatch.setattr("ogm.deep.export._model", fail)
-    with pytest.raises(RuntimeError, match="no"):
-        export_onnx(trained(NETWORKS["small"]), path)
+    refused("no", export_onnx, trained(NETWORKS["small"]), path, error=RuntimeError)
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
 

@@ -3,7 +3,7 @@ import logging
 import numpy as np
 import pytest
 import torch
-from cases import each
+from cases import each, refused
 
 from ogm.deep import DeepISM, PillarNetwork
 from ogm.deep.torch_engine import TorchEngine
@@ -83,8 +83,7 @@ def test_another_grid_is_filled_with_the_same_beliefs(network, cloud, small):
 
 
 def test_grids_that_do_not_suit_the_network_are_refused(network, small):
-    with pytest.raises(ValueError, match="cells of 0.64 m"):
-        DeepISM(network, GridSpec.centered(length=10.24, width=10.24, resolution=0.32))
+    refused("cells of 0.64 m", DeepISM, network, GridSpec.centered(length=10.24, width=10.24, resolution=0.32))
     with pytest.raises(ValueError, match="multiples of 8 cells"):
         DeepISM(network, GridSpec.centered(length=9 * 0.64, width=8 * 0.64, resolution=0.64))
 
@@ -150,20 +149,16 @@ def test_without_ego_footprint_no_cell_is_blank(network, cloud):
 
 
 def test_devices_that_are_not_there_are_refused(network):
-    with pytest.raises(ValueError, match="use cpu"):
-        TorchEngine(network, device="warp")
+    refused("use cpu", TorchEngine, network, device="warp")
 
 
 def test_the_error_for_unknown_weights_names_the_known_ones(tmp_path):
-    with pytest.raises(FileNotFoundError, match="'lite'"):
-        DeepISM.load("litte")
-    with pytest.raises(FileNotFoundError, match="ogm train"):
-        DeepISM.load(tmp_path)
+    refused("'lite'", DeepISM.load, "litte", error=FileNotFoundError)
+    refused("ogm train", DeepISM.load, tmp_path, error=FileNotFoundError)
 
 
 def test_a_number_is_no_mount(network):
-    with pytest.raises(TypeError, match="ogm.Mount"):
-        DeepISM(network, mount=1.8)
+    refused("ogm.Mount", DeepISM, network, error=TypeError, mount=1.8)
 
 
 @each("points", [np.zeros((3, 2), np.float32), np.zeros(4, np.float32)])

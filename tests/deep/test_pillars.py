@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from cases import each
+from cases import each, refused
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -186,13 +186,11 @@ def test_points_without_intensity_have_none() -> None:
         (np.zeros((1, 5, 4)), ValueError, r"got \(1, 5, 4\)"),
     ])  # fmt: skip
 def test_arrays_that_are_no_points_are_refused(points: Any, error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
-        pillarize(points, SPEC)
+    refused(message, pillarize, points, SPEC, error=error)
 
 
 def test_a_matrix_that_is_no_transform_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"T must be .* got shape \(3, 3\)"):
-        pillarize(scan(5), SPEC, T=np.eye(3))
+    refused(r"T must be .* got shape \(3, 3\)", pillarize, scan(5), SPEC, T=np.eye(3))
 
 
 def test_a_batch_is_its_scans_one_after_the_other() -> None:

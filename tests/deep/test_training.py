@@ -9,23 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from cases import each
-from lightning.fabric import Fabric
+from cases import each, fail_call, refused
 
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import PAPER
 from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
-from ogm.deep.training import train
-from ogm.deep.training_run import TrainingRun
 from ogm.storage.locks import locked
 
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture
@@ -35,6 +26,8 @@ def recipe(tiny):
 
 @pytest.fixture
 def go(frames, small, recipe, tmp_path):
+    from ogm.deep.training import train
+
     def run(out="run", training=frames[:8], validation=frames[8:], **options):
         fixed = {"workers": 0, "accelerator": "cpu", "progress": False, "picture_every": 0, "recipe": recipe}
         options = fixed | options
@@ -88,17 +81,11 @@ def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, recipe, frames, tmp_
 
 def test_an_interrupt_within_a_step_changes_nothing(go, tmp_path, monkeypatch):
     """The forward pass has changed the statistics of the batch norms when the backward pass is interrupted."""
+    from lightning.fabric import Fabric
+
     whole = go("whole")
-    backward, calls = Fabric.backward, []
-
-    def interrupted(*arguments, **options):
-        calls.append(arguments)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return backward(*arguments, **options)
-
     with monkeypatch.context() as patch:
-        patch.setattr(Fabric, "backward", interrupted)
+        fail_call(patch, Fabric, "backward", 3)
         with pytest.raises(KeyboardInterrupt):
             go("stopped")
     assert go("stopped", resume=True).read_bytes() == whole.read_bytes()
@@ -112,8 +99,7 @@ def test_a_full_disk_under_the_state_is_an_error_that_names_it(go, tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2 * size, before[1]))
     try:
-        with pytest.raises(OSError, match=r"state\.pt"):
-            go("full")
+        refused(r"state\.pt", go, "full", error=OSError)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, ignored)
@@ -123,6 +109,8 @@ def test_a_full_disk_under_the_state_is_an_error_that_names_it(go, tmp_path):
 @pytest.mark.parametrize("epoch", [1, 2])
 def test_a_run_that_is_killed_between_the_record_and_the_state_of_an_epoch(go, tmp_path, monkeypatch, epoch):
     go("whole")
+    from ogm.deep.training_run import TrainingRun
+
     save = TrainingRun.save
     with monkeypatch.context() as patch:  # what stands on disk then is what a kill leaves
         patch.setattr(TrainingRun, "save", lambda run: save(run) if run.epoch < epoch else sys.exit(9))
@@ -152,16 +140,13 @@ def test_workers_change_nothing(go):
 
 def test_a_run_is_not_overwritten(go):
     go()
-    with pytest.raises(ValueError, match="--resume"):
-        go()
+    refused("--resume", go)
 
 
 def test_another_recipe_or_data_does_not_resume(go, recipe, frames):
     go()
-    with pytest.raises(ValueError, match="another recipe"):
-        go(resume=True, recipe=replace(recipe, weight_decay=0.5))
-    with pytest.raises(ValueError, match="another frames"):
-        go(resume=True, training=frames[:7])
+    refused("another recipe", go, resume=True, recipe=replace(recipe, weight_decay=0.5))
+    refused("another frames", go, resume=True, training=frames[:7])
 
 
 def test_a_run_goes_on_with_another_learning_rate(go, recipe, frames, tmp_path):
@@ -193,8 +178,7 @@ def test_a_hostile_state_is_not_unpickled(go, tmp_path):
 
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "state.pt").write_bytes(pickle.dumps({"recipe": Evil()}))
-    with pytest.raises(ValueError, match="cannot resume"):
-        go(resume=True)
+    refused("cannot resume", go, resume=True)
     assert not (tmp_path / "owned").exists()
 
 
@@ -223,8 +207,7 @@ def test_the_error_for_too_little_memory_has_the_way_out(go, monkeypatch):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     monkeypatch.setattr("ogm.deep.training_run.mean_loss", full)
-    with pytest.raises(MemoryError, match="--batch"):
-        go()
+    refused("--batch", go, error=MemoryError)
 
 
 def test_every_loss_and_the_published_recipe_can_be_trained_with(go, recipe, tmp_path):
@@ -242,10 +225,8 @@ def test_every_loss_and_the_published_recipe_can_be_trained_with(go, recipe, tmp
         ({"batch": 9}, "fewer than one batch"),
     ])  # fmt: skip
 def test_recipes_out_of_range_are_refused(go, recipe, change, match):
-    with pytest.raises(ValueError, match=match):
-        go(recipe=replace(recipe, **change))
+    refused(match, go, recipe=replace(recipe, **change))
 
 
 def test_weights_are_not_chosen_without_validation(go):
-    with pytest.raises(ValueError, match="validation"):
-        go(validation=[])
+    refused("validation", go, validation=[])

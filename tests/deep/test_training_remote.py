@@ -1,14 +1,11 @@
 """Training on a data set in an object store: the same however many processes load it, and resumed."""
 
 import pytest
-import torch
 from walls import BEAMS, sample
 
 from ogm.datasets import open_dataset
 from ogm.deep import order
 from ogm.deep.recipe import Recipe
-from ogm.deep.training import train
-from ogm.deep.training_run import TrainingRun
 from ogm.simulation.store import Store
 from ogm.storage.remote import object_store
 
@@ -32,28 +29,27 @@ def data(tmp_path_factory, s3):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_thread")
 def test_a_run_is_the_same_with_loading_processes_and_resumed(data, small, tiny, tmp_path, monkeypatch):
+    from ogm.deep.training import train
+    from ogm.deep.training_run import TrainingRun
+
     monkeypatch.setattr(order, "STREAMS", 2)
     recipe = Recipe(tiny, epochs=2, batch=4, warmup=2, learning_rate=1e-2)
     options = {"accelerator": "cpu", "progress": False, "picture_every": 0}
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        whole = train(*data, small, tmp_path / "whole", recipe, workers=0, **options)
-        do_step, steps = TrainingRun.do_step, []
+    whole = train(*data, small, tmp_path / "whole", recipe, workers=0, **options)
+    do_step, steps = TrainingRun.do_step, []
 
-        def stops(run, batch):
-            steps.append(batch.numbers)
-            if len(steps) == 9:
-                raise KeyboardInterrupt
-            do_step(run, batch)
+    def stops(run, batch):
+        steps.append(batch.numbers)
+        if len(steps) == 9:
+            raise KeyboardInterrupt
+        do_step(run, batch)
 
-        with monkeypatch.context() as patch:
-            patch.setattr(TrainingRun, "do_step", stops)
-            with pytest.raises(KeyboardInterrupt):
-                train(*data, small, tmp_path / "stopped", recipe, workers=0, **options)
-        stopped = train(*data, small, tmp_path / "stopped", recipe, workers=1, resume=True, **options)
-    finally:
-        torch.set_num_threads(before)
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainingRun, "do_step", stops)
+        with pytest.raises(KeyboardInterrupt):
+            train(*data, small, tmp_path / "stopped", recipe, workers=0, **options)
+    stopped = train(*data, small, tmp_path / "stopped", recipe, workers=1, resume=True, **options)
     assert sorted(i for numbers in steps[:6] for i in numbers) == list(range(24))
     assert stopped.read_bytes() == whole.read_bytes()

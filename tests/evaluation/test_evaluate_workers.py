@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 
 from ogm.evaluation import FusedMethod, SingleScanMethod, evaluate
 from ogm.fusion import EvidentialMapper
@@ -162,8 +162,7 @@ class Unpicklable(Random):
 
 
 def test_what_cannot_go_to_other_processes_is_refused() -> None:
-    with pytest.raises(TypeError, match="must be picklable"):
-        evaluate({"mine": Unpicklable()}, Drives(), SPEC, workers=2)
+    refused("must be picklable", evaluate, {"mine": Unpicklable()}, Drives(), SPEC, error=TypeError, workers=2)
 
 
 @each("name", ["ray", "height-band-released", "radar", "ray+radar", "combined+deep-radar"])

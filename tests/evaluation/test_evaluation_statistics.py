@@ -2,11 +2,11 @@
 
 import math
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
 from cases import each, refused
-from scipy import stats
 
 from ogm.evaluation import Evaluation, FrameInfo, compare_paired, mean_interval, ratio_interval
 from ogm.grid import GridSpec
@@ -14,12 +14,12 @@ from ogm.metrics import ConfusionSums, accumulate, score
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
 EVEN = np.full(4, 0.25)
-SHAPES = {  # distributions of the values of a metric
-    "normal": stats.norm(10),
-    "share, mean 0.2": stats.beta(2, 8),
-    "share, mean 0.1": stats.beta(1, 9),
-    "share, mean 0.95": stats.beta(19, 1),
-    "error, lognormal": stats.lognorm(0.7),
+SHAPES = {  # distributions of the values of a metric, of scipy.stats
+    "normal": ("norm", 10),
+    "share, mean 0.2": ("beta", 2, 8),
+    "share, mean 0.1": ("beta", 1, 9),
+    "share, mean 0.95": ("beta", 19, 1),
+    "error, lognormal": ("lognorm", 0.7),
 }
 ALIKE = ((0.2, 0.8), (0.7, 0.5))  # share of the variance between drives, correlation of neighbours within one
 CASES = [  # drives, frames of a drive, shape, share between drives, correlation
@@ -64,26 +64,37 @@ def test_frames_of_a_drive_are_grouped_and_others_stand_alone() -> None:
 # --- Coverage ---------------------------------------------------------------------------------------
 
 
+def distribution(shape: str) -> Any:
+    from scipy import stats
+
+    name, *parameters = SHAPES[shape]
+    return getattr(stats, name)(*parameters)
+
+
 def two_methods(case: tuple, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return values of two equally good methods, (2, frames), and the drive of each frame."""
+    from scipy.stats import norm
+
     drives, (low, high), shape, between, lag = case
     apart = np.abs(np.subtract.outer(np.arange(high), np.arange(high)))
     root = np.linalg.cholesky(between + (1 - between) * lag**apart)  # of the covariance of a drive's frames
     normal = rng.standard_normal((2, drives, high)) @ root.T
     normal[1] = 0.8 * normal[0] + 0.6 * normal[1]
     drive, frame = np.nonzero(np.arange(high) < rng.integers(low, high + 1, drives)[:, None])
-    return SHAPES[shape].ppf(stats.norm.cdf(normal[:, drive, frame])), drive
+    return distribution(shape).ppf(norm.cdf(normal[:, drive, frame])), drive
 
 
 def assert_covers(case: tuple, repeats: int) -> None:
     """Check that 93 to 97 % of the intervals hold the truth, and 3 to 7 % of p are small, but for chance."""
-    rng, truth, held = np.random.default_rng(0), SHAPES[case[2]].mean(), []
+    from scipy.stats import norm
+
+    rng, truth, held = np.random.default_rng(0), distribution(case[2]).mean(), []
     for _ in range(repeats):
         (a, b), drives = two_methods(case, rng)
         mean, alone, pair = mean_interval(a, drives), mean_interval(a), compare_paired(a, b, "lower", drives)
         holds = [one.low <= right <= one.high for one, right in ((mean, truth), (pair.ratio, 1.0), (alone, truth))]
         held.append([*holds, pair.p < 0.05])
-    chance = stats.norm.ppf(0.999) * np.sqrt(0.05 * 0.95 / repeats)
+    chance = norm.ppf(0.999) * np.sqrt(0.05 * 0.95 / repeats)
     of_mean, of_ratio, as_independent, small = np.mean(held, axis=0)
     for share in (of_mean, of_ratio):
         assert 0.93 - chance < share < 0.97 + chance, (case, share)
@@ -106,6 +117,8 @@ def test_intervals_hold_the_truth_whatever_the_metric(case: tuple) -> None:
 
 def test_independent_frames_of_a_normal_metric_have_the_interval_of_the_textbook() -> None:
     values = np.random.default_rng(1).normal(-3.0, 1.0, 40)
+    from scipy import stats
+
     expected = stats.t.interval(0.95, 39, values.mean(), stats.sem(values))
     assert mean_interval(values) == pytest.approx((values.mean(), *expected))
     other = np.random.default_rng(2).normal(-3.2, 1.0, 40)
@@ -167,6 +180,8 @@ def test_ratios_weigh_frames() -> None:
 @each("kind", ["errors", "differences", "shares"])
 def test_the_interval_of_a_ratio_is_that_of_a_jackknife_over_uneven_drives(kind: str) -> None:
     """Written out: one drive less at a time, on logarithms, as they are, or on log-odds."""
+    from scipy.stats import t
+
     rng, drives = np.random.default_rng(10), np.array(list("aaabbbbbccddddddddeeeeffffff"))
     first, second = rng.gamma(2.0, 1.0, (2, len(drives)))
     there, back = math.log, math.exp
@@ -180,7 +195,7 @@ def test_the_interval_of_a_ratio_is_that_of_a_jackknife_over_uneven_drives(kind:
     middle = sum(without) / 6
     error = math.sqrt(5 / 6 * sum((value - middle) ** 2 for value in without))
     effective = len(drives) ** 2 / sum((drives == one).sum() ** 2 for one in "abcdef")
-    reach = stats.t.ppf(0.975, effective - 1) * error
+    reach = t.ppf(0.975, effective - 1) * error
     value = first.sum() / second.sum()
     expected = value, back(there(value) - reach), back(there(value) + reach)
     assert ratio_interval(first, second, drives) == pytest.approx(expected)

@@ -283,11 +283,15 @@ def test_jousselme_is_a_distance(masses: Any) -> None:
     np.testing.assert_allclose(distance(a, b), quadratic, atol=1e-3 if a.dtype == np.float32 else 1e-7)
 
 
+def twentieths(low: int, high: int) -> st.SearchStrategy[tuple[float, float]]:
+    """Return a strategy of two multiples of 1 / 20."""
+    return st.tuples(*[st.integers(low, high).map(lambda count: count / 20)] * 2)
+
+
 @laws
-@given(masses=arrays_of_masses(2), rates=st.tuples(st.integers(0, 19), st.integers(0, 19)))
-def test_multiplication_multiplies_probabilities(masses: Any, rates: tuple[int, int]) -> None:
-    x, y = masses
-    a, r = rates[0] / 20, rates[1] / 20
+@given(masses=arrays_of_masses(2), rates=twentieths(0, 19))
+def test_multiplication_multiplies_probabilities(masses: Any, rates: tuple[float, float]) -> None:
+    (x, y), (a, r) = masses, rates
     both, rate = evidence.multiplication(x, y, a, r)
     evidence.check_mass(both)
     product = evidence.mass_to_probability(x, a) * evidence.mass_to_probability(y, r)
@@ -295,10 +299,9 @@ def test_multiplication_multiplies_probabilities(masses: Any, rates: tuple[int, 
 
 
 @laws
-@given(masses=arrays_of_masses(2), rates=st.tuples(st.integers(1, 20), st.integers(1, 20)))
-def test_comultiplication_is_the_dual_of_multiplication(masses: Any, rates: tuple[int, int]) -> None:
-    x, y = masses
-    a, r = rates[0] / 20, rates[1] / 20
+@given(masses=arrays_of_masses(2), rates=twentieths(1, 20))
+def test_comultiplication_is_the_dual_of_multiplication(masses: Any, rates: tuple[float, float]) -> None:
+    (x, y), (a, r) = masses, rates
     either, rate = evidence.comultiplication(x, y, a, r)
     neither = evidence.multiplication(swapped(x), swapped(y), 1 - a, 1 - r)
     same(either, swapped(neither.mass), times=5)

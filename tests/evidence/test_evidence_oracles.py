@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 import pybelief
-import pyds
-from evtools import combinations, corrections, dsvector
 
 from ogm import evidence
 from ogm.evidence import powerset
@@ -39,12 +37,14 @@ def random_general(count: int = 2) -> list[np.ndarray]:
 # --- py_dempster_shafer ---
 
 
-def to_pyds(pair: np.ndarray) -> pyds.MassFunction:
+def to_pyds(pair: np.ndarray) -> Any:
+    import pyds
+
     free, occupied = pair.tolist()
     return pyds.MassFunction({"f": free, "o": occupied, "fo": 1 - free - occupied})
 
 
-def from_pyds(mass: pyds.MassFunction) -> tuple[float, float]:
+def from_pyds(mass: Any) -> tuple[float, float]:
     return mass["f"], mass["o"]
 
 
@@ -95,10 +95,14 @@ def test_pybelief_agrees() -> None:
 
 
 def to_evtools(mass: np.ndarray, frame: str = STATES) -> Any:
+    from evtools import dsvector
+
     return dsvector.DSVector.from_dense(list(frame), mass)
 
 
 def test_evtools_agrees() -> None:
+    from evtools import combinations
+
     a, b = random_pairs()
     pairs = [(to_evtools(x), to_evtools(y)) for x, y in zip(powerset.from_pair(a), powerset.from_pair(b), strict=True)]
     answers = {
@@ -116,6 +120,8 @@ def test_evtools_agrees() -> None:
 
 
 def test_evtools_agrees_on_discounting() -> None:
+    from evtools import corrections
+
     a, _ = random_pairs()
     betas = {frozenset("f"): 0.7, frozenset("o"): 0.4}
     expected = [corrections.contextual_discount(to_evtools(x), betas).dense for x in powerset.from_pair(a)]
@@ -125,6 +131,8 @@ def test_evtools_agrees_on_discounting() -> None:
 
 
 def test_evtools_agrees_on_three_states_in_the_open_world() -> None:
+    from evtools import combinations
+
     a, b = random_general()
     for name, combine in {
         "conjunctive": combinations.crc,

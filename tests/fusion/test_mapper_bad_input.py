@@ -189,8 +189,7 @@ def test_any_memory_layout_and_precision_is_taken():
 
 def test_a_map_without_scans_has_no_view():
     for mapper in (EvidentialMapper(SPEC), BinaryBayesMapper(SPEC)):
-        with pytest.raises(ValueError, match="the map has no scan yet"):
-            mapper.view()
+        refused("the map has no scan yet", mapper.view)
         assert mapper.view(T_map_vehicle=pose(3.0)).unknown.min() == 1.0
 
 

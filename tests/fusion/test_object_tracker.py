@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import each, refused
+from cases import each, needs, refused
 from dynamic_scenes import SPEC, Block, scene
 
 from ogm.fusion.dynamic.object_tracker import ObjectTracker, TrackerSettings
 from ogm.fusion.dynamic.objects import Objects, find_objects
 from ogm.scan import Boxes
 
-pytest.importorskip("filterpy", reason="no filterpy: pip install ogm-toolkit[track]")
+needs("filterpy")
 
 
 def objects(*states: tuple[float, float, float, float], deviation: float = 0.3) -> Objects:
@@ -171,5 +171,4 @@ def test_stamps_and_reset() -> None:
 
 def test_a_missing_package_is_named_with_its_install_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "filterpy.kalman", None)
-    with pytest.raises(ImportError, match="ogm-toolkit\\[track\\]"):
-        ObjectTracker()
+    refused("ogm-toolkit\\[track\\]", ObjectTracker, error=ImportError)

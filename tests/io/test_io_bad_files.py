@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.dataset  # noqa: F401  its first import is not memory that a file takes
 import pytest
 from cases import each
 
@@ -49,6 +48,8 @@ end_header
 
 def refused(path: Path, message: str = ".") -> str:
     """Read the file, take its OgmError, and check that it names the file once and asks for little memory."""
+    import pyarrow.dataset  # noqa: F401  its first import is not memory that a file takes
+
     tracemalloc.start()
     try:
         with pytest.raises(OgmError, match=message) as caught:
@@ -130,23 +131,37 @@ def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
     refused(put(tmp_path, "a.pcd.bin", rows.tobytes()))
 
 
-# ---- PCD headers
+# ---- Headers
 
 
-@each("line, damaged", [
-        ("POINTS 10", ["POINTS " + text for text in ("11", "-10", "ten", "10 10", "99999999999999999999", "²")]),
-        ("WIDTH 10", ["WIDTH 5", "WIDTH"]),
-        ("HEIGHT 1", ["HEIGHT 0"]),
-        ("COUNT 1 1 1", ["COUNT 1 1", "COUNT 1 1 0", "COUNT 1 1 -1", "COUNT 1 1 999999999999"]),
-        ("SIZE 4 4 4", ["SIZE 4 4 3", "SIZE 4 4", "SIZE 4 4 999999999999"]),
-        ("TYPE F F F", ["TYPE F F X", "TYPE F F F F"]),
-        ("FIELDS x y z", ["FIELDS x y", "FIELDS x y range", "FIELDS _ _ _", ""]),
-        ("DATA binary\n", ["DATA\n", "DATA binary_squeezed\n", "DATA binary", ""]),
+FACES = "element face 10\nproperty list uchar int v\n"
+CAMERAS = "element camera 99999999999\nproperty float f\n"
+
+
+@each("header, line, damaged", [
+        (PCD, "POINTS 10", ["POINTS " + text for text in ("11", "-10", "ten", "10 10", "99999999999999999999", "²")]),
+        (PCD, "WIDTH 10", ["WIDTH 5", "WIDTH"]),
+        (PCD, "HEIGHT 1", ["HEIGHT 0"]),
+        (PCD, "COUNT 1 1 1", ["COUNT 1 1", "COUNT 1 1 0", "COUNT 1 1 -1", "COUNT 1 1 999999999999"]),
+        (PCD, "SIZE 4 4 4", ["SIZE 4 4 3", "SIZE 4 4", "SIZE 4 4 999999999999"]),
+        (PCD, "TYPE F F F", ["TYPE F F X", "TYPE F F F F"]),
+        (PCD, "FIELDS x y z", ["FIELDS x y", "FIELDS x y range", "FIELDS _ _ _", ""]),
+        (PCD, "DATA binary\n", ["DATA\n", "DATA binary_squeezed\n", "DATA binary", ""]),
+        (PLY, " 10", [" 11", " 99999999999", " 99999999999999999999", " -1", ""]),
+        (PLY, "vertex", ["point"]),
+        (PLY, "float z", ["float32 w", "quad z", "float z\nproperty float z", "list uchar float z", "list uchar"]),
+        (PLY, "element vertex 10\n", [FACES + "element vertex 10\n", CAMERAS + "element vertex 10\n", ""]),
+        (PLY, "format binary_little_endian 1.0\n", ["format binary_middle_endian 1.0\n", ""]),
+        (PLY, "end_header\n", ["comment end_header\n", "end_header of it\n", "end_header", ""]),
     ])  # fmt: skip
-def test_a_pcd_header_that_cannot_be(line, damaged, tmp_path):
+def test_a_header_that_cannot_be(header, line, damaged, tmp_path):
+    name = "a.pcd" if header == PCD else "a.ply"
     for instead in damaged:
-        assert line in PCD
-        refused(put(tmp_path, "a.pcd", PCD.replace(line, instead).encode() + bytes(120)))
+        assert line in header
+        refused(put(tmp_path, name, header.replace(line, instead).encode() + bytes(120)))
+
+
+# ---- PCD headers
 
 
 @each("encoding", ["ascii", "binary", "binary_compressed"])
@@ -208,24 +223,6 @@ def test_a_pcd_field_that_is_there_twice(names, encoding, tmp_path):
 
 
 # ---- PLY headers
-
-
-FACES = "element face 10\nproperty list uchar int v\n"
-CAMERAS = "element camera 99999999999\nproperty float f\n"
-
-
-@each("line, damaged", [
-        (" 10", [" 11", " 99999999999", " 99999999999999999999", " -1", ""]),
-        ("vertex", ["point"]),
-        ("float z", ["float32 w", "quad z", "float z\nproperty float z", "list uchar float z", "list uchar"]),
-        ("element vertex 10\n", [FACES + "element vertex 10\n", CAMERAS + "element vertex 10\n", ""]),
-        ("format binary_little_endian 1.0\n", ["format binary_middle_endian 1.0\n", ""]),
-        ("end_header\n", ["comment end_header\n", "end_header of it\n", "end_header", ""]),
-    ])  # fmt: skip
-def test_a_ply_header_that_cannot_be(line, damaged, tmp_path):
-    for instead in damaged:
-        assert line in PLY
-        refused(put(tmp_path, "a.ply", PLY.replace(line, instead).encode() + bytes(120)))
 
 
 @each("name, double", [("x", "x"), ("w", "w"), ("x", "scalar_X")])

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -192,8 +192,7 @@ def test_limits_are_stated_and_refuse_what_is_none():
     before = set_limits(file=1e3)
     assert (before, current_limits().file) == (MemoryLimits(), 1000)
     for bad in (0, -1, 1.5, float("inf"), float("nan"), "1"):
-        with pytest.raises(ValueError, match="limit file must be"):
-            set_limits(file=bad)
+        refused("limit file must be", set_limits, file=bad)
     with pytest.raises(TypeError):
         set_limits(files=1)
     assert current_limits().file == 1000
@@ -211,8 +210,7 @@ def test_the_environment_sets_limits():
 
 @each("text", ["file", "files=3", "file=many", "file=0", "file=1e400"])
 def test_an_environment_that_sets_no_limits_is_refused(text):
-    with pytest.raises(ValueError, match="OGM_LIMITS must be pairs such as file=4e9"):
-        _from_environment(text)
+    refused("OGM_LIMITS must be pairs such as file=4e9", _from_environment, text)
 
 
 @each("suffix, pack", [(".xz", lzma.compress), (".gz", gzip.compress)])
@@ -222,8 +220,7 @@ def test_unpacking_stops_at_the_limit(suffix, pack, tmp_path):
     set_limits(file=4 * MB)
     tracemalloc.start()
     try:
-        with pytest.raises(OgmError, match=rf"more than {4 * MB} bytes when decoded.*set_limits\(file=\.\.\.\)"):
-            read_bytes(path)
+        refused(rf"more than {4 * MB} bytes when decoded.*set_limits\(file=\.\.\.\)", read_bytes, path, error=OgmError)
         assert tracemalloc.get_traced_memory()[1] < 20 * MB  # the decoder of xz has 9
     finally:
         tracemalloc.stop()
@@ -236,11 +233,9 @@ def test_streams_of_xz_that_follow_each_other_are_one_file(check, tmp_path):
     path.write_bytes(one + bytes(8) + other + bytes(4))
     assert read_bytes(path)[0] == b"abc" * 9999 + b"defg" * 99_999
     path.write_bytes(one + other[:-5])
-    with pytest.raises(OgmError, match="no whole .xz"):
-        read_bytes(path)
+    refused("no whole .xz", read_bytes, path, error=OgmError)
     path.write_bytes(one + b"what else")
-    with pytest.raises(OgmError, match="no whole .xz"):
-        read_bytes(path)
+    refused("no whole .xz", read_bytes, path, error=OgmError)
 
 
 def test_xz_whose_decoder_takes_much_memory_is_refused(tmp_path):
@@ -250,8 +245,7 @@ def test_xz_whose_decoder_takes_much_memory_is_refused(tmp_path):
     header = data[12 : 12 + 4 * (data[12] + 1)]
     data[12 + len(header) - 4 : 12 + len(header)] = struct.pack("<I", zlib.crc32(bytes(header[:-4])))
     (tmp_path / "a.bin.xz").write_bytes(bytes(data))
-    with pytest.raises(OgmError, match="[Mm]emory"):
-        read_bytes(tmp_path / "a.bin.xz")
+    refused("[Mm]emory", read_bytes, tmp_path / "a.bin.xz", error=OgmError)
 
 
 values = st.recursive(
@@ -277,8 +271,7 @@ def test_the_estimate_for_json_is_from_above(value, ascii_only):
     set_limits(json=max(held - 2000, 1))  # the list itself and the memo of keys
     assert decoded is not None
     if held > 3000:
-        with pytest.raises(OgmError, match="bytes when decoded"):
-            decode_json(data, Path("a.json"))
+        refused("bytes when decoded", decode_json, data, Path("a.json"), error=OgmError)
 
 
 @each("unit", [b"[],", b"{},", b'{"a":1},', b'"",', b"1e9,", b"[[[1]]],", b'"\xc3\xa4",'])
@@ -289,8 +282,7 @@ def test_a_small_json_cannot_fill_the_memory(unit, tmp_path):
     set_limits(json=64 * MB)
     tracemalloc.start()
     try:
-        with pytest.raises(OgmError, match=r"bytes when decoded, wanted at most .*set_limits\(json=\.\.\.\)"):
-            read_sustech(path)
+        refused(r"bytes when decoded, wanted at most .*set_limits\(json=\.\.\.\)", read_sustech, path, error=OgmError)
         assert tracemalloc.get_traced_memory()[1] < 40 * MB
     finally:
         tracemalloc.stop()
@@ -300,8 +292,7 @@ def test_a_small_file_of_poses_cannot_fill_the_memory(tmp_path):
     path = tmp_path / "a.txt.xz"
     path.write_bytes(lzma.compress(b"1 0 0 0 0 1 0 0 0 0 1 0\n" * 200_000, preset=0))
     set_limits(lines=MB)
-    with pytest.raises(OgmError, match=r"set_limits\(lines=\.\.\.\)"):
-        read_poses(path)
+    refused(r"set_limits\(lines=\.\.\.\)", read_poses, path, error=OgmError)
     set_limits(lines=8 * MB)
     poses, peak = peak_of(lambda: read_poses(path), lambda poses: 3 * poses.poses.nbytes + 100e6)
     assert len(poses) == 200_000
@@ -329,8 +320,7 @@ def test_a_feather_buffer_that_claims_much_is_refused_before_memory_is_taken(tmp
     data[at : at + 8] = struct.pack("<q", 3 * 2**40)
     (tmp_path / "a.feather").write_bytes(bytes(data))
     taken = pyarrow.total_allocated_bytes()
-    with pytest.raises(OgmError, match=f"holds {3 * 2**40 + 8000} bytes when decoded"):
-        read_scan(tmp_path / "a.feather")
+    refused(f"holds {3 * 2**40 + 8000} bytes when decoded", read_scan, tmp_path / "a.feather", error=OgmError)
     assert pyarrow.total_allocated_bytes() == taken
 
 
@@ -363,8 +353,7 @@ def test_layers_of_laz_must_end_where_the_table_of_chunks_begins(form, tmp_path)
     for claim in (2**32 - 1, struct.unpack_from("<I", whole, at)[0] + 1):
         struct.pack_into("<I", whole, at, claim)
         path.write_bytes(whole)
-        with pytest.raises(OgmError, match="no whole LAS cloud"):
-            read_scan(path)
+        refused("no whole LAS cloud", read_scan, path, error=OgmError)
 
 
 # ---- logs
@@ -396,8 +385,7 @@ def test_only_a_png_is_read_under_its_name(form, tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", start)
     monkeypatch.setattr(subprocess, "check_call", start)
     for read in (read_label, read_grid):
-        with pytest.raises(OgmError, match="damaged or no image.*wanted PNG"):
-            read(path, spec)
+        refused("damaged or no image.*wanted PNG", read, path, spec, error=OgmError)
 
 
 def test_a_label_of_another_size_is_refused_before_it_is_decoded(tmp_path):
@@ -408,8 +396,7 @@ def test_a_label_of_another_size_is_refused_before_it_is_decoded(tmp_path):
     _, peak = peak_of(lambda: pytest.raises(OgmError, read_label, path), lambda _: 20 * MB)
     assert peak < 20 * MB
     set_limits(image=10_000)
-    with pytest.raises(OgmError, match=r"set_limits\(image=\.\.\.\)"):
-        read_label(path)
+    refused(r"set_limits\(image=\.\.\.\)", read_label, path, error=OgmError)
 
 
 # ---- arrays
@@ -418,5 +405,4 @@ def test_a_label_of_another_size_is_refused_before_it_is_decoded(tmp_path):
 @each("content", [b"\x93NUMPY\x01\x00\x06\x00{'a':\n", b"\x93NUMPY\x01\x00\x02\x00((", b"PK\x03\x04"])
 def test_a_damaged_array_is_an_error_of_the_file(content, tmp_path):
     (tmp_path / "a.npy").write_bytes(content)
-    with pytest.raises(OgmError, match=r"a\.npy has no readable numpy header"):
-        read_grid(tmp_path / "a.npy", SPEC)
+    refused(r"a\.npy has no readable numpy header", read_grid, tmp_path / "a.npy", SPEC, error=OgmError)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from radarscenes_files import MOUNTS, START, detections, odometry, write_sequence
 
 from ogm.datasets import open_dataset
@@ -99,8 +99,7 @@ def test_storage_does_not_matter(storage: dict[str, Any], tmp_path: Path) -> Non
 
 def test_a_missing_package_is_named_with_its_cure(sequence: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(ImportError, match=r'radar_data.h5.*h5py.*pip install "ogm-toolkit\[io\]"'):
-        read_radarscenes(sequence)
+    refused(r'radar_data.h5.*h5py.*pip install "ogm-toolkit\[io\]"', read_radarscenes, sequence, error=ImportError)
 
 
 # ---- files that are refused
@@ -191,8 +190,7 @@ def test_memory_is_bounded_before_it_is_taken(length: int, chunk: int, tmp_path:
     sequence = write_sequence(tmp_path)
     change = _replaced("odometry", shape=(length,), dtype=_PATH.dtype, data=None, chunks=(chunk,), maxshape=(None,))
     change(sequence / "radar_data.h5")
-    with pytest.raises(OgmError, match="when decoded, wanted at most"):
-        read_radarscenes(sequence)
+    refused("when decoded, wanted at most", read_radarscenes, sequence, error=OgmError)
 
 
 def test_a_small_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path: Path, limits: None) -> None:
@@ -201,8 +199,7 @@ def test_a_small_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path: Path, 
         del file["odometry"]
         file.create_dataset("odometry", (60,), _PATH.dtype, chunks=(60,), compression="gzip")
         file["odometry"].id.write_direct_chunk((0,), bytes(2**15))  # of so many bytes deflate can make 32 MB
-    with pytest.raises(OgmError, match="a chunk of odometry"):
-        read_radarscenes(sequence)
+    refused("a chunk of odometry", read_radarscenes, sequence, error=OgmError)
 
 
 @each("change, message", [
@@ -218,11 +215,9 @@ def test_scenes_that_are_none_are_refused(
     content = json.loads((sequence / "scenes.json").read_text())
     change(content["scenes"][str(START)])
     (sequence / "scenes.json").write_text(json.dumps(content))
-    with pytest.raises(OgmError, match=message):
-        read_radarscenes(sequence)
+    refused(message, read_radarscenes, sequence, error=OgmError)
 
 
 def test_a_missing_file_is_named(sequence: Path) -> None:
     (sequence.parent / "sensors.json").unlink()
-    with pytest.raises(FileNotFoundError, match=r"sensors.json"):
-        read_radarscenes(sequence)
+    refused(r"sensors.json", read_radarscenes, sequence, error=FileNotFoundError)

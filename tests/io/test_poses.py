@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -90,8 +90,7 @@ def test_camera_poses_without_calibration_are_refused(tmp_path: Path) -> None:
     camera = np.array([pose(0.02 * k, 0, k, pitch=0.01 * k) for k in range(5)])
     path = tmp_path / "00.txt"
     path.write_text(rows(camera))
-    with pytest.raises(ValueError, match=r"read_calibration\('calib.txt'\)"):
-        read_poses(path)
+    refused(r"read_calibration\('calib.txt'\)", read_poses, path)
     np.testing.assert_allclose(read_poses(path, T_camera_sensor=np.eye(4)).poses, camera, atol=1e-10)
 
 
@@ -162,13 +161,11 @@ CSV = "stamp,x,y,z,qx,qy,qz,qw\n"
 def test_errors_of_damaged_files_name_the_line(name: str, content: str | bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(OgmError, match=message):
-        read_poses(path)
+    refused(message, read_poses, path, error=OgmError)
 
 
 def test_a_missing_file_is_missing(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="there is no file"):
-        read_poses(tmp_path / "poses.txt")
+    refused("there is no file", read_poses, tmp_path / "poses.txt", error=FileNotFoundError)
 
 
 @settings(deadline=None, max_examples=60)
@@ -185,8 +182,7 @@ def test_junk_is_poses_or_an_ogm_error(tmp_path_factory: pytest.TempPathFactory,
 
 def test_our_own_files_need_no_calibration(tmp_path: Path) -> None:
     write_poses(tmp_path / "poses.csv", drive())
-    with pytest.raises(ValueError, match="leave T_camera_sensor out"):
-        read_poses(tmp_path / "poses.csv", T_camera_sensor=T_CAMERA_SENSOR)
+    refused("leave T_camera_sensor out", read_poses, tmp_path / "poses.csv", T_camera_sensor=T_CAMERA_SENSOR)
 
 
 @each("name, numbers, message", [
@@ -197,8 +193,7 @@ def test_our_own_files_need_no_calibration(tmp_path: Path) -> None:
         ("poses.csv", np.zeros(12, int), "increase"),
     ])  # fmt: skip
 def test_what_cannot_be_written_is_refused(name: str, numbers: np.ndarray, message: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=message):
-        write_poses(tmp_path / name, drive(), numbers)
+    refused(message, write_poses, tmp_path / name, drive(), numbers)
     assert not list(tmp_path.iterdir())
 
 
@@ -228,8 +223,7 @@ def test_calibrations_of_all_recordings_are_read(tmp_path: Path) -> None:
 def test_damaged_calibrations_are_named(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "calib.txt"
     path.write_text(text)
-    with pytest.raises(OgmError, match=message):
-        read_calibration(path)
+    refused(message, read_calibration, path, error=OgmError)
 
 
 @each("folder, numbers, path_length", [
@@ -284,8 +278,6 @@ def test_flat_g2o_lies_in_the_plane(tmp_path: Path) -> None:
     ])  # fmt: skip
 def test_damaged_g2o_is_refused(tmp_path: Path, line: str, wanted: str) -> None:
     (tmp_path / "graph.g2o").write_text(f"VERTEX_SE2 0 0 0 0\n{line}\n")
-    with pytest.raises(OgmError, match=wanted):
-        read_poses(tmp_path / "graph.g2o")
+    refused(wanted, read_poses, tmp_path / "graph.g2o", error=OgmError)
     (tmp_path / "edges.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
-    with pytest.raises(OgmError, match="has no vertex"):
-        read_poses(tmp_path / "edges.g2o")
+    refused("has no vertex", read_poses, tmp_path / "edges.g2o", error=OgmError)

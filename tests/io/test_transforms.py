@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -104,8 +104,7 @@ def test_errors_name_what_there_is():
     assert caught.value.seconds == pytest.approx(-0.1)
     with pytest.raises(UnknownFrameError, match="none: no transform was added"):
         TransformBuffer().lookup("map", "base", 0.0)
-    with pytest.raises(ValueError, match="finite"):
-        buffer.lookup("map", "lidar", np.nan)
+    refused("finite", buffer.lookup, "map", "lidar", np.nan)
     assert issubclass(TransformError, OgmError)
 
 
@@ -118,8 +117,7 @@ def test_gaps_are_not_interpolated():
     with pytest.raises(ExtrapolationError, match=r"gap of 8 s, from 1.000000 to 9.000000 s, allowed are 2 s") as caught:
         buffer.lookup("map", "base", 4.0)
     assert caught.value.seconds == 0
-    with pytest.raises(ExtrapolationError, match="gap of 8 s"):
-        buffer.lookup("map", "base", [0.5, 4.0, 9.5])
+    refused("gap of 8 s", buffer.lookup, "map", "base", [0.5, 4.0, 9.5], error=ExtrapolationError)
     wide = TransformBuffer(max_gap=8.0)
     for stamp in (1.0, 9.0):
         wide.add(StampedTransform("map", "base", stamp, pose(stamp)))
@@ -168,8 +166,7 @@ def test_a_live_buffer_forgets():
     ])  # fmt: skip
 def test_transforms_that_are_none_are_refused(wrong):
     buffer = TransformBuffer()
-    with pytest.raises(OgmError, match="the transform from"):
-        buffer.add(wrong)
+    refused("the transform from", buffer.add, wrong, error=OgmError)
     assert buffer.frames == ()
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid
 
 from ogm.evidence import evidence_to_mass
@@ -58,8 +58,7 @@ def test_curves_without_cells_are_empty() -> None:
 def test_names_of_curves_that_do_not_exist_are_refused(counts: ConfusionSums) -> None:
     with pytest.raises(ValueError, match="which must be one of all, predicted_known, relative, got 'known'"):
         reliability(counts, "known")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="tolerance must be 0 or 1 cells, got 2"):
-        precision_recall(counts, 2)
+    refused("tolerance must be 0 or 1 cells, got 2", precision_recall, counts, 2)
 
 
 def test_reliability_holds_the_calibration_errors(counts: ConfusionSums) -> None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid, plain_scores
-from scipy import ndimage, stats
+from scipy import ndimage
 
 from ogm import evidence
 from ogm.metrics import METRICS, accumulate, score
@@ -123,6 +123,8 @@ def test_confusion_and_overlap_are_those_of_scikit_learn(grid: tuple[NDArray, ND
 
 
 def test_scores_of_evidence_are_those_of_the_evidence_algebra(grid: tuple[NDArray, NDArray, float]) -> None:
+    from scipy import stats
+
     mass, state, _ = grid
     mass = mass.astype(np.float64)
     kept, scores = state != IGNORE, score(accumulate(mass, state))

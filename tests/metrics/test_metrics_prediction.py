@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import SPEC, motionless, perfect, scene
@@ -94,10 +94,8 @@ def test_sums_of_two_grids_add_up(first: int, second: int) -> None:
 
 def test_a_truth_without_motion_is_refused() -> None:
     truth, cells = at(3)
-    with pytest.raises(ValueError, match="no motion"):
-        accumulate_prediction(motionless(cells), Truth(SPEC, truth.state), cells)
-    with pytest.raises(ValueError, match="occupied must be"):
-        accumulate_prediction(motionless(cells), truth, cells[1:])
+    refused("no motion", accumulate_prediction, motionless(cells), Truth(SPEC, truth.state), cells)
+    refused("occupied must be", accumulate_prediction, motionless(cells), truth, cells[1:])
 
 
 def sight(speed: float, cells: int, predicted: int, track: str = "a") -> ObjectCells:

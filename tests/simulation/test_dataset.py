@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import refused
 
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
@@ -169,5 +170,4 @@ def test_without_truth_the_scans_are_the_same(pair: tuple[SimulatedSample, Simul
 
 
 def test_an_unknown_lidar_is_refused() -> None:
-    with pytest.raises(ValueError, match="there is no lidar 'vlp-99'; there are vlp-32c, "):
-        dataset.lidars(replace(PLAN, mounts=only("vlp-99")))
+    refused("there is no lidar 'vlp-99'; there are vlp-32c, ", dataset.lidars, replace(PLAN, mounts=only("vlp-99")))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 
 from ogm.datasets import open_dataset
 from ogm.simulation import dataset, moments
@@ -98,10 +98,8 @@ def test_sequences_stay_in_one_town_with_one_sensor() -> None:
         ({"recipe": "gen9"}, "there is no recipe 'gen9'; there is gen2"),
     ])  # fmt: skip
 def test_what_a_recipe_sets_cannot_be_chosen(wrong: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        DatasetPlan(**({"recipe": "gen2"} | wrong))
-    with pytest.raises(ValueError, match="there is no recipe 'gen9'"):
-        DatasetPlan.of_recipe("gen9")
+    refused(message, DatasetPlan, **{"recipe": "gen2"} | wrong)
+    refused("there is no recipe 'gen9'", DatasetPlan.of_recipe, "gen9")
 
 
 # --- sensors ---
@@ -281,5 +279,4 @@ def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: DataRecipe, tmp
 def test_other_data_sets_keep_their_format(tmp_path: Path, sector: SimulatedSample) -> None:
     store = Store.create(tmp_path / "data", asdict(DatasetPlan()), {"training": 1}, (sector.beams,), {})
     assert store.format == FORMAT
-    with pytest.raises(ValueError, match="keeps no beams that were not measured"):
-        store.write("training", 0, [replace(sector, index=0)])
+    refused("keeps no beams that were not measured", store.write, "training", 0, [replace(sector, index=0)])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from stand_in import BEAMS, stand_in
 
 from ogm.simulation import store as store_module
@@ -141,13 +141,11 @@ def test_a_data_set_grows_and_does_not_shrink(store: Store) -> None:
     assert grown["training"].finished.tolist() == [*range(13), 20]
     with pytest.raises(ValueError, match="21 samples of training planned, got 5"):
         Store.create(store.path, {}, {"training": 5, "validation": 4}, store.beams, {})
-    with pytest.raises(ValueError, match="other lidars"):
-        Store.create(store.path, {}, {"training": 21, "validation": 4}, store.beams[:1], {})
+    refused("other lidars", Store.create, store.path, {}, {"training": 21, "validation": 4}, store.beams[:1], {})
 
 
 def test_a_shard_is_written_whole(store: Store) -> None:
-    with pytest.raises(ValueError, match="wants samples 10 to 12"):
-        store.write("training", 1, [stand_in(None, "training", 10)])
+    refused("wants samples 10 to 12", store.write, "training", 1, [stand_in(None, "training", 10)])
 
 
 def test_a_shard_whose_facts_are_missing_is_not_there(store: Store) -> None:
@@ -186,25 +184,20 @@ def test_a_missing_array_is_reported(store: Store) -> None:
 
 
 def test_what_is_no_data_set_is_reported(tmp_path: Path, store: Store) -> None:
-    with pytest.raises(FileNotFoundError, match="holds no data set; `ogm simulate"):
-        Store.open(tmp_path / "nowhere")
+    refused("holds no data set; `ogm simulate", Store.open, tmp_path / "nowhere", error=FileNotFoundError)
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ValueError, match="is a file"):
-        Store.open(tmp_path / "file")
+    refused("is a file", Store.open, tmp_path / "file")
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "zarr.json").write_text('{"zarr_format": 3, "node_type": "group", "attributes": {}}')
-    with pytest.raises(ValueError, match="is no data set"):
-        Store.open(foreign)
+    refused("is no data set", Store.open, foreign)
     text = (store.path / "zarr.json").read_text()
     (store.path / "zarr.json").write_text(text.replace(FORMAT, "ogm.samples/99"))
-    with pytest.raises(ValueError, match="has the format ogm.samples/99, this version of ogm reads"):
-        Store.open(store.path)
+    refused("has the format ogm.samples/99, this version of ogm reads", Store.open, store.path)
     holds = tmp_path / "holds"
     holds.mkdir()
     (holds / "thesis.tex").write_text("dear")
-    with pytest.raises(ValueError, match="holds other files"):
-        Store.create(holds, {}, {"training": 1}, BEAMS, {})
+    refused("holds other files", Store.create, holds, {}, {"training": 1}, BEAMS, {})
     assert [file.name for file in holds.iterdir()] == ["thesis.tex"]
 
 
@@ -220,8 +213,7 @@ def test_what_a_killed_create_left_is_begun_again(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(store_module, "_grow", killed)
     with pytest.raises(KeyboardInterrupt):
         Store.create(path, {}, {"training": 3, "test": 1}, BEAMS[:1], {})
-    with pytest.raises(FileNotFoundError, match="`ogm simulate .*` begins again"):
-        Store.open(path)
+    refused("`ogm simulate .*` begins again", Store.open, path, error=FileNotFoundError)
     assert not Store.exists(path)
     monkeypatch.undo()
     again = Store.create(path, {}, {"training": 13, "test": 1}, BEAMS, {})

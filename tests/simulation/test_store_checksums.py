@@ -11,7 +11,7 @@ from typing import Any
 
 import google_crc32c
 import pytest
-from cases import each
+from cases import each, refused
 from damage import check_flips
 from stand_in import BEAMS, stand_in
 
@@ -118,8 +118,7 @@ def test_a_changed_plan_is_found(store: Store) -> None:
     for old, new in (("0.0,", "0.5,"), ('"ogm": "0"', '"ogm": "1"'), ('"rate": 10.0', '"rate": 11.0')):
         assert old in text
         file.write_text(text.replace(old, new, 1))
-        with pytest.raises(Damaged, match="their SHA-256 differs.*restore the file"):
-            Store.open(store.path)
+        refused("their SHA-256 differs.*restore the file", Store.open, store.path, error=Damaged)
 
 
 def test_data_sets_of_older_versions_are_read_and_grow(store: Store) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, needs, refused
 from stand_in import BEAMS, stand_in
 
 from ogm import open_dataset
@@ -22,7 +22,7 @@ from ogm.simulation.radars import RADARS
 from ogm.simulation.store import Damaged, Store
 from ogm.storage.files import OgmError
 
-pytest.importorskip("zarr")
+needs("zarr")
 TWO = radars_at(["ars548", "corner@rear-left"])
 
 
@@ -61,12 +61,9 @@ def test_words_for_radars_and_places() -> None:
     (rear,) = radars_at(["ars408@rear"])
     assert (rear.radar, rear.x < 0, abs(rear.yaw)) == ("ars408", True, math.pi)
     for word in ("ars", "ars408@roof", "@front", ""):
-        with pytest.raises(ValueError, match="a radar is one of"):
-            radars_at([word])
-    with pytest.raises(ValueError, match="name of its own"):
-        DatasetPlan(radars=radars_at(["ars548", "ars548@front"]))
-    with pytest.raises(ValueError, match="yaw of a"):
-        RadarMount("a", "ars548", 1, 0, 0.5, yaw=4)
+        refused("a radar is one of", radars_at, [word])
+    refused("name of its own", DatasetPlan, radars=radars_at(["ars548", "ars548@front"]))
+    refused("yaw of a", RadarMount, "a", "ars548", 1, 0, 0.5, yaw=4)
 
 
 def test_a_plan_with_radars_survives_json_and_does_not_become_another() -> None:
@@ -74,8 +71,7 @@ def test_a_plan_with_radars_survives_json_and_does_not_become_another() -> None:
     assert DatasetPlan.from_dict(json.loads(json.dumps(asdict(plan)))) == plan
     older = {name: value for name, value in asdict(DatasetPlan()).items() if name != "radars"}
     assert DatasetPlan.from_dict(older) == DatasetPlan()
-    with pytest.raises(ValueError, match=r"begun with radars = none, got ars548-front \+ corner-rear-left"):
-        plan.grown(DatasetPlan())
+    refused(r"begun with radars = none, got ars548-front \+ corner-rear-left", plan.grown, DatasetPlan())
 
 
 @each("rate", [13.0, 20.0, 7.3])
@@ -127,8 +123,7 @@ def test_more_detections_than_a_sample_holds_are_refused(store: Store) -> None:
     part._small["sweeps", 0] = rows = part._shard("sweeps", 0).copy()
     rows[0, 0, 3] = 1e9
     part._compare = lambda *_: None  # type: ignore[method-assign]
-    with pytest.raises(Damaged, match="impossible numbers"):
-        part.sweeps(0)
+    refused("impossible numbers", part.sweeps, 0, error=Damaged)
 
 
 def test_frames_of_lidar_and_radars(store: Store) -> None:
@@ -152,8 +147,7 @@ def test_frames_of_lidar_and_radars(store: Store) -> None:
     expected = lidar.boxes.moved(T_radar_lidar)
     np.testing.assert_allclose(frame.boxes.center, expected.center)
     assert frame.truth.spec == lidar.truth.spec
-    with pytest.raises(OgmError, match="no sensor 'side'; it has lidar, radar"):
-        open_dataset(store.path, sensors="side")
+    refused("no sensor 'side'; it has lidar, radar", open_dataset, store.path, error=OgmError, sensors="side")
 
 
 def test_sweeps_between_the_turns_of_a_drive_come_in_time_and_without_truth(tmp_path: Path) -> None:
@@ -178,18 +172,15 @@ def test_data_sets_without_radars_have_none(tmp_path: Path) -> None:
     store.write("test", 0, [stand_in(None, "test", 0)])
     assert store.format == "ogm.samples/3"
     assert store["test"][0].sweeps == ()
-    with pytest.raises(OgmError, match="has no radar"):
-        open_dataset(store.path, split="test", sensors="radar")
-    with pytest.raises(ValueError, match="for data sets that"):
-        open_dataset(tmp_path, sensors="radar")
+    refused("has no radar", open_dataset, store.path, error=OgmError, split="test", sensors="radar")
+    refused("for data sets that", open_dataset, tmp_path, sensors="radar")
 
 
 def test_space_is_there_for_the_most_detections() -> None:
     radars = tuple(StoredRadar.of_mount(one) for one in TWO)
     layout = Contents(radars=radars).layout
     assert layout["detections"][0][0] == sum(2 * RADARS[one.radar].most for one in TWO)
-    with pytest.raises(ValueError, match="1 to 100000"):
-        StoredRadar.from_dict(radars[0]._asdict() | {"sweeps": 10**9})
+    refused("1 to 100000", StoredRadar.from_dict, radars[0]._asdict() | {"sweeps": 10**9})
 
 
 @pytest.mark.usefixtures("kept_towns")

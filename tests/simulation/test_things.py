@@ -1,7 +1,6 @@
 import inspect
 
 import numpy as np
-import open3d as o3d
 import pytest
 import shapely
 from cases import each
@@ -47,10 +46,12 @@ def hill(x, y):
 
 
 def first_hits(mesh, origins, directions):
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(o3d.core.Tensor(mesh.vertices), o3d.core.Tensor(mesh.triangles))
+    from open3d import core, t
+
+    scene = t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(core.Tensor(mesh.vertices), core.Tensor(mesh.triangles))
     rays = np.concatenate(np.broadcast_arrays(origins, directions), axis=1).astype(np.float32)
-    answer = scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)
+    answer = scene.cast_rays(core.Tensor(rays), nthreads=1)
     distance, triangle = answer["t_hit"].numpy(), answer["primitive_ids"].numpy().astype(np.int64)
     hit = np.isfinite(distance)
     material = np.full(len(hit), 255)

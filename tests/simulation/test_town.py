@@ -2,12 +2,11 @@
 
 import hashlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-import open3d
 import pytest
 from cases import each
-from open3d import core
 
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh
@@ -35,14 +34,18 @@ def fingerprint(town: Town) -> str:
     return digest.hexdigest()
 
 
-def scene(mesh: Mesh, kept: np.ndarray | None = None) -> "open3d.t.geometry.RaycastingScene":
+def scene(mesh: Mesh, kept: np.ndarray | None = None) -> Any:
+    from open3d import core, t
+
     triangles = mesh.triangles if kept is None else np.ascontiguousarray(mesh.triangles[kept])
-    result = open3d.t.geometry.RaycastingScene(nthreads=1)
+    result = t.geometry.RaycastingScene(nthreads=1)
     result.add_triangles(core.Tensor(mesh.vertices), core.Tensor(triangles))
     return result
 
 
-def cast(scene: "open3d.t.geometry.RaycastingScene", origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def cast(scene: Any, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    from open3d import core
+
     rays = np.concatenate([origins, np.broadcast_to(directions, origins.shape)], axis=1)
     return scene.cast_rays(core.Tensor(rays.astype(np.float32)), nthreads=1)["t_hit"].numpy()
 
@@ -193,7 +196,7 @@ def test_walkways_lie_on_the_ground_and_off_the_houses(town: Town) -> None:
     assert blocked < 0.01 * total
 
 
-def edges_hit(things: "open3d.t.geometry.RaycastingScene", mesh: Mesh) -> bool:
+def edges_hit(things: Any, mesh: Mesh) -> bool:
     """Whether an edge of a mesh runs through something."""
     corners = mesh.vertices[mesh.triangles]
     begin, way = corners.reshape(-1, 3), (np.roll(corners, -1, axis=1) - corners).reshape(-1, 3)

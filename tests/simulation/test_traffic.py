@@ -2,7 +2,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 
 from ogm.simulation.materials import Material
 from ogm.simulation.town import Lane
@@ -285,11 +285,9 @@ def test_parked_vehicles_keep_off_the_lanes(village, traffic):
 @FROZEN
 @each("time", [-0.1, 1200.5, np.nan, np.inf])
 def test_times_outside_the_scenario_are_refused(traffic, time):
-    with pytest.raises(ValueError, match="time must lie"):
-        traffic.at(time)
+    refused("time must lie", traffic.at, time)
 
 
 @each("seed", [-1, 1.5, True, "x"])
 def test_bad_seeds_are_refused(village, seed):
-    with pytest.raises(ValueError, match="seed must be"):
-        Traffic(village, seed, clockwise=True)
+    refused("seed must be", Traffic, village, seed, clockwise=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 
 from ogm import GridSpec
 from ogm.pose import pose
@@ -203,5 +203,4 @@ def test_points_are_reported_where_the_data_sheet_has_the_layer() -> None:
         true = -1.9 / np.sin((np.array(spec.elevations) + np.array(spec.elevation_errors or (0.0,) * 32))[layer[near]])
         wanted = true + np.array(spec.range_errors or (0.0,) * 32)[layer[near]]
         np.testing.assert_allclose(np.linalg.norm(points[near, :3], axis=1), wanted, atol=5e-3)
-    with pytest.raises(ValueError, match="2 elevation_errors for 32 layers"):
-        replace(VLP, elevation_errors=(0.0, 0.0))
+    refused("2 elevation_errors for 32 layers", replace, VLP, elevation_errors=(0.0, 0.0))

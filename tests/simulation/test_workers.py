@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from cases import each
+from cases import each, refused
 from stand_in import BEAMS, stand_in
 
 from ogm.simulation import workers
@@ -89,8 +89,7 @@ def test_a_grown_data_set_is_as_one_made_in_one_go(tmp_path: Path, whole: dict[s
 def test_another_plan_is_refused(tmp_path: Path) -> None:
     run(tmp_path / "data", plan=replace(PLAN, samples=1, validation=0))
     before = contents(tmp_path / "data")
-    with pytest.raises(ValueError, match="begun with seed = 1, got 2"):
-        run(tmp_path / "data", plan=replace(PLAN, seed=2))
+    refused("begun with seed = 1, got 2", run, tmp_path / "data", plan=replace(PLAN, seed=2))
     assert contents(tmp_path / "data") == before
 
 
@@ -140,8 +139,7 @@ def test_a_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         return write(self, split, shard, samples)
 
     monkeypatch.setattr(Store, "write", full)
-    with pytest.raises(OSError, match="is full; finished shards are complete: free some of it.*--resume"):
-        run(tmp_path / "data")
+    refused("is full; finished shards are complete: free some of it.*--resume", run, tmp_path / "data", error=OSError)
     assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
 
 
@@ -150,15 +148,13 @@ def test_what_will_not_fit_is_not_begun(tmp_path: Path, monkeypatch: pytest.Monk
         free = 1000
 
     monkeypatch.setattr(workers.shutil, "disk_usage", lambda _: Usage)
-    with pytest.raises(OSError, match=r"28 samples need about .* left; free some"):
-        run(tmp_path / "data")
+    refused(r"28 samples need about .* left; free some", run, tmp_path / "data", error=OSError)
 
 
 @each("workers", [0, -1, 10**6])
 def test_impossible_numbers_of_workers_are_reported(tmp_path: Path, workers: int) -> None:
     store = begin(tmp_path / "data", PLAN, BEAMS, {})
-    with pytest.raises(ValueError, match="workers must be in 1 ..."):
-        next(make_shards(store, PLAN, stand_in, workers=workers))
+    refused("workers must be in 1 ...", next, make_shards(store, PLAN, stand_in, workers=workers))
 
 
 def test_other_versions_that_go_on_are_named(tmp_path: Path) -> None:

@@ -6,45 +6,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import refused
-from click.testing import Result
+from commands import completed, ogm
 from PIL import Image
-from typer.testing import CliRunner
+from wall_drive import write_drive
 from world_frames import RandomGrids, StraightDrive
 
-from ogm.cli import app
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import read_grid, read_placed_grid, write_poses
 from ogm.plot.colours import colours
-from ogm.pose import Trajectory, inverse, pose, transform_points
+from ogm.pose import Trajectory, pose
 from ogm.world import WorldMap, build_world, world_to_xarray, write_pyramid
 
-HEIGHT, FRAMES, WALL = 1.7, 6, 10.0
+FRAMES = 6
 SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5, "--tile", 32)
 POSES = np.array([pose(0.7 * k, 0.05 * k, yaw=0.02 * k) for k in range(FRAMES)])
 STAMPS = 1_700_000_000 + np.arange(FRAMES) / 10
 
 
-def ogm(*words: object) -> Result:
-    """Run a command in this process."""
-    result = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "200"})
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Scans of a plane and a wall across the way, and their poses."""
-    folder, rng = tmp_path_factory.mktemp("drive"), np.random.default_rng(0)
-    ground, wall = rng.uniform(-20, 20, (20_000, 4)), rng.uniform(-12, 12, (4000, 4))
-    ground[:, 0], ground[:, 2] = np.minimum(ground[:, 0], WALL), -HEIGHT
-    wall[:, 0], wall[:, 2] = WALL + 0.25, rng.uniform(-HEIGHT, 0.5, len(wall))
-    world = np.concatenate([ground, wall])
-    world[:, 3] = 0.5
-    for k, T in enumerate(POSES):
-        transform_points(inverse(T), world).astype(np.float32).tofile(folder / f"{k}.bin")
-    write_poses(folder / "poses.csv", Trajectory(STAMPS, POSES), np.arange(FRAMES))
-    return folder
+    return write_drive(tmp_path_factory.mktemp("drive"), POSES, STAMPS)
 
 
 @pytest.fixture(scope="module")
@@ -103,8 +84,8 @@ def test_pictures_show_the_cells_where_they_lie(town: WorldMap, tmp_path: Path) 
 
 def test_a_map_is_built_moved_and_exported_by_commands(drive: Path, tmp_path: Path) -> None:
     url = tmp_path / "map"
-    result = ogm("world", "build", drive, "--poses", drive / "poses.csv", "--out", url, *SMALL, "--crs", "EPSG:25832")
-    assert result.exit_code == 0, result.output
+    given = ("--poses", drive / "poses.csv", "--crs", "EPSG:25832", *SMALL)
+    result = completed("world", "build", drive, "--out", url, *given)
     assert f"{FRAMES} frames, 1 of 1 sub-maps" in result.output
     with WorldMap.open(url) as world:
         assert world.layout.tile == 32

@@ -9,11 +9,11 @@ no ray falls between them; where road and land meet, an upright kerb closes the 
 from typing import Any
 
 import numpy as np
-import open3d
 import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from ogm.extras import import_extra
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh, quads
 from ogm.simulation.town.layout import TownLayout
@@ -85,7 +85,8 @@ def _kerbs(vertices: NDArray[Any], triangles: NDArray[Any], code: NDArray[Any], 
 
 def height_raster(ground: Mesh, size: float, step: float) -> Raster:
     """Sample the height of a ground's triangles by rays cast down."""
-    tensor: Any = open3d.core.Tensor
+    open3d = import_extra("open3d", "sim")
+    tensor = open3d.core.Tensor
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(tensor(ground.vertices), tensor(ground.triangles))
     ticks = np.arange(int(round(size / step)) + 1) * step - size / 2

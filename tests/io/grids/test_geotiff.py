@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, needs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +19,7 @@ from ogm.io.grids.placed import PlacedGrid
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 
-rasterio = pytest.importorskip("rasterio")
+needs("rasterio")
 
 SPEC = GridSpec(0.16, (700, 530), (-1.7, -28.16))
 
@@ -80,6 +80,8 @@ def test_gdal_finds_corner_size_bands_system_and_every_value(tmp_path: Path, yaw
 
 def test_what_gdal_makes_of_it_is_read(tmp_path: Path) -> None:
     """Cut, flipped to rows from the bottom up, and resampled onto a north-up raster with nodata around."""
+    import rasterio
+
     write_grid(tmp_path / "map.tif", PlacedGrid(grid(), crs="EPSG:25832"))
     gdal("gdal_translate", "-q", "-srcwin", 10, 20, 100, 50, tmp_path / "map.tif", tmp_path / "cut.tif")
     cut = read_grid(tmp_path / "cut.tif")
@@ -129,6 +131,8 @@ def test_a_system_that_is_not_in_metres_is_refused(tmp_path: Path, crs: str, mes
 
 
 def test_what_is_no_grid_is_refused(tmp_path: Path) -> None:
+    import rasterio
+
     def write(name: str, names: tuple[str, ...], dtype: str = "float32", value: float = 0.0, **profile: object) -> None:
         facts = {"driver": "GTiff", "width": 4, "height": 3, "count": len(names), "dtype": dtype} | profile
         facts.setdefault("transform", rasterio.Affine(0.5, 0, 0, 0, -0.5, 0))
@@ -160,6 +164,8 @@ def test_what_is_no_grid_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_raster_without_a_place_is_refused(tmp_path: Path) -> None:
+    import rasterio
+
     with (
         pytest.warns(rasterio.errors.NotGeoreferencedWarning),
         rasterio.open(tmp_path / "g.tif", "w", driver="GTiff", width=4, height=3, count=2, dtype="float32") as image,
@@ -170,6 +176,8 @@ def test_a_raster_without_a_place_is_refused(tmp_path: Path) -> None:
 
 
 def test_cut_and_huge_files_are_refused_quickly(tmp_path: Path) -> None:
+    import rasterio
+
     write_grid(tmp_path / "map.tif", grid())
     data = (tmp_path / "map.tif").read_bytes()
     (tmp_path / "cut.tif").write_bytes(data[: len(data) // 2])

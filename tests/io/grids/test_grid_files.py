@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, needs
 from moving import street
 
 from ogm.dynamic_grid import DynamicGrid
@@ -20,8 +20,7 @@ from ogm.pose import pose
 from ogm.state import predict_state
 from ogm.storage.files import OgmError
 
-for package in ("rasterio", "xarray", "netCDF4", "zarr", "rosbags", "yaml"):
-    pytest.importorskip(package)
+needs("rasterio", "xarray", "netCDF4", "zarr", "rosbags", "yaml")
 
 SPEC = GridSpec(0.1, (7, 4), (-0.35, 12.2))
 EVERY = each("ending", MAP_ENDINGS)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -227,8 +227,7 @@ def test_messages_of_other_encodings_are_listed_but_not_decoded(tmp_path: Path) 
         assert log.topics["/notes"].count == 1
         (one,) = log.messages()
         assert bytes(one.raw) == b"{}"
-        with pytest.raises(OgmError, match="/notes cannot be read: messages of .* are json"):
-            one.decode()
+        refused("/notes cannot be read: messages of .* are json", one.decode, error=OgmError)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("foxglove") is None, reason="no foxglove-sdk")

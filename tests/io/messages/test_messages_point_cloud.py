@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -124,8 +124,7 @@ def test_bytes_come_in_many_shapes():
         other.data = form
         np.testing.assert_array_equal(scan_from_point_cloud2(other).points, wanted)
     other.data = "text"
-    with pytest.raises(OgmError, match="data that are no bytes, but str"):
-        scan_from_point_cloud2(other)
+    refused("data that are no bytes, but str", scan_from_point_cloud2, other, error=OgmError)
 
 
 def test_rows_without_a_point_are_dropped_with_all_they_have():
