@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from ogm import io
 from ogm.datasets.frames import KITTI_EGO, FrameRef, RawFrame, kinds_of
-from ogm.datasets.paths import drive_of, pose_files, scan_name, scan_paths
 from ogm.datasets.recording import ScanFiles
+from ogm.datasets.scans import drive_of, pose_files, scan_name, scan_paths
 from ogm.io.kitti import read_kitti_objects, read_kitti_stamps, read_kitti_tracks
 from ogm.io.semantic_kitti import SEMANTIC_KITTI_MOVING, read_semantic_kitti
 from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
-
-__all__ = ["KittiObjectRecording", "KittiOdometryRecording", "KittiRawRecording", "KittiTrackingRecording"]
 
 _FRONT = "boxes only in the view of the front camera"
 _ANGLE = float(np.radians(37.0))  # of that view, to either side: a little less than the picture shows

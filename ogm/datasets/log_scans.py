@@ -15,8 +15,6 @@ from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageRef
 from ogm.storage.files import OgmError
 
-__all__ = ["CLOUD", "RADAR_TYPES", "SCAN_TYPES", "LogScans", "ScanRef"]
-
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _LIDAR_TYPES = (
     CLOUD, "velodyne_msgs/msg/VelodyneScan", "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg",

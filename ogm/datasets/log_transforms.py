@@ -12,8 +12,6 @@ from ogm.io.messages import StampedTransform, transform_from_odometry, transform
 from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
 from ogm.storage.files import OgmError
 
-__all__ = ["LogTransforms"]
-
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _FIXED = ("map", "odom", "world")  # the first that a chain of transforms joins with the sensor, one of which changes

@@ -1,6 +1,7 @@
-"""Truth of recordings, made of boxes, classes, a map's road, and neighbouring scans."""
+"""Truth of recordings, made of boxes, classes, a map's road and neighbours, and motion of labelled objects."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,11 +12,12 @@ from ogm.datasets.frames import EGO
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
 from ogm.datasets.recording import Recording
 from ogm.extras import import_extra
+from ogm.grid import GridSpec
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
-from ogm.state import CellState, Truth
+from ogm.state import CellState, Motion, Truth
 from ogm.storage.files import OgmError
-from ogm.truth import TRUTH_SPEC, Kind
+from ogm.truth import TRUTH_SPEC, Kind, motion_of_boxes
 from ogm.truth.boxes import (
     MIN_RETURNS,
     boxes_over_points,
@@ -26,11 +28,10 @@ from ogm.truth.boxes import (
     truth_from_boxes,
 )
 from ogm.truth.combine import combine_truths, ignore_cells
+from ogm.truth.motion import NEEDED, REACH, BoxMotion, track_motion
 from ogm.truth.points import truth_from_points
 from ogm.truth.road import cells_in_areas, truth_from_road
 from ogm.truth.scans import MARGIN
-
-__all__ = ["ABOVE_BOTTOM", "SOURCES", "RecordedTruth"]
 
 SOURCES = ("boxes", "classes", "map", "aggregated")
 ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
@@ -221,3 +222,79 @@ def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     result[TRUTH_SPEC.index(points[inside, 0], points[inside, 1])] = True
     reach = int(np.ceil(_AT_MOVING_POINTS / TRUTH_SPEC.resolution))
     return np.asarray(import_extra("scipy.ndimage", "evaluate").binary_dilation(result, iterations=reach))
+
+
+_NEXT = 0.15  # [s] the frames before and after at 10 Hz
+_KEPT_FRAMES = 16  # frames in memory: a few kB each
+
+
+class MotionReader:
+    """Finds the motion of objects in the frames of a recording. Pickled, it goes without the motion that it found.
+
+    Velocities are stated by the dataset, and yaw rates follow from the frames before and after; or else both are
+    slopes of the objects' tracks over 0.5 to 0.7 s (`ogm.truth.track_motion`): the first and the last 0.3 s of a track
+    have none.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+
+    recording: Recording
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self._placed = lru_cache(_KEPT_FRAMES)(self._on_map)
+        self._found = lru_cache(_KEPT_FRAMES)(self._find)
+        self._members = lru_cache(None)(self._of_sequence)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return MotionReader, (self.recording,)
+
+    def boxes(self, n: int) -> Boxes | None:
+        """Return the boxes around a scan, in the sensor's frame, with velocities where there are any."""
+        boxes = self.recording.boxes(n)
+        if boxes is None or boxes.velocity is not None:
+            return boxes
+        found = self._found(n)
+        return boxes if found is None else replace(boxes, velocity=found.velocity)
+
+    def cells(self, n: int, spec: GridSpec) -> Motion | None:
+        """Return the motion of the cells around a scan; None where that of objects cannot be known.
+
+        Nothing is known of cells under the ego vehicle, and outside the view in which objects are labelled.
+        """
+        boxes, found = self.boxes(n), self._found(n)
+        if boxes is None or found is None:
+            return None
+        unknown = cells_in_footprint(self.recording.ego_footprint or EGO, spec)
+        if self.recording.view_angle is not None:
+            x, y = spec.cell_centers
+            unknown |= np.abs(y) > np.tan(self.recording.view_angle) * x
+        return motion_of_boxes(boxes, found.yaw_rate, spec, unknown=unknown)
+
+    def _find(self, n: int) -> BoxMotion | None:
+        """Return the motion of a scan's boxes in the sensor's frame, None where no tracks can be followed."""
+        frame, boxes = self.recording.frames[n], self.recording.boxes(n)
+        if boxes is None or frame.stamp is None or frame.T_map_sensor is None or not frame.sequence:
+            return None
+        stated = boxes.velocity is not None
+        reach, needed = (_NEXT, 0.0) if stated else (REACH, NEEDED)
+        members, stamps = self._members(frame.sequence)
+        near = np.abs(stamps - frame.stamp) < 1.1 * reach
+        around = members[near].tolist()
+        placed = [self._placed(k) for k in around]
+        found = track_motion(around.index(n), stamps[near].tolist(), placed, reach=reach, needed=needed)
+        if boxes.velocity is not None:
+            return BoxMotion(boxes.velocity, found.yaw_rate)
+        return BoxMotion(found.velocity @ inverse(frame.T_map_sensor)[:2, :2].T, found.yaw_rate)
+
+    def _of_sequence(self, sequence: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the frames of a sequence that have a pose and a stamp: their numbers and their stamps."""
+        refs = [(k, self.recording.frames[k]) for k in self.recording.groups[sequence]]
+        known = [(k, ref.stamp) for k, ref in refs if ref.T_map_sensor is not None and ref.stamp is not None]
+        return np.array([k for k, _ in known], np.int64), np.array([stamp for _, stamp in known], np.float64)
+
+    def _on_map(self, n: int) -> Boxes:
+        """Return the boxes of a scan in the map's frame."""
+        return self.recording.read_boxes(n).moved(np.asarray(self.recording.frames[n].T_map_sensor))

@@ -4,7 +4,6 @@
 >>> boxes = read_argoverse2("av2/val/LOG").boxes(0)                         # doctest: +SKIP
 """
 
-import os
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import from_quaternions, need, need_numbers, numbers, optional, parse_array, read_bytes, read_json
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
-from ogm.storage.files import OgmError, error_context
+from ogm.storage.files import FilePath, OgmError, error_context
 
 __all__ = ["Argoverse2Log", "Argoverse2Map", "read_argoverse2"]
 
@@ -114,7 +113,7 @@ class Argoverse2Log(NamedTuple):
         return boxes_of(list(rows), f"{table.path} at {self.stamps[n]}")
 
 
-def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
+def read_argoverse2(path: FilePath) -> Argoverse2Log:
     """Read what a log holds besides its points.
 
     Parameters

@@ -2,7 +2,6 @@
 
 import logging
 import math
-import os
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.io.g2o import read_g2o
 from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lines
 from ogm.pose import LATEST, Trajectory, check_pose, inverse, matrix_to_quaternion
-from ogm.storage.files import OgmError, atomic_write, update_hint
+from ogm.storage.files import FilePath, OgmError, atomic_write, update_hint
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -85,7 +84,7 @@ class Poses:
         return Trajectory(counted / rate, self.poses)
 
 
-def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | None = None) -> Poses:
+def read_poses(path: FilePath, *, T_camera_sensor: ArrayLike | None = None) -> Poses:
     """Read the poses of a drive.
 
     The number of columns gives the kind: 12 is KITTI odometry (the upper three rows of a 4x4 pose, row by
@@ -144,7 +143,7 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
     return Poses(poses, stamps, counted, _OURS if ours else "csv" if header else _KINDS[columns])
 
 
-def write_poses(path: str | os.PathLike[str], trajectory: Trajectory, numbers: ArrayLike | None = None) -> None:
+def write_poses(path: FilePath, trajectory: Trajectory, numbers: ArrayLike | None = None) -> None:
     """Write poses with their stamps, in full precision; the file appears when it is whole.
 
     Parameters

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.pose import check_pose, quaternion_to_matrix
-from ogm.storage.files import OgmError
+from ogm.storage.files import FilePath, OgmError
 from ogm.storage.limits import current_limits, too_large
 
 _UNIT = 1e-2  # departure of a quaternion from length 1 that rounding can make
@@ -30,7 +30,7 @@ _HEADERS = {
 }
 
 
-def read_bytes(path: str | os.PathLike[str], limit: str = "file") -> tuple[bytes, Path]:
+def read_bytes(path: FilePath, limit: str = "file") -> tuple[bytes, Path]:
     """Read a file, unpacking ``.xz`` and ``.gz`` on the way.
 
     Parameters

@@ -9,7 +9,6 @@
 Files are numbered from 1 and belong together by name.
 """
 
-import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -17,20 +16,17 @@ import numpy as np
 
 from ogm.grid import GridSpec
 from ogm.io.images import open_image
-from ogm.simulation.arrays import Floats32
+from ogm.simulation.mesh import Floats32
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
-from ogm.storage.files import OgmError, atomic_write
+from ogm.storage.files import FilePath, OgmError, atomic_write
 
 PAPER_GRID = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 FOLDERS = {"training": "train", "validation": "valid", "test": "test"}
 
 
 def export(
-    store: Store,
-    path: str | os.PathLike[str],
-    *,
-    tick: Callable[[Iterable[int], str], Iterable[int]] = lambda numbers, _: numbers,
+    store: Store, path: FilePath, *, tick: Callable[[Iterable[int], str], Iterable[int]] = lambda numbers, _: numbers
 ) -> int:
     """Write a data set's finished samples in the paper's layout; sequences have no place in it.
 
@@ -63,7 +59,7 @@ def export(
     return count
 
 
-def write_pcd(path: str | os.PathLike[str], points: Floats32) -> None:
+def write_pcd(path: FilePath, points: Floats32) -> None:
     """Write a cloud (N, 4): x, y, z [m] and intensity [0, 1], which the file counts 0 ... 255."""
     n = len(points)
     header = (
@@ -75,7 +71,7 @@ def write_pcd(path: str | os.PathLike[str], points: Floats32) -> None:
         file.write(header.encode("ascii") + rows.tobytes())
 
 
-def write_label(path: str | os.PathLike[str], truth: Truth) -> None:
+def write_label(path: FilePath, truth: Truth) -> None:
     """Write a truth grid as a picture: green 255 free, blue 255 occupied; row 0 the front, column 0 the left."""
     from PIL import Image
 
@@ -87,7 +83,7 @@ def write_label(path: str | os.PathLike[str], truth: Truth) -> None:
         Image.fromarray(image).save(file, format="PNG")
 
 
-def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Truth:
+def read_label(path: FilePath, spec: GridSpec = PAPER_GRID) -> Truth:
     """Read a truth grid from a picture.
 
     Parameters

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.jit import inline, kernel
-from ogm.simulation.arrays import Floats32
+from ogm.simulation.mesh import Array, Bytes, Floats32, Ints32
 
 
 class Hits(NamedTuple):
@@ -27,8 +27,8 @@ class Hits(NamedTuple):
     """
 
     distance: Floats32
-    material: NDArray[np.uint8]
-    object: NDArray[np.int32]
+    material: Bytes
+    object: Ints32
     cosine: Floats32
 
     @classmethod
@@ -69,8 +69,8 @@ class Answer(NamedTuple):
     t: Floats32
     primitive: NDArray[np.uint32]
     normals: Floats32
-    materials: NDArray[np.uint8]
-    things: NDArray[np.int32]
+    materials: Bytes
+    things: Ints32
 
 
 @inline
@@ -85,7 +85,7 @@ def uniform(a: int, b: int) -> float:
 
 
 @kernel
-def aim(origins: NDArray[Any], directions: NDArray[Any], rotation: NDArray[Any]) -> Floats32:
+def aim(origins: Array, directions: Array, rotation: Array) -> Floats32:
     """Return rays (n, 6): origins (1 or n, 3), and directions turned by `rotation` (3, 3)."""
     rays = np.empty((len(directions), 6), np.float32)
     a, b, c = rotation
@@ -100,9 +100,7 @@ def aim(origins: NDArray[Any], directions: NDArray[Any], rotation: NDArray[Any])
 
 
 @kernel
-def keep_nearer(
-    hits: Hits, index: NDArray[np.int32], rays: Floats32, base: Floats32, answer: Answer, normals: Floats32
-) -> None:
+def keep_nearer(hits: Hits, index: Ints32, rays: Floats32, base: Floats32, answer: Answer, normals: Floats32) -> None:
     """Where an answer is nearer than the hit so far, take it, and its normal where `normals` (N, 3) are wanted.
 
     Answer i belongs to ray `index[i]` of `hits` and to `rays[i]`, which starts `base[i]` [m] from the sensor.
@@ -122,9 +120,7 @@ def keep_nearer(
 
 
 @kernel
-def transmitted(
-    material: NDArray[np.uint8], transmission: NDArray[Any], first: int, salt: int, index: NDArray[np.int32]
-) -> NDArray[np.int32]:
+def transmitted(material: Bytes, transmission: Array, first: int, salt: int, index: Ints32) -> Ints32:
     """Return those of the rays `index` that pass through what they hit, by a hash of their number and `salt`.
 
     `material` (n,) is what each ray of a batch hit; `first` is the number of its first ray.
@@ -138,7 +134,7 @@ def transmitted(
 
 
 @kernel
-def restart(hits: Hits, index: NDArray[np.int32], rays: Floats32, skin: np.float32) -> tuple[Floats32, Floats32]:
+def restart(hits: Hits, index: Ints32, rays: Floats32, skin: np.float32) -> tuple[Floats32, Floats32]:
     """Return rays (n, 6) that start behind what the rays `index` hit, and how far they had come; forget the hits."""
     onward, base = np.empty((len(index), 6), np.float32), np.empty(len(index), np.float32)
     for n in range(len(index)):

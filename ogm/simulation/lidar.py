@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ogm.pose import check_pose
-from ogm.simulation.arrays import Floats, Floats32, Mask
 from ogm.simulation.echo import Air, Device, RangeImage, receive, reflect
 from ogm.simulation.materials import GROUND, Material, table
+from ogm.simulation.mesh import Floats, Floats32, Ints, Mask
 from ogm.simulation.sample import Weather
 from ogm.simulation.scene import NOTHING, STATIC, Scene
 from ogm.simulation.sensors import LidarSpec
@@ -182,7 +182,7 @@ def air_of(weather: Weather) -> Air:
     return Air(extinction, drops, depth)
 
 
-def to_points(image: RangeImage, spec: LidarSpec) -> tuple[Floats32, NDArray[np.int64], NDArray[np.int64]]:
+def to_points(image: RangeImage, spec: LidarSpec) -> tuple[Floats32, Ints, Ints]:
     """Return the returns of a range image as points, layer by layer.
 
     Returns

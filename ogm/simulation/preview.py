@@ -1,11 +1,9 @@
 """Pictures of what the simulator makes: the paper's Fig. 2, a contact sheet of a data set, a view of a town."""
 
-import os
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from ogm import plot
@@ -13,13 +11,13 @@ from ogm.grid import GridSpec
 from ogm.plot.colours import colours
 from ogm.plot.drawing import font, plain
 from ogm.plot.points import dots_panel
-from ogm.simulation.arrays import Floats32
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Array, Bytes, Floats32
 from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
-from ogm.storage.files import atomic_write
+from ogm.storage.files import FilePath, atomic_write
 
 MOST, COLUMNS = 24, 6  # samples of a contact sheet, and those side by side
 GREY = (0.45, 0.45, 0.45)  # cells to be ignored
@@ -54,7 +52,7 @@ def sample_panels(sample: SimulatedSample, spec: GridSpec = PAPER_GRID) -> tuple
     return cloud, truth_panel(sample.truth.crop(spec))
 
 
-def materials_panel(points: Floats32, material: NDArray[np.uint8], spec: GridSpec, title: str) -> plot.Panel:
+def materials_panel(points: Floats32, material: Bytes, spec: GridSpec, title: str) -> plot.Panel:
     """Show points from above, coloured by what they hit.
 
     Parameters
@@ -73,9 +71,9 @@ def materials_panel(points: Floats32, material: NDArray[np.uint8], spec: GridSpe
     return dots_panel(points, colours[material], spec, title, legend)
 
 
-def contact_sheet(path: str | os.PathLike[str], store: Store) -> None:
+def contact_sheet(path: FilePath, store: Store) -> None:
     """Draw samples of a data set to a .png, points beside truth, spread evenly over what is finished."""
-    tiles: list[tuple[str, NDArray[np.uint8]]] = []
+    tiles: list[tuple[str, Bytes]] = []
     finished = {name: store[name].finished for name in store.counts}
     total = sum(map(len, finished.values()))
     for name, numbers in finished.items():
@@ -87,7 +85,7 @@ def contact_sheet(path: str | os.PathLike[str], store: Store) -> None:
     _save(path, tiles, columns, 13)
 
 
-def _tile(sample: SimulatedSample) -> NDArray[np.uint8]:
+def _tile(sample: SimulatedSample) -> Bytes:
     """Draw a sample small: two pictures of a pixel per cell of 0.32 m side by side."""
     cloud, truth = sample_panels(sample)
     # Of the 4 x 4 fine cells of a pixel, the brightest shows: thin things do not vanish.
@@ -132,12 +130,12 @@ class Camera(NamedTuple):
         return np.asarray((rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32))
 
 
-def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[np.uint8]]]) -> None:
+def save_views(path: FilePath, views: Sequence[tuple[str, Bytes]]) -> None:
     """Write pictures below each other to one PNG file, each with a title."""
     _save(path, views, 1, 24)
 
 
-def _save(path: str | os.PathLike[str], images: Sequence[tuple[str, NDArray[Any]]], columns: int, text: int) -> None:
+def _save(path: FilePath, images: Sequence[tuple[str, Array]], columns: int, text: int) -> None:
     """Write pictures of one width to a PNG file, in rows, each below its title in a font of some size [px]."""
     wide = images[0][1].shape[1] if images else 0
     gap, line = text // 2, 2 * text

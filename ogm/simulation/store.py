@@ -14,7 +14,6 @@ versions of the libraries that made them, and their own SHA-256; no date and no 
 same bytes.
 """
 
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -26,13 +25,13 @@ from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
 from ogm.io.reading import decode_json
-from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
+from ogm.simulation.mesh import Floats, Floats32
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import Damaged, Split, load_zarr, open_array, sample_checksums, shard_file
 from ogm.storage.archive import attributes_checksum
-from ogm.storage.files import OgmError, update_hint
+from ogm.storage.files import FilePath, OgmError, update_hint
 from ogm.storage.remote import ObjectPath, as_path
 from ogm.truth import TRUTH_SPEC
 
@@ -64,7 +63,7 @@ class Store:
         self.contents = Contents(self.beams, self.radars, self.format != OLDER, gaps)
 
     @classmethod
-    def open(cls, path: str | os.PathLike[str] | ObjectPath) -> "Store":
+    def open(cls, path: FilePath | ObjectPath) -> "Store":
         """Open a data set to read, from a folder or an object store (``s3://...``, see `ogm.storage.remote.as_path`).
 
         Raises
@@ -110,7 +109,7 @@ class Store:
             ) from error
 
     @classmethod
-    def exists(cls, path: str | os.PathLike[str]) -> bool:
+    def exists(cls, path: FilePath) -> bool:
         """Return whether there is a data set, be it damaged; what a killed `create` left is none."""
         try:
             cls.open(path)
@@ -123,7 +122,7 @@ class Store:
     @classmethod
     def create(
         cls,
-        path: str | os.PathLike[str],
+        path: FilePath,
         plan: Mapping[str, Any],
         counts: Mapping[str, int],
         beams: Sequence[Beams],

@@ -1,13 +1,12 @@
 """What no ray of a scan could tell: beyond its sector, behind blocked views, in fog and dust, out of reach."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.jit import kernel
-from ogm.simulation.arrays import Floats, Floats32, Mask
+from ogm.simulation.mesh import Array, Floats, Floats32, Mask
 
 BINS = 3600  # of azimuth
 # Shares of what a white target sends back: of grass or gravel at grazing incidence, of a bright wall or leaf head-on.
@@ -79,7 +78,7 @@ def _widen(low: Floats32, high: Floats32, directions: Floats32, seeing: Mask, ha
 
 
 @kernel
-def in_view(directions: NDArray[Any], view: View) -> NDArray[Any]:
+def in_view(directions: Array, view: View) -> Array:
     """Return which rays (N, 3), unit vectors in the sensor's frame, pass where beams see: (N,) bool."""
     result = np.zeros(len(directions), np.bool_)
     for i in range(len(directions)):
@@ -89,7 +88,7 @@ def in_view(directions: NDArray[Any], view: View) -> NDArray[Any]:
 
 
 @kernel
-def _meet(direction: NDArray[Any], ball: NDArray[Any], far: float) -> tuple[float, float, float]:
+def _meet(direction: Array, ball: Array, far: float) -> tuple[float, float, float]:
     """Return where a ray from the origin enters and leaves a ball of dust [m] before `far`, and the optical depth."""
     along = direction[0] * ball[0] + direction[1] * ball[1] + direction[2] * ball[2]
     apart = ball[0] ** 2 + ball[1] ** 2 + ball[2] ** 2 - along * along
@@ -103,7 +102,7 @@ def _meet(direction: NDArray[Any], ball: NDArray[Any], far: float) -> tuple[floa
 
 
 @kernel
-def lose_sight(distance: NDArray[Any], directions: NDArray[Any], ground: NDArray[Any], view: View) -> None:
+def lose_sight(distance: Array, directions: Array, ground: Array, view: View) -> None:
     """Set the distance of hits (N,) to inf where the lidar would see no bright surface.
 
     Hits of `ground` (N,) bool are seen as far as bright ground is at grazing incidence, all others as far as a bright
@@ -123,12 +122,7 @@ def lose_sight(distance: NDArray[Any], directions: NDArray[Any], ground: NDArray
 
 @kernel
 def beams_in_dust(
-    distance: NDArray[Any],
-    strength: NDArray[Any],
-    directions: NDArray[Any],
-    dust: NDArray[Any],
-    draws: NDArray[Any],
-    scattered: NDArray[Any],
+    distance: Array, strength: Array, directions: Array, dust: Array, draws: Array, scattered: Array
 ) -> None:
     """Let dust dim what beams return, or return light itself.
 

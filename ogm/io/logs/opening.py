@@ -10,13 +10,13 @@ from ogm.io.logs.db3_file import DB3_MAGIC, Db3File
 from ogm.io.logs.files import LogFile
 from ogm.io.logs.mcap_file import MCAP_MAGIC, McapFile
 from ogm.io.logs.reader import LogReader
-from ogm.storage.files import OgmError
+from ogm.storage.files import FilePath, OgmError
 
 LOG_ENDINGS = (".mcap", ".db3", ".bag")
 _KINDS: dict[bytes, Callable[[Path], LogFile]] = {MCAP_MAGIC: McapFile, DB3_MAGIC: Db3File, BAG_MAGIC: BagFile}
 
 
-def open_log(path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> LogReader:
+def open_log(path: FilePath | Sequence[FilePath]) -> LogReader:
     """Open a log: a ROS 1 bag (``.bag``), a ROS 2 bag (``.db3``), an MCAP (``.mcap``), or a folder with parts of one.
 
     The first bytes of a file decide what it is. Parts of a recording that was split are one log. Neither

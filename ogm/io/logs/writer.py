@@ -14,7 +14,7 @@ from ogm.io.logs.definitions import message_types
 from ogm.io.logs.opening import LOG_ENDINGS
 from ogm.io.messages.plain import ros_stamp
 from ogm.io.reading import optional
-from ogm.storage.files import OgmError, atomic_write, naming
+from ogm.storage.files import FilePath, OgmError, atomic_write, naming
 from ogm.storage.whole_path import whole_path
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
@@ -52,7 +52,7 @@ class LogWriter:
     ...     log.write("/map", "nav_msgs/msg/OccupancyGrid", occupancy_grid(grid, frame_id="map"), stamp)
     """
 
-    def __init__(self, path: str | os.PathLike[str], compression: str = "") -> None:
+    def __init__(self, path: FilePath, compression: str = "") -> None:
         self.path, self._compression = Path(path), compression
         ending = self.path.suffix.lower()
         if ending not in LOG_ENDINGS:

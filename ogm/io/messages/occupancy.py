@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.messages.plain import describe_message, header, reads_message, ros_stamp
-from ogm.io.messages.poses import pose_message, transform_of_pose
+from ogm.io.messages.plain import describe_message, header, pose_message, reads_message, ros_stamp, transform_of_pose
 from ogm.pose import check_pose, inverse, pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError, error_context

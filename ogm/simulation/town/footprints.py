@@ -8,7 +8,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 from shapely import Polygon
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town.overlay import area, polygons
 
 

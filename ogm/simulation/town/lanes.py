@@ -1,11 +1,11 @@
-"""Lanes: along the streets, through the crossings, round the roundabout, and closed round trips over them."""
+"""Lanes: along the streets, through the crossings, and round the roundabout."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town.network import Street, StreetNetwork, evenly, turn
 
 KERB_RADIUS = 7.0  # [m] of kerbs at corners

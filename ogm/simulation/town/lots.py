@@ -8,8 +8,8 @@ from numpy.random import Generator
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town.footprints import split_front
 from ogm.simulation.town.layout import Bay, Block, Drop, TownLayout, rectangle, wrapped
 from ogm.simulation.town.overlay import area, polygons

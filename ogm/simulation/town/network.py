@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 from shapely import LineString, Polygon
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town.graph import MARGIN, Grid, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
 
 Rural = Callable[[tuple[str, ...], Floats], tuple[str, ...]]  # of districts and the middles of their meshes

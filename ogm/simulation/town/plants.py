@@ -8,10 +8,8 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 from shapely import Polygon
 
-from ogm.simulation.arrays import Floats, HeightAt
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, empty, loft, merge, quads
-from ogm.simulation.town.shapes import SUNK, triangles
+from ogm.simulation.mesh import SUNK, Floats, HeightAt, Mesh, empty, loft, merge, quads, triangles
 
 TUFTS = 4000  # a lawn gets no more tufts than this
 

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, box, cylinder, ellipsoid, loft, merge
+from ogm.simulation.mesh import Floats, Mesh, box, cylinder, ellipsoid, loft, merge
 from ogm.simulation.traffic.bodies import Body, centered
 
 PHASES = 8  # poses of one walking cycle
