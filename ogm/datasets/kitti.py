@@ -178,8 +178,7 @@ def _raw_stamps(path: Path, names: list[str]) -> NDArray[np.float64] | None:
     if not path.is_file():
         return None
     times = read_kitti_stamps(path)
-    beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
-    if beyond:
+    if beyond := [name for name in names if not name.isdigit() or int(name) >= len(times)]:
         raise OgmError(
             f"{path} has {len(times)} times, too few for scan {beyond[-1]}: wanted a line for every scan from 0 on"
         )

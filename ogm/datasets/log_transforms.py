@@ -40,9 +40,6 @@ class LogTransforms:
         Why messages could not be read.
     """
 
-    buffer: TransformBuffer
-    source: str
-
     def __init__(self, log: LogReader, scans: Iterable[str] = ()) -> None:
         self.buffer, self.source = TransformBuffer(), "transforms"
         self._log = log
@@ -134,8 +131,7 @@ class LogTransforms:
 
     def missing(self, sensor: str, topic: str) -> str:
         """Return which transforms lack for poses of a sensor, in words."""
-        frames = ", ".join(self.buffer.frames)
-        if not frames:
+        if not (frames := ", ".join(self.buffer.frames)):
             return "the log has no transforms (/tf, /tf_static) and no odometry"
         if sensor not in self.buffer.frames:
             return f"no transform leads to {sensor or 'a frame without name'}, the frame of {topic}; there are {frames}"

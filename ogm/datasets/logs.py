@@ -18,7 +18,7 @@ from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
 from ogm.io.logs import LOG_ENDINGS, LogMessage, LogReader, open_log
-from ogm.io.logs.opening import log_files
+from ogm.io.logs.definitions import log_files
 from ogm.io.messages import (
     scan_from_continental,
     scan_from_livox,
@@ -155,8 +155,7 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
         except OgmError as error:
             poses = str(error)
         found[f"poses of {name}"] = f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
-    damage = [warning for one in scans.values() for warning in one.warnings] or log.warnings
-    if damage:
+    if damage := [warning for one in scans.values() for warning in one.warnings] or log.warnings:
         found["damage"] = "; ".join(dict.fromkeys(damage))
     return found
 

@@ -221,8 +221,7 @@ def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
 
 def _stamps(dataset: Dataset, rate: float, progress: Progress) -> NDArray[np.float64]:
     """Return when the scans were taken [s], NaN where one cannot be read, or has no stamp."""
-    clock = _clock(dataset, rate)
-    if clock is not None:
+    if (clock := _clock(dataset, rate)) is not None:
         return clock
     stamps = np.full(len(dataset), np.nan)
     for k in progress(range(len(dataset))):

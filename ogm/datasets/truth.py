@@ -60,17 +60,12 @@ class RecordedTruth:
         Neighbouring scans that are taken.
     """
 
-    recording: Recording
-    sources: tuple[str, ...]
-
     def __init__(self, recording: Recording, wanted: Sequence[str] = (), others: str = "all") -> None:
-        unknown = [name for name in wanted if name not in SOURCES]
-        if unknown:
+        if unknown := [name for name in wanted if name not in SOURCES]:
             raise ValueError(f"truth must be of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
         self.recording, self._options = recording, (tuple(wanted), others)
         there = self._there()
-        missing = [name for name in wanted if name not in there]
-        if missing:
+        if missing := [name for name in wanted if name not in there]:
             raise ValueError(
                 f"{recording.path} ({recording.format}) has no {' and '.join(missing)} to make truth of; has "
                 f"{', '.join(there) or 'no labels'}. give truth=({', '.join(map(repr, there))},) or less"
@@ -208,8 +203,7 @@ class RecordedTruth:
 
     def _moving_boxes(self, n: int) -> Boxes:
         """Return the boxes of objects that move, in scan n and its frame, and of those without a track."""
-        boxes = self.recording.boxes(n)
-        if boxes is None:
+        if (boxes := self.recording.boxes(n)) is None:
             return Boxes.empty()
         moving = self._moving_tracks(self.recording.frames[n].sequence)
         return boxes.select([not track or track in moving for track in boxes.track])
@@ -239,8 +233,6 @@ class MotionReader:
     ----------
     recording : Recording
     """
-
-    recording: Recording
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording

@@ -135,16 +135,14 @@ def read_argoverse2(path: FilePath) -> Argoverse2Log:
         If pyarrow is not there.
     """
     folder = Path(path)
-    sweeps = sorted(folder.glob("sensors/lidar/*.feather"))
-    if not sweeps:
+    if not (sweeps := sorted(folder.glob("sensors/lidar/*.feather"))):
         raise FileNotFoundError(f"{folder} has no sensors/lidar/*.feather: give the folder of one log")
     with error_context(f"sweeps of {folder} must be named by their times [ns]"):
         stamps = tuple(int(one.stem) for one in sweeps)
     file = folder / "city_SE3_egovehicle.feather"
     table = _table(file, ("timestamp_ns", *_POSITION, *_QUATERNION))
     row = {int(stamp): n for n, stamp in enumerate(table.columns["timestamp_ns"])}
-    lost = [stamp for stamp in stamps if stamp not in row]
-    if lost:
+    if lost := [stamp for stamp in stamps if stamp not in row]:
         raise OgmError(f"{file} has no pose for the sweep at {lost[0]} (and {len(lost) - 1} others)")
     poses = table.poses(np.array([row[stamp] for stamp in stamps]))
     notes = folder / "annotations.feather"
@@ -203,8 +201,7 @@ class _Table(NamedTuple):
 
     def numbers(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return columns of numbers side by side, (K, C)."""
-        wrong = [name for name in names if self.columns[name].dtype.kind not in "iuf"]
-        if wrong:
+        if wrong := [name for name in names if self.columns[name].dtype.kind not in "iuf"]:
             got = self.columns[wrong[0]].dtype
             raise OgmError(f"{', '.join(wrong)} of {self.path} must be columns of numbers, got {got}")
         return np.column_stack([self.columns[name] for name in names]).astype(np.float64)
@@ -231,8 +228,7 @@ def _table(path: Path, columns: Sequence[str]) -> _Table:
         if isinstance(error, OgmError):
             raise
         raise OgmError(f"{path} is no readable Feather table, damaged or wrongly named ({error})"[:400]) from error
-    missing = [name for name in columns if name not in found]
-    if missing:
+    if missing := [name for name in columns if name not in found]:
         raise OgmError(f"{path} has no column {', '.join(missing)}, only {', '.join(schema.names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
         raise OgmError(f"all timestamp_ns of {path} must be whole numbers [ns], got {table['timestamp_ns'].type}")

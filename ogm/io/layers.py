@@ -10,15 +10,8 @@ from ogm.grid import EvidentialGrid, LayeredGrid
 
 AnyGrid = EvidentialGrid | DynamicGrid
 _MASSES = ("free", "occupied")
-_MOVING = (
-    "static",
-    "dynamic",
-    "velocity_x",
-    "velocity_y",
-    "velocity_covariance_xx",
-    "velocity_covariance_xy",
-    "velocity_covariance_yy",
-)
+_VELOCITY = ("x", "y", "covariance_xx", "covariance_xy", "covariance_yy")
+_MOVING = ("static", "dynamic", *(f"velocity_{name}" for name in _VELOCITY))
 
 
 def evidential(grid: AnyGrid) -> EvidentialGrid:

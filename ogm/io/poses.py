@@ -189,8 +189,7 @@ _Where = Callable[[int], str]  # the place of row k in the file, for errors
 
 def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
     """Return the rows (K, C), where they are, the header's names ([] if none), and whether it is our format."""
-    text = read_text(path, f"poses in lines of numbers: {_WANTED}")
-    if not text:
+    if not (text := read_text(path, f"poses in lines of numbers: {_WANTED}")):
         raise OgmError(f"{path} is empty, wanted poses: was it written to its end?")
     csv = path.name.lower().removesuffix(".xz").removesuffix(".gz").endswith(".csv")
     table, lines = array("d"), array("q")
@@ -208,7 +207,9 @@ def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
             _check_header(words, path)
             header, columns = words, len(words)
         elif words:
-            columns = columns or _columns(words, f"line {n} of {path}")
+            columns = columns or len(words)
+            if columns not in _KINDS and not header:
+                raise OgmError(f"line {n} of {path} has {columns} columns, wanted {_WANTED}")
             _add(table, words, columns, f"line {n} of {path}")
             lines.append(n)
     if not lines:
@@ -222,12 +223,6 @@ def _check_header(names: Sequence[str], path: Path) -> None:
         raise OgmError(
             f"the header of {path} must be {','.join(_NAMES)} and perhaps number, got {','.join(names)[:200]}"
         )
-
-
-def _columns(words: Sequence[str], where: str) -> int:
-    if len(words) not in _KINDS:
-        raise OgmError(f"{where} has {len(words)} columns, wanted {_WANTED}")
-    return len(words)
 
 
 def _add(table: "array[float]", words: Sequence[str], columns: int, where: str) -> None:

@@ -96,17 +96,14 @@ def _unpacked_xz(file: IO[bytes]) -> Iterator[bytes]:
     while True:
         decoder = lzma.LZMADecompressor(lzma.FORMAT_AUTO, _XZ_MEMORY)
         while not decoder.eof:
-            if decoder.needs_input and not rest:
-                rest = file.read(_CHUNK)
-                if not rest:
-                    raise EOFError("the end of its stream is missing")
+            if decoder.needs_input and not rest and not (rest := file.read(_CHUNK)):
+                raise EOFError("the end of its stream is missing")
             if part := decoder.decompress(rest, _CHUNK):
                 yield part
             rest = b""
         rest = (decoder.unused_data or file.read(_CHUNK)).lstrip(b"\0")  # zeros may stand between streams
         while not rest:
-            more = file.read(_CHUNK)
-            if not more:
+            if not (more := file.read(_CHUNK)):
                 return
             rest = more.lstrip(b"\0")
 

@@ -157,8 +157,7 @@ def describe(scan: Scan, file: FileFacts) -> dict[str, str]:
             facts["time"] = f"{scan.time.min():.4f} ... {scan.time.max():.4f} s"
     if scan.stamp is not None:
         facts["stamp"] = f"{scan.stamp:.6f} s"
-    height = estimate_sensor_height(scan.points)
-    if height is not None:
+    if (height := estimate_sensor_height(scan.points)) is not None:
         facts["ground"] = f"about {height:.2f} m below the origin"
     return facts
 

@@ -128,8 +128,7 @@ def scan_from_table(
     # They go from the file's coordinates to x forward, y left, z up.
     xyz, returned, reach = _positions([columns[name] for name in POSITION], rotation, origin)
     kept: np.ndarray | slice = slice(None)
-    dropped = returned.size - int(np.count_nonzero(returned))
-    if dropped:
+    if dropped := returned.size - int(np.count_nonzero(returned)):
         kept = returned
         log.info("%s: %d of %d rows hold no point and are dropped", where, dropped, returned.size)
     if reach > REACH:

@@ -36,10 +36,10 @@ from ogm.truth.boxes import boxes_seen_from
 
 try:
     from ogm.simulation.cells import measure_ground
+    from ogm.simulation.kernels import View, make_view
     from ogm.simulation.lidar import air_of, scan
     from ogm.simulation.moments import SceneSetup, World, sample_sweeps, set_up, the_ego_body
     from ogm.simulation.survey import Known, Limits, aimed_truth, hd_truth
-    from ogm.simulation.visibility import View, make_view
 except ImportError as error:
     raise ImportError(
         f'the simulator lacks a package ({error}): pip install "ogm-toolkit[sim]"; '

@@ -77,8 +77,7 @@ def empty() -> Mesh:
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
     """Put meshes together into one."""
-    parts = list(meshes)
-    if not parts:
+    if not (parts := list(meshes)):
         return empty()
     starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     return Mesh(

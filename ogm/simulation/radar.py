@@ -206,11 +206,9 @@ def _paths(
     power = constant * gain[index[on]] * share[on] * echo / np.maximum(length, 1.0) ** 2
     bounced = _Paths(length, rate, azimuth[index[on]], elevation[index[on]], power, origin, beyond.object[real])
 
-    both: Any = zip(direct, bounced, strict=True)
-    paths = _Paths(*(np.concatenate(pair) for pair in both))
+    paths = _Paths._make(np.concatenate(pair) for pair in zip(direct, bounced, strict=True))
     keep = (paths.distance > mode.range_min) & (paths.distance < mode.range_max)
-    columns: Any = (column[keep] for column in paths)
-    return _Paths(*columns)
+    return _Paths._make(column[keep] for column in paths)
 
 
 def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator) -> tuple[Any, ...]:
@@ -247,11 +245,11 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
     found = np.flatnonzero(peak)
     snr = np.maximum(total[found] - 1, 1.0)
     error = 0.05 + 0.5 / np.sqrt(2 * snr)
-    distance, rate, sine, elevation = (column[found] for column in mean)
-    distance = distance + mode.range_resolution * error * rng.standard_normal(len(found))
-    rate = rate + mode.doppler_resolution * error * rng.standard_normal(len(found))
-    sine = sine + mode.azimuth_resolution * error * rng.standard_normal(len(found))
-    elevation = elevation + spec.elevation_resolution * error * rng.standard_normal(len(found))
+    resolutions = (mode.range_resolution, mode.doppler_resolution, mode.azimuth_resolution, spec.elevation_resolution)
+    distance, rate, sine, elevation = (
+        column[found] + resolution * error * rng.standard_normal(len(found))
+        for column, resolution in zip(mean, resolutions, strict=True)
+    )
     origin, thing = paths.origin[leader[found]].astype(np.int64), paths.object[leader[found]]
 
     # noise

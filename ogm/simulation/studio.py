@@ -7,11 +7,10 @@ import open3d
 
 from ogm import plot
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
-from ogm.simulation.exchange import PAPER_GRID
+from ogm.simulation.exchange import PAPER_GRID, SKY, SUN, Camera, materials_panel, sample_panels, save_views
 from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Bytes, Floats32, Mesh, merge
 from ogm.simulation.plan import DatasetPlan
-from ogm.simulation.preview import SKY, SUN, Camera, materials_panel, sample_panels, save_views
 from ogm.simulation.sensors import hd_directions
 from ogm.simulation.traffic.bodies import ego_vehicle
 from ogm.storage.files import FilePath

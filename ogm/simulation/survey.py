@@ -16,10 +16,10 @@ from scipy.ndimage import binary_dilation
 from ogm.jit import kernel
 from ogm.scan import Boxes
 from ogm.simulation.cells import AIMS, Aim, Below, aimed_directions, steep_cells
+from ogm.simulation.kernels import View, in_view, lose_sight
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Bytes, Floats32, Mask
 from ogm.simulation.scene import Scene
-from ogm.simulation.visibility import View, in_view, lose_sight
 from ogm.state import Truth
 from ogm.truth import HEIGHT_LIMITS, Kind
 from ogm.truth.observe import OBSTACLE_SEEN

@@ -166,8 +166,7 @@ def make_shards(
         Shards that were yielded are complete.
     """
     cores = check_workers(workers)
-    todo = missing_shards(store)
-    if not todo:
+    if not (todo := missing_shards(store)):
         return
     work = _Work(store.path.resolve(), plan, function, max(1, cores // workers))
     with _explained(store), Workers(workers, scheduler) as pool:

@@ -122,8 +122,7 @@ class _Table(NamedTuple):
 
     def structs(self, number: int, size: int) -> list[int]:
         """Return where the structs of a vector stand."""
-        at = self.field(number)
-        if at is None:
+        if (at := self.field(number)) is None:
             return []
         at += _number(self.data, at, "<I")
         count = _number(self.data, at, "<I")

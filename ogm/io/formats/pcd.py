@@ -71,8 +71,7 @@ def _split(data: bytes, path: Path) -> tuple[_Header, memoryview]:
 
 def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
     """Hold the header's lines against each other."""
-    missing = [key for key in ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT") if not entries.get(key)]
-    if missing:
+    if missing := [key for key in ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT") if not entries.get(key)]:
         raise OgmError(f"{path} has no {', '.join(missing)} in its header: it is damaged or no PCD file")
     names = entries["FIELDS"]
     refuse_doubles((name for name in names if name != "_"), path)

@@ -84,7 +84,6 @@ def _after_lines(body: memoryview, count: int, path: Path) -> memoryview:
     check_text(body, path)
     text, start = bytes(body), 0
     for _ in range(count):
-        start = text.find(b"\n", start) + 1
-        if not start:
+        if not (start := text.find(b"\n", start) + 1):
             raise OgmError(f"{path} ends before its vertices: it is cut short or damaged")
     return body[start:]

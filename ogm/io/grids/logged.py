@@ -26,15 +26,11 @@ from ogm.storage.files import FilePath, OgmError, error_context
 _log = logging.getLogger(__name__)
 
 GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid"]
-_TYPES = {
-    "occupancy-grid": "nav_msgs/msg/OccupancyGrid",
-    "grid-map": "grid_map_msgs/msg/GridMap",
-    "foxglove-grid": "foxglove.Grid",
-}
-_MAKERS: dict[str, Callable[..., Any]] = {
-    "occupancy-grid": occupancy_grid,
-    "grid-map": grid_map,
-    "foxglove-grid": foxglove_grid,
+# Type of each message, and the function that makes it.
+_MESSAGES: dict[str, tuple[str, Callable[..., Any]]] = {
+    "occupancy-grid": ("nav_msgs/msg/OccupancyGrid", occupancy_grid),
+    "grid-map": ("grid_map_msgs/msg/GridMap", grid_map),
+    "foxglove-grid": ("foxglove.Grid", foxglove_grid),
 }
 _READERS = {
     "nav_msgs/msg/OccupancyGrid": grid_from_occupancy_grid,
@@ -99,13 +95,10 @@ class GridLog:
         transforms, stamp = list(transforms), placed.stamp or 0.0
         if transforms:
             self._log.write("/tf", "tf2_msgs/msg/TFMessage", tf_message(transforms), stamp)
-        made = _MAKERS[self.message](
-            placed.evidential if self.message == "occupancy-grid" else placed.grid,
-            frame_id=placed.frame_id,
-            stamp=stamp,
-            T_frame_grid=placed.T_frame_grid,
-        )
-        self._log.write(self.topic, _TYPES[self.message], made, stamp)
+        kind, make = _MESSAGES[self.message]
+        grid = placed.evidential if self.message == "occupancy-grid" else placed.grid
+        made = make(grid, frame_id=placed.frame_id, stamp=stamp, T_frame_grid=placed.T_frame_grid)
+        self._log.write(self.topic, kind, made, stamp)
 
 
 def check_logged(path: Path, message: str) -> None:
@@ -132,8 +125,7 @@ def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
     try:
         with open_log(path) as log:
             topic = topic or _topic(log, path)
-            refs = log.refs([topic])
-            if not refs:
+            if not (refs := log.refs([topic])):
                 raise OgmError(f"{path} has no message of {topic}: was it recorded to its end?")
             message = log.message(refs[-1])
             for warning in log.warnings:

@@ -59,15 +59,8 @@ def write_map_server(path: Path, placed: PlacedGrid, mode: MapMode = "trinary") 
     pixels, ending = _pixels(placed, mode)
     image_path = path.with_name(f"{path.stem}{ending}")
     occupied, free = _THRESHOLDS[mode]
-    values = {
-        "image": image_path.name,
-        "mode": mode,
-        "resolution": placed.grid.spec.resolution,
-        "origin": [x, y, yaw],
-        "negate": 0,
-        "occupied_thresh": occupied,
-        "free_thresh": free,
-    }
+    values: dict[str, Any] = {"image": image_path.name, "mode": mode, "resolution": placed.grid.spec.resolution}
+    values |= {"origin": [x, y, yaw], "negate": 0, "occupied_thresh": occupied, "free_thresh": free}
     with atomic_write(path) as file:
         file.write(yaml.safe_dump(values, sort_keys=False, default_flow_style=None, allow_unicode=True).encode())
         with atomic_write(image_path) as image_file:

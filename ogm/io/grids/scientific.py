@@ -73,13 +73,8 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
     T = placed.T_frame_grid
     level = np.allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-9)
     cells = placed.upright if level else placed.grid
-    facts: dict[str, Any] = {
-        "Conventions": "CF-1.11",
-        "title": "Evidential occupancy grid",
-        "format": _FORMAT,
-        "resolution": cells.spec.resolution,
-        "frame_id": placed.frame_id,
-    }
+    facts: dict[str, Any] = {"Conventions": "CF-1.11", "title": "Evidential occupancy grid", "format": _FORMAT}
+    facts |= {"resolution": cells.spec.resolution, "frame_id": placed.frame_id}
     if placed.stamp is not None:
         facts["stamp"] = placed.stamp
     if not level:

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.logs.files import Channel, RandomAccess
+from ogm.io.logs.definitions import Channel, RandomAccess
 from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large

@@ -21,18 +21,9 @@ from ogm.storage.files import FilePath, OgmError, error_context
 
 # Names of Velodynes, and those that velodyne-decoder has for them
 VELODYNE_MODELS = {
-    "VLP-16": "VLP16",
-    "Puck LITE": "PuckLite",
-    "Puck Hi-Res": "PuckHiRes",
-    "VLP-32A": "VLP32A",
-    "VLP-32B": "VLP32B",
-    "VLP-32C": "VLP32C",
-    "HDL-32E": "HDL32E",
-    "HDL-64E S1": "HDL64E_S1",
-    "HDL-64E S2": "HDL64E_S2",
-    "HDL-64E S3": "HDL64E_S3",
-    "VLS-128": "VLS128",
-    "Alpha Prime": "AlphaPrime",
+    **{"VLP-16": "VLP16", "Puck LITE": "PuckLite", "Puck Hi-Res": "PuckHiRes", "VLP-32A": "VLP32A"},
+    **{"VLP-32B": "VLP32B", "VLP-32C": "VLP32C", "HDL-32E": "HDL32E", "HDL-64E S1": "HDL64E_S1"},
+    **{"HDL-64E S2": "HDL64E_S2", "HDL-64E S3": "HDL64E_S3", "VLS-128": "VLS128", "Alpha Prime": "AlphaPrime"},
 }
 """Names of models, and what `velodyne_decoder.Model` names them. An HDL-64E needs its calibration file besides."""
 

@@ -15,8 +15,8 @@ from ogm.simulation.mesh import Floats, HeightAt, Mesh, empty, quads
 from ogm.simulation.recipe import Country
 from ogm.simulation.town.ground import Raster, mask, raster
 from ogm.simulation.town.layout import TownLayout
-from ogm.simulation.town.overlay import area, polygons
-from ogm.simulation.town.plants import grass_tufts
+from ogm.simulation.town.network import area, polygons
+from ogm.simulation.town.plants import grass_tufts, points_in
 from ogm.simulation.town.yard import Yard
 
 STEP = 2.0  # [m] of the rasters of where a bank holds
@@ -233,15 +233,14 @@ def high_grass(shape: BaseGeometry, height_at: HeightAt, rng: Generator, *, dens
     density : float
         Clumps per square metre, each 0.2 to 0.6 m wide.
     """
-    x, y = _points_in(shape, density, rng)
+    x, y = points_in(shape, density, MOST, rng)
     usual = rng.uniform(0.4, 1.0)
     return _clumps(x, y, height_at, usual * rng.uniform(0.6, 1.2, len(x)), rng)
 
 
 def crops(shape: Polygon, height_at: HeightAt, rng: Generator, *, tall: float) -> Mesh:
     """Grow a crop of one height [m] in rows 0.7 m apart."""
-    ways, middle = _axes(shape, rng)
-    half = 0.5 * float(np.hypot(*np.ptp(np.array(shape.bounds).reshape(2, 2), axis=0)))
+    ways, middle, half = _axes(shape, rng)
     across, along = np.meshgrid(np.arange(-half, half, 0.7), np.arange(-half, half, 0.55), indexing="ij")
     along = along + rng.uniform(-0.15, 0.15, along.shape)
     x, y = (middle + np.stack([across.ravel(), along.ravel()], axis=1) @ ways).T
@@ -254,9 +253,8 @@ def crops(shape: Polygon, height_at: HeightAt, rng: Generator, *, tall: float) -
 
 def furrows(shape: Polygon, height_at: HeightAt, rng: Generator) -> Mesh:
     """Plough a field: ridges 0.03 to 0.12 m high and 0.5 to 0.9 m apart, crumbled, of the material SOIL."""
-    ways, middle = _axes(shape, rng)
+    ways, middle, half = _axes(shape, rng)
     gap, high = 0.5 * rng.uniform(0.5, 0.9), rng.uniform(0.03, 0.12)
-    half = 0.5 * float(np.hypot(*np.ptp(np.array(shape.bounds).reshape(2, 2), axis=0)))
     across, along = np.arange(-half, half, gap), np.arange(-half, half, 0.8)
     u, v = np.meshgrid(across, along, indexing="ij")
     x, y = (middle + np.stack([u.ravel(), v.ravel()], axis=1) @ ways).T
@@ -271,24 +269,12 @@ def furrows(shape: Polygon, height_at: HeightAt, rng: Generator) -> Mesh:
     return quads(corners[whole], M.SOIL) if whole.any() else empty()
 
 
-def _axes(shape: Polygon, rng: Generator) -> tuple[Floats, Floats]:
-    """Return unit vectors across and along the rows of a field, (2, 2), and its middle."""
+def _axes(shape: Polygon, rng: Generator) -> tuple[Floats, Floats, float]:
+    """Return unit vectors across and along the rows of a field, (2, 2), its middle, and half its diagonal [m]."""
     angle = rng.uniform(0, np.pi)
     c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, s], [-s, c]]), np.array(shape.centroid.coords[0])
-
-
-def _points_in(shape: BaseGeometry, density: float, rng: Generator) -> tuple[Floats, Floats]:
-    """Draw points evenly, so many per square metre, at most `MOST`."""
-    count = min(int(shape.area * density), MOST)
-    if count == 0:
-        return np.zeros(0), np.zeros(0)
-    x0, y0, x1, y1 = shape.bounds
-    tries = int(count * (x1 - x0) * (y1 - y0) / shape.area)
-    x, y = rng.uniform(x0, x1, tries), rng.uniform(y0, y1, tries)
-    shapely.prepare(shape)
-    inside = shapely.contains_xy(shape, x, y)
-    return x[inside], y[inside]
+    half = 0.5 * float(np.hypot(*np.ptp(np.array(shape.bounds).reshape(2, 2), axis=0)))
+    return np.array([[c, s], [-s, c]]), np.array(shape.centroid.coords[0]), half
 
 
 def _clumps(x: Floats, y: Floats, height_at: HeightAt, tall: Floats, rng: Generator) -> Mesh:

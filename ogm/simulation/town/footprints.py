@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from shapely import Polygon
 
 from ogm.simulation.mesh import Floats
-from ogm.simulation.town.overlay import area, polygons
+from ogm.simulation.town.network import area, polygons
 
 
 def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> list[Polygon]:

@@ -19,8 +19,7 @@ from ogm.simulation.town.country import CountryField, plant_fields
 from ogm.simulation.town.ground import Raster, raised
 from ogm.simulation.town.layout import TownLayout
 from ogm.simulation.town.lots import Lot
-from ogm.simulation.town.network import Street
-from ogm.simulation.town.overlay import area, inside, polygons
+from ogm.simulation.town.network import Street, area, inside, polygons
 from ogm.simulation.town.yard import Maker, Wanted, Yard
 
 # Share of the fronts that hide what is behind them.
