@@ -58,8 +58,7 @@ class LogRecording(Recording):
     def __init__(self, path: Path, scans: LogScans, options: OpenOptions) -> None:
         poses, facts = scans.poses(options.frame)
         position, several = options.sensor_position, len(scans.topics) > 1
-        turn = rotation_to_flu(options.axes)
-        self._turns = _turns(scans, turn, position is not None)
+        self._turns = _turns(scans, rotation_to_flu(options.axes), position is not None)
         self._places = None if position is not None else scans.places()
         poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(self._turns, 1, 2)
         if position is not None:

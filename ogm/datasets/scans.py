@@ -68,8 +68,7 @@ def clock_stamps(names: Sequence[str]) -> list[float] | None:
     """Return times [s] where names are those of a clock: milli-, micro- or nanoseconds since 1970."""
     if not names or not all(_is_number(name) for name in names):
         return None
-    largest = max(int(name) for name in names)
-    unit = next((unit for least, unit in _UNITS if largest >= least), None)
+    unit = next((unit for least, unit in _UNITS if max(map(int, names)) >= least), None)
     return None if unit is None else [unit * int(name) for name in names]
 
 

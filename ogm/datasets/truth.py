@@ -270,8 +270,7 @@ class MotionReader:
         frame, boxes = self.recording.frames[n], self.recording.boxes(n)
         if boxes is None or frame.stamp is None or frame.T_map_sensor is None or not frame.sequence:
             return None
-        stated = boxes.velocity is not None
-        reach, needed = (_NEXT, 0.0) if stated else (REACH, NEEDED)
+        reach, needed = (REACH, NEEDED) if boxes.velocity is None else (_NEXT, 0.0)
         members, stamps = self._members(frame.sequence)
         near = np.abs(stamps - frame.stamp) < 1.1 * reach
         around = members[near].tolist()

@@ -64,8 +64,7 @@ def read_semantic_kitti(scan: FilePath, labels: FilePath) -> LabelledPoints:
         away than any.
     """
     (data, inner), (numbers, named) = read_bytes(scan), read_bytes(labels)
-    columns = parse_kitti(data, inner).columns
-    rows = np.column_stack(list(columns.values()))
+    rows = np.column_stack(list(parse_kitti(data, inner).columns.values()))
     if len(numbers) != _LABEL.itemsize * len(rows):
         raise OgmError(
             f"{labels} has {len(numbers) / _LABEL.itemsize:g} labels, {scan} has {len(rows)} points: wanted as many, "

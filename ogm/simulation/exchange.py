@@ -183,8 +183,7 @@ def contact_sheet(path: FilePath, store: Store) -> None:
         for k in np.linspace(0, len(numbers) - 1, share).round().astype(int):
             sample = store[name][int(numbers[k])]
             tiles.append((f"{sample.split} {sample.index}: {sample.lidar}", _tile(sample)))
-    columns = max(1, min(COLUMNS, len(tiles)))
-    _save(path, tiles, columns, 13)
+    _save(path, tiles, max(1, min(COLUMNS, len(tiles))), 13)
 
 
 def _tile(sample: SimulatedSample) -> Bytes:

@@ -171,11 +171,9 @@ def _paths(
     world = rotate(T[:3, :3], _unit(azimuth, elevation).T).T
     normals = np.zeros((len(world), 3), np.float32)
     hits = scene.cast(T[:3, 3], world.astype(np.float32), salt=salt, normals=normals)
-    hit = np.isfinite(hits.distance) & (hits.object != EGO)
-    index = np.flatnonzero(hit)
+    index = np.flatnonzero(np.isfinite(hits.distance) & (hits.object != EGO))
     gain = _gain(spec, mode, azimuth, elevation)
-    solid = AZIMUTH_STEP * ELEVATION_STEP
-    constant = REFERENCE_SNR * mode.reach**4 * solid
+    constant = REFERENCE_SNR * mode.reach**4 * (AZIMUTH_STEP * ELEVATION_STEP)
 
     u = world[index]
     distance, cosine, material = hits.distance[index].astype(np.float64), hits.cosine[index], hits.material[index]
@@ -206,7 +204,8 @@ def _paths(
     power = constant * gain[index[on]] * share[on] * echo / np.maximum(length, 1.0) ** 2
     bounced = _Paths(length, rate, azimuth[index[on]], elevation[index[on]], power, origin, beyond.object[real])
 
-    paths = _Paths._make(np.concatenate(pair) for pair in zip(direct, bounced, strict=True))
+    both: Any = zip(direct, bounced, strict=True)
+    paths = _Paths._make(map(np.concatenate, both))
     keep = (paths.distance > mode.range_min) & (paths.distance < mode.range_max)
     return _Paths._make(column[keep] for column in paths)
 

@@ -198,9 +198,8 @@ class Split(Sequence[SimulatedSample]):
         first = index if isinstance(index, int) else index.start
         there = shard_file(self.path / self.name, name, first // SHARD).exists()
         if name == "checksums" and not there:
-            return np.zeros(
-                (index.stop - first, len(self.contents.checked)), np.uint32
-            )  # made by a version that kept none
+            # made by a version that kept none
+            return np.zeros((index.stop - first, len(self.contents.checked)), np.uint32)
         array = self._array(name)
         if not there:
             if name == "facts":
@@ -241,8 +240,7 @@ _DIMENSIONS = {name: len(shape) for name, (shape, _) in Contents().layout.items(
 
 def shard_file(split: Any, name: str, shard: int) -> Any:
     """Return the file or the object that holds a shard of an array."""
-    dimensions = 1 + _DIMENSIONS[name]
-    return split.joinpath(name, "c", str(shard), *["0"] * (dimensions - 1))
+    return split.joinpath(name, "c", str(shard), *["0"] * _DIMENSIONS[name])
 
 
 def load_zarr() -> Any:

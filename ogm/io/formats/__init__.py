@@ -40,8 +40,7 @@ def _float_rows(data: bytes, path: Path, width: int) -> dict[str, np.ndarray]:
             f"{path} has {len(data)} bytes, which is no multiple of {4 * width}, wanted {wanted}: it is cut "
             "short, or has another number of values (4 in KITTI's .bin, 5 in nuScenes' .pcd.bin)"
         )
-    rows = np.frombuffer(data, "<f4").reshape(-1, width)
-    return dict(zip(_NAMES, rows.T, strict=False))
+    return dict(zip(_NAMES, np.frombuffer(data, "<f4").reshape(-1, width).T, strict=False))
 
 
 def parse_npy(data: bytes, path: Path) -> Table:

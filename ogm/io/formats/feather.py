@@ -164,10 +164,8 @@ def _batch(view: memoryview, start: int) -> list[int]:
     body = at + 4 + length
     kind = message.field(1)
     batch = message.table(2)
-    if (
-        kind is not None and _number(message.data, kind, "<B") == 2 and batch is not None
-    ):  # a DictionaryBatch holds a RecordBatch
-        batch = batch.table(1)
+    if kind is not None and _number(message.data, kind, "<B") == 2 and batch is not None:
+        batch = batch.table(1)  # a DictionaryBatch holds a RecordBatch
     if batch is None:
         return []
     packed = batch.field(3) is not None

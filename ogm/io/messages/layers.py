@@ -152,8 +152,7 @@ def layers_from_grid_map(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]
             f"{info.length_y:g} m in cells of {side:g} m: it is damaged"
         )
     shape = (round(cells[0]), round(cells[1]))
-    middle = transform_of_pose(info.pose, where)
-    corner = middle @ pose(-shape[0] * side / 2, -shape[1] * side / 2)
+    corner = transform_of_pose(info.pose, where) @ pose(-shape[0] * side / 2, -shape[1] * side / 2)
     origin, T = split_corner(corner)
     start = int(message.outer_start_index), int(message.inner_start_index)
     layers = {
