@@ -1,4 +1,4 @@
-"""Formats of point clouds: a new one is a module here, with a function in `PARSERS`.
+"""Formats of point clouds: a new one is a parser in a module here, with an entry in `PARSERS`.
 
 A parser takes the unpacked bytes of a file and its path (for messages) and returns a `Table` of named columns.
 """
@@ -10,8 +10,7 @@ import numpy as np
 
 from ogm.io.formats.feather import parse_feather
 from ogm.io.formats.las import parse_las
-from ogm.io.formats.pcd import parse_pcd
-from ogm.io.formats.ply import parse_ply
+from ogm.io.formats.pcd import parse_pcd, parse_ply
 from ogm.io.formats.table import Table
 from ogm.io.reading import parse_array
 from ogm.storage.files import OgmError
