@@ -14,8 +14,8 @@ from ogm.io.grids.map_server import MapMode, read_map_server, write_map_server
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import check_scientific, read_scientific, write_scientific
 from ogm.io.images import open_image
-from ogm.io.layers import AnyGrid, evidential
 from ogm.io.logs import LOG_ENDINGS
+from ogm.io.messages.grids import AnyGrid, evidential
 from ogm.io.reading import optional, parse_array, read_bytes
 from ogm.storage.archive import stated_format
 from ogm.storage.files import FilePath, OgmError, atomic_write, error_context

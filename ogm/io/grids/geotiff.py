@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
-from ogm.io.layers import layers_of, needed_layers
+from ogm.io.messages.grids import layers_of, needed_layers
 from ogm.io.reading import optional, reason
 from ogm.storage.files import OgmError, atomic_write
 from ogm.storage.limits import current_limits, too_large

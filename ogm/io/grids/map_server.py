@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ogm.grid import GridSpec
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
 from ogm.io.images import open_image
-from ogm.io.messages.occupancy import mass_from_occupancy, occupancy_values
+from ogm.io.messages.grids import mass_from_occupancy, occupancy_values
 from ogm.io.reading import is_file_name
 from ogm.state import predict_state
 from ogm.storage.files import OgmError, atomic_write

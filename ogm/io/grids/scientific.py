@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.placed import PlacedGrid, nanometres
-from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
+from ogm.io.messages.grids import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.reading import optional, reason
 from ogm.pose import pose
 from ogm.storage.files import OgmError, update_hint

@@ -1,7 +1,7 @@
 """Grids with all their masses as ``grid_map_msgs/GridMap`` and ``foxglove.Grid``, and back."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import LayeredGrid
-from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
-from ogm.io.messages.occupancy import corner_pose, spec_of, split_corner
+from ogm.io.messages.grids import AnyGrid, check_layers, corner_pose, grid_from_layers, layers_of, spec_of, split_corner
 from ogm.io.messages.plain import (
     as_bytes,
     describe_message,
@@ -62,11 +61,7 @@ def grid_map(
     grid_map has no rotation: its converter drops that of ``info.pose``, which other readers may use. Where the grid is
     turned in `frame_id`, give it a frame of its own, joined by tf.
     """
-    (nx, ny), named = grid.spec.shape, layers_of(grid)
-    for name, layer in LayeredGrid(grid.spec, layers or {}).layers.items():
-        if name in named:
-            raise ValueError(f"the layer {name!r} is the grid's own: give another name")
-        named[name] = layer
+    (nx, ny), named = grid.spec.shape, _named(grid, layers, "layer")
     middle = corner_pose(grid.spec, T_frame_grid) @ pose(grid.spec.length / 2, grid.spec.width / 2)
     if not np.allclose(middle[:3, :3], np.eye(3), atol=1e-9):
         log.warning("grid_map's own code drops the rotation of a map: give the grid a frame of its own, joined by tf")
@@ -115,13 +110,7 @@ def grid_from_grid_map(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
         If a layer is missing, sizes contradict each other, or numbers are no masses.
     """
     where = _describe(message)
-    try:
-        needed_layers(message.layers)
-    except KeyError as error:
-        raise OgmError(
-            f"{where} has no layer {error.args[0]}, only {', '.join(message.layers) or 'none'}: it holds no masses of "
-            "free and occupied; layers_from_grid_map returns what it holds"
-        ) from error
+    check_layers(message.layers, where, "layer", "; layers_from_grid_map returns what it holds")
     layered, T = layers_from_grid_map(message)
     with error_context(f"{where} has layers that are no masses"):
         return grid_from_layers(layered, nan_is_unknown=True), T
@@ -217,12 +206,7 @@ def foxglove_grid(
         If foxglove-sdk is missing.
     """
     library = optional("foxglove.messages", Path("foxglove.Grid"), "live", "made")
-    nx, ny = grid.spec.shape
-    named: dict[str, NDArray[Any]] = {**layers_of(grid)}
-    for name, layer in LayeredGrid(grid.spec, layers or {}).layers.items():
-        if name in named or name in _COLOURS:
-            raise ValueError(f"the field {name!r} is the grid's own: give another name")
-        named[name] = layer
+    (nx, ny), named = grid.spec.shape, _named(grid, layers, "field", _COLOURS)
     shown = (*np.moveaxis(colours().mix(np.stack([grid.free, grid.occupied], axis=-1)), -1, 0), 1 - grid.unknown)
     named |= {name: np.rint(255 * one).astype(np.uint8) for name, one in zip(_COLOURS, shown, strict=True)}
     kind = np.dtype([(name, layer.dtype.newbyteorder("<")) for name, layer in named.items()])
@@ -275,13 +259,7 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
     """
     where = f"Grid of {message.frame_id or 'no frame'}"
     fields = {field.name: field for field in message.fields}
-    try:
-        names = needed_layers(fields)
-    except KeyError as error:
-        raise OgmError(
-            f"{where} has no field {error.args[0]}, only {', '.join(fields) or 'none'}: it holds no masses of free and "
-            "occupied"
-        ) from error
+    names = check_layers(fields, where, "field")
     data, side = as_bytes(message.data, where), message.cell_size.x
     nx, row, cell = int(message.column_count), int(message.row_stride), int(message.cell_stride)
     if side != message.cell_size.y:
@@ -301,3 +279,15 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
     origin, T = split_corner(transform_of_pose(message.pose, where))
     with error_context(f"{where} has fields that are no masses"):
         return grid_from_layers(LayeredGrid(spec_of(side, (nx, ny), origin, where), layers)), T
+
+
+def _named(
+    grid: AnyGrid, others: Mapping[str, NDArray[Any]] | None, word: str, taken: Collection[str] = ()
+) -> dict[str, NDArray[Any]]:
+    """Return the layers of a grid and others by their names, which must differ."""
+    named: dict[str, NDArray[Any]] = {**layers_of(grid)}
+    for name, layer in LayeredGrid(grid.spec, others or {}).layers.items():
+        if name in named or name in taken:
+            raise ValueError(f"the {word} {name!r} is the grid's own: give another name")
+        named[name] = layer
+    return named
