@@ -19,14 +19,9 @@ from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
 from ogm.io.logs import LOG_ENDINGS, LogMessage, LogReader, open_log
 from ogm.io.logs.definitions import log_files
-from ogm.io.messages import (
-    scan_from_continental,
-    scan_from_livox,
-    scan_from_point_cloud2,
-    scan_from_radar_scan,
-    scan_from_velodyne_scan,
-    scans_from_pcap,
-)  # fmt: skip
+from ogm.io.messages.clouds import scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
+from ogm.io.messages.livox import scan_from_livox
+from ogm.io.messages.velodyne import scan_from_velodyne_scan, scans_from_pcap
 from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import pose, rotate
 from ogm.scan import Scan

@@ -17,16 +17,8 @@ from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.state import CellState, Motion, Truth
 from ogm.storage.files import OgmError
-from ogm.truth import TRUTH_SPEC, Kind, motion_of_boxes
-from ogm.truth.boxes import (
-    MIN_RETURNS,
-    boxes_over_points,
-    cells_in_boxes,
-    cells_in_footprint,
-    count_returns,
-    moving_tracks,
-    truth_from_boxes,
-)
+from ogm.truth import TRUTH_SPEC, Kind, cells_in_boxes, motion_of_boxes, truth_from_boxes
+from ogm.truth.boxes import MIN_RETURNS, boxes_over_points, cells_in_footprint, count_returns, moving_tracks
 from ogm.truth.combine import combine_truths, ignore_cells
 from ogm.truth.motion import NEEDED, REACH, BoxMotion, track_motion
 from ogm.truth.points import truth_from_points

@@ -9,18 +9,11 @@ from typing import Any, Literal, Self, get_args
 
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.logs import LogMessage, LogReader, LogWriter, open_log
-from ogm.io.messages import (
-    StampedTransform,
-    foxglove_grid,
-    grid_from_foxglove_grid,
-    grid_from_grid_map,
-    grid_from_occupancy_grid,
-    grid_map,
-    occupancy_grid,
-    tf_message,
-)
-from ogm.io.messages.plain import stamp_seconds
+from ogm.io.messages.grids import grid_from_occupancy_grid, occupancy_grid
+from ogm.io.messages.layers import foxglove_grid, grid_from_foxglove_grid, grid_from_grid_map, grid_map
+from ogm.io.messages.plain import stamp_seconds, tf_message
 from ogm.io.reading import optional
+from ogm.io.transforms import StampedTransform
 from ogm.storage.files import FilePath, OgmError, error_context
 
 _log = logging.getLogger(__name__)

@@ -11,15 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import LayeredGrid
 from ogm.io.messages.grids import AnyGrid, check_layers, corner_pose, grid_from_layers, layers_of, spec_of, split_corner
-from ogm.io.messages.plain import (
-    as_bytes,
-    describe_message,
-    header,
-    pose_message,
-    reads_message,
-    ros_stamp,
-    transform_of_pose,
-)
+from ogm.io.messages.plain import as_bytes, describe_message, header, pose_message, reads_message, transform_of_pose
 from ogm.io.reading import optional
 from ogm.plot.colours import colours
 from ogm.pose import pose
@@ -221,7 +213,7 @@ def foxglove_grid(
         )
         for name in named
     ]
-    placed, when = pose_message(corner_pose(grid.spec, T_frame_grid)), ros_stamp(0.0 if stamp is None else stamp)
+    placed, when = pose_message(corner_pose(grid.spec, T_frame_grid)), header(stamp, frame_id).stamp
     return library.Grid(
         timestamp=library.Timestamp(when.sec, when.nanosec),
         frame_id=frame_id,

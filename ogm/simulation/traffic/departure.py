@@ -15,7 +15,7 @@ from ogm.simulation.traffic.graph import Crossings, LaneTable, Lines, drivable
 from ogm.simulation.traffic.heavy import bus, trailer, truck
 from ogm.simulation.traffic.parked import park
 from ogm.simulation.traffic.people import bicycle, motorcycle, standing, walking
-from ogm.simulation.traffic.state import AHEAD, Drivers, Signals, Walkers
+from ogm.simulation.traffic.state import AHEAD, LAST, WARM_UP, Drivers, Signals, Walkers
 
 PAINTS = (M.PAINT_LIGHT, M.PAINT_MEDIUM, M.PAINT_DARK, M.PAINT_BLACK)
 PAINT_SHARES = (0.38, 0.27, 0.17, 0.18)
@@ -84,8 +84,6 @@ def _vary(shape: Shape, rng: Generator) -> Shape:
     return replace(shape, **{name: getattr(shape, name) * factor for name, factor in factors.items()})
 
 
-LAST = 1200.0  # [s] scenarios end here
-WARM_UP = 30.0  # [s] simulated before time 0, so that queues have formed
 SPACING = 66.0  # [m] of lane per vehicle
 MOST = 60  # vehicles
 PER_WALKWAY = 38.0  # [m] of walkway per pedestrian

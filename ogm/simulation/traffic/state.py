@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from ogm.simulation.mesh import Floats, Floats32, Ints
 
+LAST = 1200.0  # [s] scenarios end here
+WARM_UP = 30.0  # [s] simulated before time 0, so that queues have formed
 STEP = 0.1  # [s]
 AHEAD = 14  # lanes of its route that a driver takes into account
 SIGHT = 70.0  # [m]
