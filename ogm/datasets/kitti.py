@@ -141,8 +141,7 @@ class KittiOdometryRecording(ScanFiles):
         folders = [velodyne.parent for velodyne in inside or sorted(path.glob("velodyne/"))]
         labelled = [folder for folder in folders if (folder / "labels").is_dir()]
         folders = labelled or folders
-        scans = [scan for folder in folders for scan in _odometry_drive(folder)]
-        if not scans:
+        if not (scans := [scan for folder in folders for scan in _odometry_drive(folder)]):
             return None
         recording = cls(path, scans)
         recording.stamped = all((folder / "times.txt").is_file() for folder in folders)

@@ -216,8 +216,7 @@ class Recording(ABC):
                 estimates.append(self.estimate_height(members[k]))
             except _UNREADABLE as error:
                 failed = f" ({error})"
-        heights = [height for height in estimates if height is not None]
-        if not heights:
+        if not (heights := [height for height in estimates if height is not None]):
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
                 "so its height is not known: give sensor_height [m] (--sensor-height)"

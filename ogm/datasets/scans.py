@@ -130,8 +130,7 @@ def poses_of(
     T_camera_sensor : (4, 4) array, optional
         Where poses are a camera's, as those of KITTI odometry are. Those in ``derived/`` are the lidar's.
     """
-    path = next((one for one in files if one.is_file()), None)
-    if path is None:
+    if (path := next((one for one in files if one.is_file()), None)) is None:
         return [None] * len(names)
     camera = None if path.parent.name == "derived" or path.suffix == ".csv" else T_camera_sensor
     found = read_poses(path, T_camera_sensor=camera)
@@ -181,8 +180,7 @@ class ScansRecording(ScanFiles):
         folder = next((path for path in paths if path.is_dir()), None)
         if folder is not None and len(paths) > 1:
             raise ValueError(f"{folder} is a folder; give one folder alone, or files")
-        files = in_order(paths if folder is None else _files_in(folder))
-        if not files:
+        if not (files := in_order(paths if folder is None else _files_in(folder))):
             return None
         recording = cls._of_files(paths, files) if folder is None else cls._of_folder(folder, files, options.axes)
         recording.axes, recording.units = options.axes, options.units

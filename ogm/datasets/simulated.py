@@ -108,8 +108,7 @@ class SimulatedRecording(Recording):
         split = options.default_split if options.split is None else options.split
         wanted = None if split is None else _SHORT.get(split, split)
         found = {name: store[name].finished for name in store.counts if wanted in (None, name)}
-        chosen = next((name for name in (*_SPLITS, *found) if len(found.get(name, ()))), None)
-        if chosen is None:
+        if (chosen := next((name for name in (*_SPLITS, *found) if len(found.get(name, ()))), None)) is None:
             raise OgmError(_no_sample(store, wanted))
         return cls(path, store, chosen, found[chosen], options)
 

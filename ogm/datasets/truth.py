@@ -156,8 +156,7 @@ class RecordedTruth:
         poses = np.array([recording.frames[k].T_map_sensor for k in members])
         stamps = np.array([recording.frames[k].stamp for k in members], np.float64)
         T_here_other = inverse(frame.T_map_sensor) @ poses
-        chosen = choose_neighbours(members.index(n), stamps, poses[:, :3, 3], later=self._later)
-        if not chosen:
+        if not (chosen := choose_neighbours(members.index(n), stamps, poses[:, :3, 3], later=self._later)):
             return nothing
         clouds, is_ground = [], []
         for k in chosen:

@@ -103,8 +103,7 @@ def parse(data: bytes, path: Path) -> Table:
     OgmError
         If the ending is not known, the first bytes are another format's, or the file is damaged.
     """
-    suffix = next((one for one in PARSERS if path.name.lower().endswith(one)), None)
-    if suffix is None:
+    if (suffix := next((one for one in PARSERS if path.name.lower().endswith(one)), None)) is None:
         raise OgmError(
             f"{path} ends in {path.suffix or 'no suffix'}, wanted {', '.join(PARSERS)}, or one of these "
             "and .xz or .gz: name the file after its format"
