@@ -44,9 +44,9 @@ from ogm.plot import mass_panel, show
 from ogm.plot.points import dots_panel
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
+from ogm.simulation.exchange import truth_panel
 from ogm.simulation.mounts import PLACES
 from ogm.simulation.plan import DatasetPlan, moment
-from ogm.simulation.preview import truth_panel
 from ogm.simulation.radar import Origin, RadarSweep, sweep
 from ogm.simulation.radars import RADARS, RadarSpec
 from ogm.simulation.traffic.bodies import ego_body

@@ -27,12 +27,11 @@ from ogm.pose import inverse, pose
 from ogm.scan import run_model
 from ogm.simulation.cells import measure_ground
 from ogm.simulation.lidar import Weather, scan, to_points
-from ogm.simulation.moments import SceneSetup, set_up
+from ogm.simulation.moments import SceneSetup, sample_sweeps, set_up
 from ogm.simulation.mounts import only, radars_at
 from ogm.simulation.plan import SEQUENCE, DatasetPlan, moment
 from ogm.simulation.radars import RADARS
 from ogm.simulation.survey import Known, aimed_truth
-from ogm.simulation.sweeps import sample_sweeps
 from ogm.state import CellState, Truth
 from ogm.truth import cells_in_boxes
 from ogm.truth.boxes import boxes_seen_from

@@ -33,8 +33,8 @@ from ogm.datasets import Dataset
 from ogm.evaluation import compare_paired
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.plot import mass_panel, save_picture
+from ogm.simulation.exchange import truth_panel
 from ogm.simulation.plan import DatasetPlan
-from ogm.simulation.preview import truth_panel
 from ogm.state import CellState, Truth
 from ogm.world.kernels import MASS_STEPS, merge
 from ogm.world.layout import WORLD_RULES, TileIndex

@@ -35,7 +35,7 @@ class Ended(NamedTuple):
 
 
 MODULES = {  # what a command imports
-    "simulate": ("ogm.simulation.dataset", "ogm.simulation.exchange", "ogm.simulation.preview", "zarr"),
+    "simulate": ("ogm.simulation.dataset", "ogm.simulation.exchange", "zarr"),
     "train": ("ogm.deep.training", "ogm.datasets", "zarr", "matplotlib.figure"),
     "evaluate": ("ogm.evaluation", "ogm.datasets", "zarr", "matplotlib.figure", "jinja2"),
     "fuse": ("ogm.workflows", "ogm.models.named", "ogm.geometric", "ogm.plot.viewer", "mcap", "rosbags.rosbag1"),

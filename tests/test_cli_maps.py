@@ -19,7 +19,7 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.io.logs import open_log
 from ogm.io.messages import grid_from_occupancy_grid, transforms_from_tf
-from ogm.io.messages.occupancy import occupancy_values
+from ogm.io.messages.grids import occupancy_values
 from ogm.pose import pose
 from ogm.state import predict_state
 

@@ -19,11 +19,10 @@ from ogm.models.named import load_model, with_radar
 from ogm.models.radar import radar_noise
 from ogm.pose import pose
 from ogm.scan import Frame, run_model
-from ogm.simulation.detections import PlacedSweep, RadarSweep
 from ogm.simulation.mounts import radars_at
 from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.radars import RADARS
-from ogm.simulation.sample import Beams, SimulatedSample
+from ogm.simulation.sample import Beams, PlacedSweep, RadarSweep, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState
 

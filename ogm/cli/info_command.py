@@ -21,8 +21,7 @@ def info(
     fixed_frame: FixedFrame = None,
 ) -> None:
     """Show what a file or a data set holds: of a log also what its scans lack for `ogm fuse`."""
-    from ogm.datasets.captures import CAPTURE_ENDINGS
-    from ogm.datasets.logs import describe_log, is_log
+    from ogm.datasets.logs import CAPTURE_ENDINGS, describe_log, is_log
     from ogm.datasets.simulated import is_simulated
     from ogm.io import describe, read_any_grid, read_scan_file
 

@@ -162,7 +162,7 @@ def _make(path: Path, plan: "DatasetPlan", workers: int | None, scheduler: str |
 def _finish(store: "Store", path: Path, export: Path | None) -> None:
     """Draw the contact sheet, export, and print what the data set holds."""
     from ogm.simulation import exchange
-    from ogm.simulation.preview import contact_sheet
+    from ogm.simulation.exchange import contact_sheet
 
     sheet = path / "contact-sheet.png"
     contact_sheet(sheet, store)

@@ -9,8 +9,8 @@
 from ogm.datasets.dataset import Dataset
 from ogm.datasets.neighbours import truth_from_neighbours
 from ogm.datasets.opening import open_dataset
-from ogm.datasets.paths import frame_numbers
 from ogm.datasets.poses import with_odometry, with_poses
+from ogm.datasets.scans import frame_numbers
 from ogm.datasets.truth import SOURCES
 
 __all__ = [

@@ -15,8 +15,6 @@ from ogm.pose import pose
 from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
 
-__all__ = ["Argoverse2Recording"]
-
 _UPPER = 32  # lasers of the upper lidar; the numbers of the lower one's follow
 _EGO_ORIGIN = 0.33  # [m] of the vehicle's origin above the ground, for scans that show too little of it
 

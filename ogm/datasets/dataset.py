@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.frames import FrameRef
-from ogm.datasets.motion import MotionReader
 from ogm.datasets.recording import Recording
-from ogm.datasets.truth import RecordedTruth
+from ogm.datasets.truth import MotionReader, RecordedTruth
 from ogm.pose import Trajectory
 from ogm.scan import Frame, LazyFrame
 from ogm.state import LazyTruth, Truth
-
-__all__ = ["Dataset"]
 
 
 class Dataset(Sequence[Frame]):

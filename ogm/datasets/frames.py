@@ -10,8 +10,6 @@ from ogm.io.labels import LabelledPoints
 from ogm.scan import Scan
 from ogm.truth import Kind
 
-__all__ = ["EGO", "KITTI_EGO", "Footprint", "FrameRef", "HdMap", "RawFrame", "SensorPlace", "kinds_of"]
-
 Footprint = tuple[float, float, float, float]
 """x_min, x_max, y_min, y_max around the sensor [m], as `Mount.ego_footprint`."""
 

@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from ogm import io
 from ogm.datasets.frames import KITTI_EGO, FrameRef, RawFrame, kinds_of
-from ogm.datasets.paths import drive_of, pose_files, scan_name, scan_paths
 from ogm.datasets.recording import ScanFiles
+from ogm.datasets.scans import drive_of, pose_files, scan_name, scan_paths
 from ogm.io.kitti import read_kitti_objects, read_kitti_stamps, read_kitti_tracks
 from ogm.io.semantic_kitti import SEMANTIC_KITTI_MOVING, read_semantic_kitti
 from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
-
-__all__ = ["KittiObjectRecording", "KittiOdometryRecording", "KittiRawRecording", "KittiTrackingRecording"]
 
 _FRONT = "boxes only in the view of the front camera"
 _ANGLE = float(np.radians(37.0))  # of that view, to either side: a little less than the picture shows
@@ -143,8 +141,7 @@ class KittiOdometryRecording(ScanFiles):
         folders = [velodyne.parent for velodyne in inside or sorted(path.glob("velodyne/"))]
         labelled = [folder for folder in folders if (folder / "labels").is_dir()]
         folders = labelled or folders
-        scans = [scan for folder in folders for scan in _odometry_drive(folder)]
-        if not scans:
+        if not (scans := [scan for folder in folders for scan in _odometry_drive(folder)]):
             return None
         recording = cls(path, scans)
         recording.stamped = all((folder / "times.txt").is_file() for folder in folders)
@@ -180,8 +177,7 @@ def _raw_stamps(path: Path, names: list[str]) -> NDArray[np.float64] | None:
     if not path.is_file():
         return None
     times = read_kitti_stamps(path)
-    beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
-    if beyond:
+    if beyond := [name for name in names if not name.isdigit() or int(name) >= len(times)]:
         raise OgmError(
             f"{path} has {len(times)} times, too few for scan {beyond[-1]}: wanted a line for every scan from 0 on"
         )

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,8 +13,6 @@ from ogm.datasets.log_transforms import LogTransforms
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageRef
 from ogm.storage.files import OgmError
-
-__all__ = ["CLOUD", "RADAR_TYPES", "SCAN_TYPES", "LogScans", "ScanRef"]
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _LIDAR_TYPES = (
@@ -53,14 +50,6 @@ class LogScans:
     OgmError
         If there is no such topic, or not one alone.
     """
-
-    log: LogReader
-    path: Path
-    topics: tuple[str, ...]
-    types: set[str]
-    refs: list[ScanRef]
-    transforms: LogTransforms
-    warnings: list[str]
 
     def __init__(self, log: LogReader, topic: str | Iterable[str] = ()) -> None:
         self.log, self.path = log, log.paths[0]
@@ -103,8 +92,7 @@ class LogScans:
         if np.isnan(self.stamps).any():
             reasons.append(f"{np.isnan(self.stamps).sum()} headers have no stamp (0)")
         for sensor, numbers in self.by_frame.items():
-            found = self.transforms.fixed_frame(sensor, wanted, fixed)
-            if found is None:
+            if (found := self.transforms.fixed_frame(sensor, wanted, fixed)) is None:
                 reasons.append(self.transforms.missing(sensor, topics[sensor]))
                 continue
             fixed = found
@@ -126,8 +114,7 @@ class LogScans:
         result = np.full((len(self.refs), 4, 4), np.nan)
         frames = np.array([scan.frame for scan in self.refs])
         for sensor, numbers in self.by_frame.items():
-            frame = find(sensor)
-            if frame is None:
+            if (frame := find(sensor)) is None:
                 return None
             result[numbers] = self.transforms.lookup(frame, sensor, self.stamps[numbers])[0]
             unknown = np.isnan(result[:, 0, 0]) & (frames == sensor)
@@ -149,8 +136,7 @@ class LogScans:
         heights = [None] * len(self.refs) if floor is None or (floor[:, 2, 3] <= 0).any() else floor[:, 2, 3].tolist()
         if len(self.topics) == 1:
             return None if heights[0] is None else [SensorPlace(height=height) for height in heights]
-        T = self.T_vehicle_sensor
-        if T is None:
+        if (T := self.T_vehicle_sensor) is None:
             raise OgmError(
                 f"{self.path}: {self.transforms.missing_vehicle(list(self.by_frame))}, so that the scans of several "
                 "sensors cannot be brought together; choose one topic (--topic)"

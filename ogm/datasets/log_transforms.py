@@ -12,8 +12,6 @@ from ogm.io.messages import StampedTransform, transform_from_odometry, transform
 from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
 from ogm.storage.files import OgmError
 
-__all__ = ["LogTransforms"]
-
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _FIXED = ("map", "odom", "world")  # the first that a chain of transforms joins with the sensor, one of which changes
@@ -41,9 +39,6 @@ class LogTransforms:
     lost : list of str
         Why messages could not be read.
     """
-
-    buffer: TransformBuffer
-    source: str
 
     def __init__(self, log: LogReader, scans: Iterable[str] = ()) -> None:
         self.buffer, self.source = TransformBuffer(), "transforms"
@@ -136,8 +131,7 @@ class LogTransforms:
 
     def missing(self, sensor: str, topic: str) -> str:
         """Return which transforms lack for poses of a sensor, in words."""
-        frames = ", ".join(self.buffer.frames)
-        if not frames:
+        if not (frames := ", ".join(self.buffer.frames)):
             return "the log has no transforms (/tf, /tf_static) and no odometry"
         if sensor not in self.buffer.frames:
             return f"no transform leads to {sensor or 'a frame without name'}, the frame of {topic}; there are {frames}"

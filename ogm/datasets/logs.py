@@ -1,7 +1,8 @@
-"""Logs: scans of lidars and radars in ROS bags and MCAPs, with poses by the transforms or odometry in them."""
+"""Logs: scans in ROS bags and MCAPs with poses by their transforms, and captures of Velodynes (.pcap)."""
 
 import logging
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -11,26 +12,20 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.frames import RawFrame, SensorPlace
+from ogm.datasets.frames import FrameRef, RawFrame, SensorPlace
 from ogm.datasets.log_scans import CLOUD, RADAR_TYPES, SCAN_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
-from ogm.datasets.paths import ending_of
 from ogm.datasets.recording import OpenOptions, Recording
-from ogm.io.axes import rotation_to_flu
+from ogm.datasets.scans import ending_of
 from ogm.io.logs import LOG_ENDINGS, LogMessage, LogReader, open_log
-from ogm.io.logs.opening import log_files
-from ogm.io.messages import (
-    scan_from_continental,
-    scan_from_livox,
-    scan_from_point_cloud2,
-    scan_from_radar_scan,
-    scan_from_velodyne_scan,
-)  # fmt: skip
+from ogm.io.logs.definitions import log_files
+from ogm.io.messages.clouds import scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
+from ogm.io.messages.livox import scan_from_livox
+from ogm.io.messages.velodyne import scan_from_velodyne_scan, scans_from_pcap
+from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import pose, rotate
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
-
-__all__ = ["LogRecording", "describe_log", "is_log", "turn_scan"]
 
 _log = logging.getLogger(__name__)
 
@@ -58,8 +53,7 @@ class LogRecording(Recording):
     def __init__(self, path: Path, scans: LogScans, options: OpenOptions) -> None:
         poses, facts = scans.poses(options.frame)
         position, several = options.sensor_position, len(scans.topics) > 1
-        turn = rotation_to_flu(options.axes)
-        self._turns = _turns(scans, turn, position is not None)
+        self._turns = _turns(scans, rotation_to_flu(options.axes), position is not None)
         self._places = None if position is not None else scans.places()
         poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(self._turns, 1, 2)
         if position is not None:
@@ -155,8 +149,7 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
         except OgmError as error:
             poses = str(error)
         found[f"poses of {name}"] = f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
-    damage = [warning for one in scans.values() for warning in one.warnings] or log.warnings
-    if damage:
+    if damage := [warning for one in scans.values() for warning in one.warnings] or log.warnings:
         found["damage"] = "; ".join(dict.fromkeys(damage))
     return found
 
@@ -207,3 +200,72 @@ def turn_scan(scan: Scan, R: NDArray[np.float64]) -> Scan:
     points[:, :3] = rotate(R, points[:, :3].T).T
     no_returns = None if scan.no_returns is None else rotate(R, scan.no_returns.T).T.astype(np.float32)
     return replace(scan, points=points, no_returns=no_returns)
+
+
+CAPTURE_ENDINGS = (".pcap", ".pcapng")
+
+
+class CaptureRecording(Recording):
+    """Scans of a capture of one Velodyne."""
+
+    format = "network capture"
+    wanted_labels = "poses of the scans, which a capture has not: estimate them with `ogm fuse --odometry`"
+    ego_footprint = None
+    stamped = True
+    known_axes = False
+
+    @classmethod
+    def open(cls, paths: Sequence[Path], options: OpenOptions) -> "CaptureRecording | None":
+        """Return the scans of a capture; None if no path has the name of a capture.
+
+        Raises
+        ------
+        OgmError
+            If there are several files, or the file is no capture of one Velodyne.
+        ValueError
+            If the options state units: those of packets are known.
+        """
+        if not any(path.suffix.lower() in CAPTURE_ENDINGS for path in paths):
+            return None
+        path, axes = paths[0], options.axes
+        rotation_to_flu(axes)  # refuses wrong axes
+        if len(paths) > 1:
+            raise OgmError(f"{path} is a network capture; give one alone")
+        if options.units:
+            raise ValueError(f"{path} has scans of known units; leave out intensity_max and time_unit")
+        stamps = [scan.stamp for scan in scans_from_pcap(path, no_returns=False)]
+        refs = [FrameRef(f"{n:06d}", path.stem, stamp) for n, stamp in enumerate(stamps)]
+        recording = cls(path, refs, path.stem)
+        recording.axes = axes
+        return recording
+
+    @cached_property
+    def _turns(self) -> "_Turns":
+        return _Turns(self.path)
+
+    def read(self, n: int) -> RawFrame:
+        """Read a scan; quick in the order of the scans."""
+        return RawFrame(turn_scan(self._turns.read(n), rotation_to_flu(self.axes)))
+
+
+class _Turns:
+    """The scans of a capture, which is decoded from its beginning: quick in their order, not in another."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._lock = path, threading.Lock()
+        self._rewind()
+
+    def read(self, n: int) -> Scan:
+        """Decode up to scan n."""
+        with self._lock:
+            if n < self._next:
+                self._rewind()
+            for scan in self._scans:
+                self._next += 1
+                if self._next > n:
+                    return scan
+        raise OgmError(f"{self._path} has no scan {n} any more: was it changed?")
+
+    def _rewind(self) -> None:
+        self._scans: Iterator[Scan] = scans_from_pcap(self._path)
+        self._next = 0

@@ -19,8 +19,6 @@ from ogm.truth.combine import ignore_cells
 from ogm.truth.points import height_above_ground
 from ogm.truth.scans import MARGIN, contradicted
 
-__all__ = ["choose_neighbours", "ego_path_cells", "find_ground", "truth_from_neighbours"]
-
 _REACH = 50.0  # [m] scans that were taken farther away hardly see the same cells
 _SPAN = 30.0  # [s] before and after: later, parked cars have left and poses have drifted
 _MOST = 40  # scans, spread evenly over those in reach

@@ -4,14 +4,12 @@ from functools import cached_property
 from pathlib import Path
 
 from ogm.datasets.frames import FrameRef, RawFrame
-from ogm.datasets.paths import scan_name
 from ogm.datasets.recording import Recording
+from ogm.datasets.scans import scan_name
 from ogm.io import read_scan
 from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
 from ogm.scan import Boxes
 from ogm.storage.files import OgmError
-
-__all__ = ["NuScenesRecording"]
 
 
 class NuScenesRecording(Recording):

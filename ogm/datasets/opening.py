@@ -7,27 +7,23 @@ from typing import Any
 import numpy as np
 
 from ogm.datasets.argoverse2 import Argoverse2Recording
-from ogm.datasets.captures import CaptureRecording
 from ogm.datasets.dataset import Dataset
 from ogm.datasets.kitti import KittiObjectRecording, KittiOdometryRecording, KittiRawRecording, KittiTrackingRecording
-from ogm.datasets.logs import LogRecording
+from ogm.datasets.logs import CaptureRecording, LogRecording
 from ogm.datasets.nuscenes import NuScenesRecording
-from ogm.datasets.paths import SCAN_ENDINGS
 from ogm.datasets.radarscenes import RadarScenesRecording
 from ogm.datasets.range_images import RangeImagesRecording
 from ogm.datasets.recording import OpenOptions, Recording
-from ogm.datasets.scans import ScansRecording
+from ogm.datasets.scans import SCAN_ENDINGS, ScansRecording
 from ogm.datasets.simulated import SimulatedRecording
 from ogm.datasets.sustech import SustechRecording
 from ogm.datasets.truth_grids import TruthGridsRecording, grid_files
 from ogm.grid import GridSpec
 from ogm.io import Axes
-from ogm.io.axes import rotation_to_flu
 from ogm.io.logs import LOG_ENDINGS
+from ogm.io.scan_table import rotation_to_flu
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath, as_path
-
-__all__ = ["RECORDINGS", "open_dataset"]
 
 # The first that knows the paths reads them: the more files a format asks for, the earlier it is tried.
 RECORDINGS: tuple[type[Recording], ...] = (

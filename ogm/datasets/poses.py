@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.dataset import Dataset
-from ogm.datasets.paths import frame_numbers
+from ogm.datasets.scans import frame_numbers
 from ogm.io import Axes, Poses, read_calibration, read_poses
-from ogm.io.axes import rotation_to_flu
+from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import Trajectory, pose
-
-__all__ = ["with_odometry", "with_poses"]
+from ogm.storage.files import FilePath
 
 _SAVED = "ogm.poses/1"  # the format of what --save-poses writes: always x forward, y left
 _GAP = 2.0  # [s] between two poses, beyond which nothing is known of what lies between them
@@ -28,11 +27,7 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 def with_poses(
-    dataset: Dataset,
-    path: str | os.PathLike[str],
-    calibration: str | os.PathLike[str] | None = None,
-    rate: float = 10.0,
-    progress: Progress = iter,
+    dataset: Dataset, path: FilePath, calibration: FilePath | None = None, rate: float = 10.0, progress: Progress = iter
 ) -> Dataset:
     """Return a dataset with the poses of a file: by frame number, by stamp, or by order, in this order.
 
@@ -226,8 +221,7 @@ def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
 
 def _stamps(dataset: Dataset, rate: float, progress: Progress) -> NDArray[np.float64]:
     """Return when the scans were taken [s], NaN where one cannot be read, or has no stamp."""
-    clock = _clock(dataset, rate)
-    if clock is not None:
+    if (clock := _clock(dataset, rate)) is not None:
         return clock
     stamps = np.full(len(dataset), np.nan)
     for k in progress(range(len(dataset))):

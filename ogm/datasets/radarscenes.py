@@ -4,11 +4,9 @@ from functools import cached_property
 from pathlib import Path
 
 from ogm.datasets.frames import Footprint, FrameRef, RawFrame, SensorPlace
-from ogm.datasets.paths import in_order
 from ogm.datasets.recording import Recording
+from ogm.datasets.scans import in_order
 from ogm.io.radarscenes import RadarScenes, read_radarscenes
-
-__all__ = ["RadarScenesRecording"]
 
 _HEIGHT = 0.5  # [m] above ground, of radars in a bumper: the dataset does not state it
 _VEHICLE: Footprint = (-1.1, 3.8, -0.95, 0.95)  # around the rear axle: a car whose front radars are at x = 3.9 m; ours

@@ -3,15 +3,13 @@
 from pathlib import Path
 
 from ogm.datasets.frames import EGO, KITTI_EGO, FrameRef, RawFrame, kinds_of
-from ogm.datasets.paths import ending_of, scan_name
 from ogm.datasets.recording import ScanFiles
+from ogm.datasets.scans import ending_of, scan_name
 from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
 from ogm.io.reading import parse_array, read_bytes
 from ogm.io.semantic_kitti import SEMANTIC_KITTI_TRAINING
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
-
-__all__ = ["RangeImagesRecording"]
 
 _KNOWN = {  # names of the classes, axes, intensity that means 1, ego vehicle
     "semantic_kitti": (SEMANTIC_KITTI_TRAINING, "kitti", 1.0, KITTI_EGO),

@@ -18,13 +18,11 @@ from ogm import io
 from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
 from ogm.grid import GridSpec
 from ogm.io import Axes
-from ogm.io.sensor_height import plausible_sensor_height
+from ogm.io.scan import plausible_sensor_height
 from ogm.pose import pose
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
 from ogm.storage.files import OgmError
-
-__all__ = ["OpenOptions", "Recording", "ScanFiles"]
 
 _HEIGHTS = 5  # scans of a sequence whose median is the height of its sensor
 _KEPT = 64  # scans in memory: some 2 MB each
@@ -218,8 +216,7 @@ class Recording(ABC):
                 estimates.append(self.estimate_height(members[k]))
             except _UNREADABLE as error:
                 failed = f" ({error})"
-        heights = [height for height in estimates if height is not None]
-        if not heights:
+        if not (heights := [height for height in estimates if height is not None]):
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
                 "so its height is not known: give sensor_height [m] (--sensor-height)"

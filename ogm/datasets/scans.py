@@ -1,18 +1,156 @@
-"""Files of scans: single ones, several, or a folder of them, with or without poses."""
+"""Files of scans: their names, numbers, times and poses; one, several, or a folder of them as a recording."""
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ogm.datasets.frames import KITTI_EGO, Footprint, FrameRef
-from ogm.datasets.paths import clock_stamps, drive_of, ending_of, in_order, pose_files, scan_name
 from ogm.datasets.recording import OpenOptions, ScanFiles
-from ogm.io import Axes
-from ogm.io.axes import rotation_to_flu
+from ogm.io import Axes, read_poses
+from ogm.io.scan_table import rotation_to_flu
 from ogm.storage.files import OgmError
 
-__all__ = ["ScansRecording"]
+SCAN_ENDINGS = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather")
+_PACKED = (".xz", ".gz")
+_LIDAR = (".bin", ".pcd", ".ply", ".las", ".laz")  # of the scans of public datasets
+_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # [s] of one, by how large numbers are since 1970
+_LARGEST = 10**9  # a number in a file's name that is larger is a clock's, not a frame's
+
+
+def ending_of(path: Path) -> str:
+    """Return the ending that tells a scan's format, "" for what is no scan."""
+    name = path.name.lower()
+    for packed in _PACKED:
+        name = name.removesuffix(packed)
+    return next((ending for ending in SCAN_ENDINGS if name.endswith(ending)), "")
+
+
+def scan_name(path: Path) -> str:
+    """Return a file's name without the endings that tell its format."""
+    name = path.name
+    for ending in (*_PACKED, *SCAN_ENDINGS):
+        name = name.removesuffix(ending) or name
+    return name
+
+
+def scan_paths(folder: Path) -> list[Path]:
+    """Return the scans of a public dataset in a folder, by number or by name."""
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    return in_order([path for path in files if ending_of(path) in _LIDAR and path.is_file()])
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """Sort files by their names, with 2 before 10."""
+
+    def key(path: Path) -> list[tuple[int, str]]:
+        parts = re.split(r"(\d+)", scan_name(path))
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+    return sorted(paths, key=key)
+
+
+def frame_numbers(names: Sequence[str]) -> NDArray[np.int64] | None:
+    """Return the last number of each name, (K,); None unless all have one, it increases, and all else is the same."""
+    found = [re.fullmatch(r"(.*?)(\d+)\D*", name) for name in names]
+    if not all(found) or len({one[1] for one in found if one}) > 1:
+        return None
+    numbers = [int(one[2]) for one in found if one]
+    if max(numbers, default=0) >= _LARGEST or any(b <= a for a, b in zip(numbers, numbers[1:], strict=False)):
+        return None
+    return np.array(numbers, np.int64)
+
+
+def clock_stamps(names: Sequence[str]) -> list[float] | None:
+    """Return times [s] where names are those of a clock: milli-, micro- or nanoseconds since 1970."""
+    if not names or not all(_is_number(name) for name in names):
+        return None
+    unit = next((unit for least, unit in _UNITS if max(map(int, names)) >= least), None)
+    return None if unit is None else [unit * int(name) for name in names]
+
+
+def drive_of(
+    name: str,
+    scans: Sequence[Path],
+    files: Iterable[Path] = (),
+    stamps: Sequence[float] | NDArray[np.float64] | None = None,
+    *,
+    axes: Axes = "flu",
+    T_camera_sensor: NDArray[np.float64] | None = None,
+) -> list[tuple[FrameRef, Path]]:
+    """Return the scans of one drive as frames, each with its file.
+
+    Parameters
+    ----------
+    name : str
+        Sequence of the frames.
+    scans : sequence of Path
+    files : iterable of Path
+        Possible files of poses, see `pose_files`.
+    stamps : sequence of float, optional
+        Times of the scans [s]. By default their names give the time: a clock's, or numbers that count tenths of a
+        second.
+    axes, T_camera_sensor
+        See `poses_of`.
+    """
+    names = [scan_name(scan) for scan in scans]
+    poses = poses_of(files, names, axes=axes, T_camera_sensor=T_camera_sensor)
+    if stamps is None:
+        counts = [int(one) for one in names] if all(map(_is_number, names)) else range(len(names))
+        stamps = clock_stamps(names) or [0.1 * count for count in counts]
+    rows = zip(names, stamps, poses, scans, strict=True)
+    return [(FrameRef(one, name, float(stamp), T), scan) for one, stamp, T, scan in rows]
+
+
+def pose_files(folder: Path) -> list[Path]:
+    """Return where the poses of a drive may be: ``derived/poses*``, ``poses.txt``, ``poses.csv``."""
+    return [*sorted(folder.glob("derived/poses*")), folder / "poses.txt", folder / "poses.csv"]
+
+
+def poses_of(
+    files: Iterable[Path],
+    names: Sequence[str],
+    *,
+    axes: Axes = "flu",
+    T_camera_sensor: NDArray[np.float64] | None = None,
+) -> list[NDArray[np.float64] | None]:
+    """Read the poses of scans from the first of some files that is there; None for all where none is.
+
+    Parameters
+    ----------
+    files : iterable of Path
+        See `pose_files`.
+    names : sequence of str
+        Of the scans. Where the file of poses has frame numbers, each scan gets the one in its name.
+    axes : Axes
+        Which way the poses' axes point, as for `read_points`: the scans' own.
+    T_camera_sensor : (4, 4) array, optional
+        Where poses are a camera's, as those of KITTI odometry are. Those in ``derived/`` are the lidar's.
+    """
+    if (path := next((one for one in files if one.is_file()), None)) is None:
+        return [None] * len(names)
+    camera = None if path.parent.name == "derived" or path.suffix == ".csv" else T_camera_sensor
+    found = read_poses(path, T_camera_sensor=camera)
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_to_flu(axes)
+    poses = turn @ found.poses @ turn.T
+    if found.numbers is None:
+        if len(poses) != len(names):
+            raise OgmError(
+                f"{path} has {len(poses)} poses, but there are {len(names)} scans: wanted as many, or the number of "
+                "the scan at the beginning of each line"
+            )
+        return list(poses)
+    of = {int(number): T for number, T in zip(found.numbers, poses, strict=True)}
+    return [of.get(int(name)) if _is_number(name) else None for name in names]
+
+
+def _is_number(name: str) -> bool:
+    return name.isascii() and name.isdigit() and len(name) < 20
+
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -42,8 +180,7 @@ class ScansRecording(ScanFiles):
         folder = next((path for path in paths if path.is_dir()), None)
         if folder is not None and len(paths) > 1:
             raise ValueError(f"{folder} is a folder; give one folder alone, or files")
-        files = in_order(paths if folder is None else _files_in(folder))
-        if not files:
+        if not (files := in_order(paths if folder is None else _files_in(folder))):
             return None
         recording = cls._of_files(paths, files) if folder is None else cls._of_folder(folder, files, options.axes)
         recording.axes, recording.units = options.axes, options.units

@@ -12,17 +12,14 @@ from ogm.datasets.frames import EGO, FrameRef, RawFrame
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes, Mount, Scan
-from ogm.simulation.detections import PlacedSweep
 from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.radars import RADARS
-from ogm.simulation.sample import LABELS, SimulatedSample
+from ogm.simulation.sample import LABELS, PlacedSweep, SimulatedSample
 from ogm.simulation.store import FACTS, SHARD, Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath
 from ogm.truth.combine import ignore_cells
-
-__all__ = ["SimulatedRecording", "is_simulated"]
 
 _SPLITS = ("validation", "sequences", "test", "training")  # the first that has samples is taken
 _SHORT = {"train": "training", "val": "validation"}
@@ -111,8 +108,7 @@ class SimulatedRecording(Recording):
         split = options.default_split if options.split is None else options.split
         wanted = None if split is None else _SHORT.get(split, split)
         found = {name: store[name].finished for name in store.counts if wanted in (None, name)}
-        chosen = next((name for name in (*_SPLITS, *found) if len(found.get(name, ()))), None)
-        if chosen is None:
+        if (chosen := next((name for name in (*_SPLITS, *found) if len(found.get(name, ()))), None)) is None:
             raise OgmError(_no_sample(store, wanted))
         return cls(path, store, chosen, found[chosen], options)
 

@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-from ogm.datasets.paths import drive_of, pose_files, scan_name, scan_paths
 from ogm.datasets.recording import ScanFiles
+from ogm.datasets.scans import drive_of, pose_files, scan_name, scan_paths
 from ogm.io.sustech import read_sustech
 from ogm.scan import Boxes
-
-__all__ = ["SustechRecording"]
 
 
 class SustechRecording(ScanFiles):

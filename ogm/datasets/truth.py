@@ -1,6 +1,7 @@
-"""Truth of recordings, made of boxes, classes, a map's road, and neighbouring scans."""
+"""Truth of recordings, made of boxes, classes, a map's road and neighbours, and motion of labelled objects."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,26 +12,18 @@ from ogm.datasets.frames import EGO
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
 from ogm.datasets.recording import Recording
 from ogm.extras import import_extra
+from ogm.grid import GridSpec
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
-from ogm.state import CellState, Truth
+from ogm.state import CellState, Motion, Truth
 from ogm.storage.files import OgmError
-from ogm.truth import TRUTH_SPEC, Kind
-from ogm.truth.boxes import (
-    MIN_RETURNS,
-    boxes_over_points,
-    cells_in_boxes,
-    cells_in_footprint,
-    count_returns,
-    moving_tracks,
-    truth_from_boxes,
-)
+from ogm.truth import TRUTH_SPEC, Kind, cells_in_boxes, motion_of_boxes, truth_from_boxes
+from ogm.truth.boxes import MIN_RETURNS, boxes_over_points, cells_in_footprint, count_returns, moving_tracks
 from ogm.truth.combine import combine_truths, ignore_cells
+from ogm.truth.motion import NEEDED, REACH, BoxMotion, track_motion
 from ogm.truth.points import truth_from_points
 from ogm.truth.road import cells_in_areas, truth_from_road
 from ogm.truth.scans import MARGIN
-
-__all__ = ["ABOVE_BOTTOM", "SOURCES", "RecordedTruth"]
 
 SOURCES = ("boxes", "classes", "map", "aggregated")
 ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
@@ -59,17 +52,12 @@ class RecordedTruth:
         Neighbouring scans that are taken.
     """
 
-    recording: Recording
-    sources: tuple[str, ...]
-
     def __init__(self, recording: Recording, wanted: Sequence[str] = (), others: str = "all") -> None:
-        unknown = [name for name in wanted if name not in SOURCES]
-        if unknown:
+        if unknown := [name for name in wanted if name not in SOURCES]:
             raise ValueError(f"truth must be of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
         self.recording, self._options = recording, (tuple(wanted), others)
         there = self._there()
-        missing = [name for name in wanted if name not in there]
-        if missing:
+        if missing := [name for name in wanted if name not in there]:
             raise ValueError(
                 f"{recording.path} ({recording.format}) has no {' and '.join(missing)} to make truth of; has "
                 f"{', '.join(there) or 'no labels'}. give truth=({', '.join(map(repr, there))},) or less"
@@ -168,8 +156,7 @@ class RecordedTruth:
         poses = np.array([recording.frames[k].T_map_sensor for k in members])
         stamps = np.array([recording.frames[k].stamp for k in members], np.float64)
         T_here_other = inverse(frame.T_map_sensor) @ poses
-        chosen = choose_neighbours(members.index(n), stamps, poses[:, :3, 3], later=self._later)
-        if not chosen:
+        if not (chosen := choose_neighbours(members.index(n), stamps, poses[:, :3, 3], later=self._later)):
             return nothing
         clouds, is_ground = [], []
         for k in chosen:
@@ -207,8 +194,7 @@ class RecordedTruth:
 
     def _moving_boxes(self, n: int) -> Boxes:
         """Return the boxes of objects that move, in scan n and its frame, and of those without a track."""
-        boxes = self.recording.boxes(n)
-        if boxes is None:
+        if (boxes := self.recording.boxes(n)) is None:
             return Boxes.empty()
         moving = self._moving_tracks(self.recording.frames[n].sequence)
         return boxes.select([not track or track in moving for track in boxes.track])
@@ -221,3 +207,76 @@ def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     result[TRUTH_SPEC.index(points[inside, 0], points[inside, 1])] = True
     reach = int(np.ceil(_AT_MOVING_POINTS / TRUTH_SPEC.resolution))
     return np.asarray(import_extra("scipy.ndimage", "evaluate").binary_dilation(result, iterations=reach))
+
+
+_NEXT = 0.15  # [s] the frames before and after at 10 Hz
+_KEPT_FRAMES = 16  # frames in memory: a few kB each
+
+
+class MotionReader:
+    """Finds the motion of objects in the frames of a recording. Pickled, it goes without the motion that it found.
+
+    Velocities are stated by the dataset, and yaw rates follow from the frames before and after; or else both are
+    slopes of the objects' tracks over 0.5 to 0.7 s (`ogm.truth.track_motion`): the first and the last 0.3 s of a track
+    have none.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self._placed = lru_cache(_KEPT_FRAMES)(self._on_map)
+        self._found = lru_cache(_KEPT_FRAMES)(self._find)
+        self._members = lru_cache(None)(self._of_sequence)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return MotionReader, (self.recording,)
+
+    def boxes(self, n: int) -> Boxes | None:
+        """Return the boxes around a scan, in the sensor's frame, with velocities where there are any."""
+        boxes = self.recording.boxes(n)
+        if boxes is None or boxes.velocity is not None:
+            return boxes
+        found = self._found(n)
+        return boxes if found is None else replace(boxes, velocity=found.velocity)
+
+    def cells(self, n: int, spec: GridSpec) -> Motion | None:
+        """Return the motion of the cells around a scan; None where that of objects cannot be known.
+
+        Nothing is known of cells under the ego vehicle, and outside the view in which objects are labelled.
+        """
+        boxes, found = self.boxes(n), self._found(n)
+        if boxes is None or found is None:
+            return None
+        unknown = cells_in_footprint(self.recording.ego_footprint or EGO, spec)
+        if self.recording.view_angle is not None:
+            x, y = spec.cell_centers
+            unknown |= np.abs(y) > np.tan(self.recording.view_angle) * x
+        return motion_of_boxes(boxes, found.yaw_rate, spec, unknown=unknown)
+
+    def _find(self, n: int) -> BoxMotion | None:
+        """Return the motion of a scan's boxes in the sensor's frame, None where no tracks can be followed."""
+        frame, boxes = self.recording.frames[n], self.recording.boxes(n)
+        if boxes is None or frame.stamp is None or frame.T_map_sensor is None or not frame.sequence:
+            return None
+        reach, needed = (REACH, NEEDED) if boxes.velocity is None else (_NEXT, 0.0)
+        members, stamps = self._members(frame.sequence)
+        near = np.abs(stamps - frame.stamp) < 1.1 * reach
+        around = members[near].tolist()
+        placed = [self._placed(k) for k in around]
+        found = track_motion(around.index(n), stamps[near].tolist(), placed, reach=reach, needed=needed)
+        if boxes.velocity is not None:
+            return BoxMotion(boxes.velocity, found.yaw_rate)
+        return BoxMotion(found.velocity @ inverse(frame.T_map_sensor)[:2, :2].T, found.yaw_rate)
+
+    def _of_sequence(self, sequence: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the frames of a sequence that have a pose and a stamp: their numbers and their stamps."""
+        refs = [(k, self.recording.frames[k]) for k in self.recording.groups[sequence]]
+        known = [(k, ref.stamp) for k, ref in refs if ref.T_map_sensor is not None and ref.stamp is not None]
+        return np.array([k for k, _ in known], np.int64), np.array([stamp for _, stamp in known], np.float64)
+
+    def _on_map(self, n: int) -> Boxes:
+        """Return the boxes of a scan in the map's frame."""
+        return self.recording.read_boxes(n).moved(np.asarray(self.recording.frames[n].T_map_sensor))

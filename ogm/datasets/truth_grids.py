@@ -14,8 +14,6 @@ from ogm.io.reading import parse_array, read_bytes
 from ogm.state import CellState, Truth, predict_state
 from ogm.storage.files import OgmError
 
-__all__ = ["TruthGridsRecording", "grid_files"]
-
 
 def grid_files(folder: Path) -> dict[str, Path]:
     """Return the grids of a folder by the names of their frames; none where it is no folder."""

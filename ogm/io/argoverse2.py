@@ -4,7 +4,6 @@
 >>> boxes = read_argoverse2("av2/val/LOG").boxes(0)                         # doctest: +SKIP
 """
 
-import os
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import from_quaternions, need, need_numbers, numbers, optional, parse_array, read_bytes, read_json
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
-from ogm.storage.files import OgmError, error_context
+from ogm.storage.files import FilePath, OgmError, error_context
 
 __all__ = ["Argoverse2Log", "Argoverse2Map", "read_argoverse2"]
 
@@ -114,7 +113,7 @@ class Argoverse2Log(NamedTuple):
         return boxes_of(list(rows), f"{table.path} at {self.stamps[n]}")
 
 
-def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
+def read_argoverse2(path: FilePath) -> Argoverse2Log:
     """Read what a log holds besides its points.
 
     Parameters
@@ -136,16 +135,14 @@ def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
         If pyarrow is not there.
     """
     folder = Path(path)
-    sweeps = sorted(folder.glob("sensors/lidar/*.feather"))
-    if not sweeps:
+    if not (sweeps := sorted(folder.glob("sensors/lidar/*.feather"))):
         raise FileNotFoundError(f"{folder} has no sensors/lidar/*.feather: give the folder of one log")
     with error_context(f"sweeps of {folder} must be named by their times [ns]"):
         stamps = tuple(int(one.stem) for one in sweeps)
     file = folder / "city_SE3_egovehicle.feather"
     table = _table(file, ("timestamp_ns", *_POSITION, *_QUATERNION))
     row = {int(stamp): n for n, stamp in enumerate(table.columns["timestamp_ns"])}
-    lost = [stamp for stamp in stamps if stamp not in row]
-    if lost:
+    if lost := [stamp for stamp in stamps if stamp not in row]:
         raise OgmError(f"{file} has no pose for the sweep at {lost[0]} (and {len(lost) - 1} others)")
     poses = table.poses(np.array([row[stamp] for stamp in stamps]))
     notes = folder / "annotations.feather"
@@ -204,8 +201,7 @@ class _Table(NamedTuple):
 
     def numbers(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return columns of numbers side by side, (K, C)."""
-        wrong = [name for name in names if self.columns[name].dtype.kind not in "iuf"]
-        if wrong:
+        if wrong := [name for name in names if self.columns[name].dtype.kind not in "iuf"]:
             got = self.columns[wrong[0]].dtype
             raise OgmError(f"{', '.join(wrong)} of {self.path} must be columns of numbers, got {got}")
         return np.column_stack([self.columns[name] for name in names]).astype(np.float64)
@@ -232,8 +228,7 @@ def _table(path: Path, columns: Sequence[str]) -> _Table:
         if isinstance(error, OgmError):
             raise
         raise OgmError(f"{path} is no readable Feather table, damaged or wrongly named ({error})"[:400]) from error
-    missing = [name for name in columns if name not in found]
-    if missing:
+    if missing := [name for name in columns if name not in found]:
         raise OgmError(f"{path} has no column {', '.join(missing)}, only {', '.join(schema.names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
         raise OgmError(f"all timestamp_ns of {path} must be whole numbers [ns], got {table['timestamp_ns'].type}")

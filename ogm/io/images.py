@@ -6,14 +6,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from ogm.storage.files import OgmError
+from ogm.storage.files import FilePath, OgmError
 from ogm.storage.limits import current_limits, too_large
 
 _BYTES = {"1": 1, "L": 1, "P": 1, "LA": 2, "PA": 2, "I;16": 2, "RGB": 4, "I": 4, "F": 4}  # of a pixel in Pillow, else 4
 
 
 @contextmanager
-def open_image(path: str | os.PathLike[str], formats: Sequence[str] = ("PNG",)) -> Iterator[Any]:
+def open_image(path: FilePath, formats: Sequence[str] = ("PNG",)) -> Iterator[Any]:
     """Open an image for a ``with`` block, in which it may be decoded: errors of the block are those of the file.
 
     Parameters
@@ -49,7 +49,7 @@ def open_image(path: str | os.PathLike[str], formats: Sequence[str] = ("PNG",)) 
         raise OgmError(f"{path} is damaged or no image that Pillow decodes: {error}") from error
 
 
-def _check_chunks(path: str | os.PathLike[str]) -> None:
+def _check_chunks(path: FilePath) -> None:
     """Raise if a chunk of a PNG claims more bytes than the file has: they would be allocated before they are read."""
     with open(path, "rb") as file:
         size = os.fstat(file.fileno()).st_size

@@ -5,7 +5,6 @@
 >>> boxes = read_kitti_objects("label_2/000007.txt", T_camera_lidar)        # doctest: +SKIP
 """
 
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +16,7 @@ from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import numbers, read_lines, rigid
 from ogm.pose import LATEST, check_pose, inverse
 from ogm.scan import Boxes
-from ogm.storage.files import OgmError
+from ogm.storage.files import FilePath, OgmError
 
 __all__ = ["read_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
 
@@ -26,7 +25,7 @@ _ZONE = re.compile(r"[^0-9:.]")  # in the time of a day
 _TO_CAMERA, _RECTIFY = "calib_velo_to_cam.txt", "calib_cam_to_cam.txt"
 
 
-def read_kitti_objects(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) -> Boxes:
+def read_kitti_objects(path: FilePath, T_camera_sensor: ArrayLike) -> Boxes:
     """Read the boxes of one scan of the object recordings (``label_2/000000.txt``).
 
     KITTI labels what is in view of its front camera only. ``DontCare`` has no box and is left out.
@@ -55,7 +54,7 @@ def read_kitti_objects(path: str | os.PathLike[str], T_camera_sensor: ArrayLike)
     return _objects(path, rows, inverse(check_pose(T_camera_sensor, "T_camera_sensor")))
 
 
-def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) -> dict[int, Boxes]:
+def read_kitti_tracks(path: FilePath, T_camera_sensor: ArrayLike) -> dict[int, Boxes]:
     """Read the boxes of all scans of a drive (``label_02/0000.txt`` of the tracking recordings).
 
     Parameters
@@ -93,7 +92,7 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
     return {scan: _objects(path, rows, T) for scan, rows in scans.items()}
 
 
-def read_calibration(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+def read_calibration(path: FilePath) -> NDArray[np.float64]:
     """Read the transform from the lidar to camera 0, in whose frame KITTI's labels and poses are given.
 
     Parameters
@@ -154,7 +153,7 @@ def _transform(path: Path, entries: dict[str, list[str]], name: str, count: int)
     return rigid(T, f"{name} of {path}")
 
 
-def read_kitti_stamps(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
     """Read when the scans of a drive were taken: ``timestamps.txt`` (raw) or ``times.txt`` (odometry).
 
     Returns

@@ -80,8 +80,7 @@ class LabelledPoints:
             raise OgmError(f"there must be one of classes per point, got {self.classes.shape} for {len(self.points)}")
         if np.abs(self.points[:, :3]).max(initial=0) > REACH:
             raise OgmError(f"points have coordinates of more than {REACH:g} m, wanted metres: the scan is damaged")
-        unknown = sorted(set(np.unique(self.classes).tolist()) - set(self.names))
-        if unknown:
+        if unknown := sorted(set(np.unique(self.classes).tolist()) - set(self.names)):
             raise OgmError(
                 f"class {', '.join(map(str, unknown[:8]))} is not one of the {len(self.names)} that are known (up to "
                 f"{max(self.names)}): are these labels of another data set, or in another order of bytes?"

@@ -5,7 +5,6 @@
 >>> boxes = frames[0].read_boxes()                                          # doctest: +SKIP
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.axes import rotation_to_flu
 from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import from_quaternions, is_file_name, need, need_numbers, read_json, rigid
+from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import inverse
 from ogm.scan import Boxes
-from ogm.storage.files import OgmError
+from ogm.storage.files import FilePath, OgmError
 
 __all__ = ["NuScenes", "NuScenesFrame", "read_mmdet3d", "read_nuscenes"]
 
@@ -51,7 +50,7 @@ class NuScenes(NamedTuple):
         return self.frames[n].read_boxes()
 
 
-def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
+def read_nuscenes(path: FilePath) -> NuScenes:
     """Read the tables of nuScenes.
 
     Parameters
@@ -113,9 +112,7 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
     return NuScenes(_in_order(frames), annotated)
 
 
-def _boxes(
-    notes: Sequence[dict[str, Any]], labels: Mapping[str, str], T_map_sensor: NDArray[np.float64], name: str
-) -> Boxes:
+def _boxes(notes: list[dict[str, Any]], labels: dict[str, str], T_map_sensor: NDArray[np.float64], name: str) -> Boxes:
     """Return the boxes of a key frame from its rows of sample_annotation."""
     where = f"an annotation of key frame {name}"
     rows, T_sensor_map = [], inverse(T_map_sensor)
@@ -130,7 +127,7 @@ def _boxes(
     return boxes_of(rows, f"key frame {name}")
 
 
-def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
+def read_mmdet3d(path: FilePath) -> NuScenes:
     """Read key frames from an info file of mmdetection3d, version 1.1, written as JSON.
 
     Parameters

@@ -2,7 +2,6 @@
 
 import logging
 import math
-import os
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.io.g2o import read_g2o
 from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lines
 from ogm.pose import LATEST, Trajectory, check_pose, inverse, matrix_to_quaternion
-from ogm.storage.files import OgmError, atomic_write, update_hint
+from ogm.storage.files import FilePath, OgmError, atomic_write, update_hint
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -85,7 +84,7 @@ class Poses:
         return Trajectory(counted / rate, self.poses)
 
 
-def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | None = None) -> Poses:
+def read_poses(path: FilePath, *, T_camera_sensor: ArrayLike | None = None) -> Poses:
     """Read the poses of a drive.
 
     The number of columns gives the kind: 12 is KITTI odometry (the upper three rows of a 4x4 pose, row by
@@ -144,7 +143,7 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
     return Poses(poses, stamps, counted, _OURS if ours else "csv" if header else _KINDS[columns])
 
 
-def write_poses(path: str | os.PathLike[str], trajectory: Trajectory, numbers: ArrayLike | None = None) -> None:
+def write_poses(path: FilePath, trajectory: Trajectory, numbers: ArrayLike | None = None) -> None:
     """Write poses with their stamps, in full precision; the file appears when it is whole.
 
     Parameters
@@ -190,8 +189,7 @@ _Where = Callable[[int], str]  # the place of row k in the file, for errors
 
 def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
     """Return the rows (K, C), where they are, the header's names ([] if none), and whether it is our format."""
-    text = read_text(path, f"poses in lines of numbers: {_WANTED}")
-    if not text:
+    if not (text := read_text(path, f"poses in lines of numbers: {_WANTED}")):
         raise OgmError(f"{path} is empty, wanted poses: was it written to its end?")
     csv = path.name.lower().removesuffix(".xz").removesuffix(".gz").endswith(".csv")
     table, lines = array("d"), array("q")
@@ -209,7 +207,9 @@ def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
             _check_header(words, path)
             header, columns = words, len(words)
         elif words:
-            columns = columns or _columns(words, f"line {n} of {path}")
+            columns = columns or len(words)
+            if columns not in _KINDS and not header:
+                raise OgmError(f"line {n} of {path} has {columns} columns, wanted {_WANTED}")
             _add(table, words, columns, f"line {n} of {path}")
             lines.append(n)
     if not lines:
@@ -223,12 +223,6 @@ def _check_header(names: Sequence[str], path: Path) -> None:
         raise OgmError(
             f"the header of {path} must be {','.join(_NAMES)} and perhaps number, got {','.join(names)[:200]}"
         )
-
-
-def _columns(words: Sequence[str], where: str) -> int:
-    if len(words) not in _KINDS:
-        raise OgmError(f"{where} has {len(words)} columns, wanted {_WANTED}")
-    return len(words)
 
 
 def _add(table: "array[float]", words: Sequence[str], columns: int, where: str) -> None:

@@ -6,16 +6,15 @@
 >>> points = read_range_image("nuscenes/frame.npy", NUSCENES_ELEVEN)        # doctest: +SKIP
 """
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from ogm.io.axes import Axes, rotation_to_flu
 from ogm.io.labels import LabelledPoints
 from ogm.io.reading import parse_array, read_bytes
-from ogm.storage.files import OgmError, error_context
+from ogm.io.scan_table import Axes, rotation_to_flu
+from ogm.storage.files import FilePath, OgmError, error_context
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
 
@@ -29,7 +28,7 @@ _WANTED = "numbers of shape (layers, azimuths, 6): x, y, z, intensity, range, cl
 
 
 def read_range_image(
-    path: str | os.PathLike[str], names: Mapping[int, str], axes: Axes = "flu", *, intensity_max: float = 1.0
+    path: FilePath, names: Mapping[int, str], axes: Axes = "flu", *, intensity_max: float = 1.0
 ) -> LabelledPoints:
     """Read an array (layers, azimuths, 6) of x, y, z [m], intensity, range [m], class.
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.pose import check_pose, quaternion_to_matrix
-from ogm.storage.files import OgmError
+from ogm.storage.files import FilePath, OgmError
 from ogm.storage.limits import current_limits, too_large
 
 _UNIT = 1e-2  # departure of a quaternion from length 1 that rounding can make
@@ -30,7 +30,7 @@ _HEADERS = {
 }
 
 
-def read_bytes(path: str | os.PathLike[str], limit: str = "file") -> tuple[bytes, Path]:
+def read_bytes(path: FilePath, limit: str = "file") -> tuple[bytes, Path]:
     """Read a file, unpacking ``.xz`` and ``.gz`` on the way.
 
     Parameters
@@ -96,17 +96,14 @@ def _unpacked_xz(file: IO[bytes]) -> Iterator[bytes]:
     while True:
         decoder = lzma.LZMADecompressor(lzma.FORMAT_AUTO, _XZ_MEMORY)
         while not decoder.eof:
-            if decoder.needs_input and not rest:
-                rest = file.read(_CHUNK)
-                if not rest:
-                    raise EOFError("the end of its stream is missing")
+            if decoder.needs_input and not rest and not (rest := file.read(_CHUNK)):
+                raise EOFError("the end of its stream is missing")
             if part := decoder.decompress(rest, _CHUNK):
                 yield part
             rest = b""
         rest = (decoder.unused_data or file.read(_CHUNK)).lstrip(b"\0")  # zeros may stand between streams
         while not rest:
-            more = file.read(_CHUNK)
-            if not more:
+            if not (more := file.read(_CHUNK)):
                 return
             rest = more.lstrip(b"\0")
 

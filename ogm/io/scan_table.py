@@ -1,20 +1,69 @@
-"""From named columns, of a file or a message, to a scan: metres, x forward, y left, z up."""
+"""From named columns, of a file or a message, to a scan: metres, x forward, y left, z up, and beams without return."""
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.axes import Axes, rotation_to_flu
 from ogm.io.columns import check_rings, check_whole, scale_intensities, split_times, times_from_stamp
 from ogm.io.formats.table import DOPPLER, INTENSITY, POSITION, RCS, RING, TIME, Table, plain
 from ogm.io.labels import REACH
-from ogm.io.no_returns import directions_without_return
 from ogm.pose import rotate
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
+
+AXES: dict[str, tuple[str, str, str]] = {
+    "flu": ("+x", "+y", "+z"),  # forward, left, up: REP 103
+    "ros": ("+x", "+y", "+z"),
+    "kitti": ("+x", "+y", "+z"),  # the lidar's frame
+    "argoverse": ("+x", "+y", "+z"),  # the vehicle's frame: origin behind and below the sensors
+    "nuscenes": ("+y", "-x", "+z"),  # the frame of LIDAR_TOP
+    "sustech": ("-y", "+x", "+z"),  # the example of SUSTechPOINTS
+}
+"""Names for the axes of a file that point forward, left and up."""
+
+Axes = str | Sequence[str] | np.ndarray
+
+_WAYS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+_WAY_OUT = f'give {", ".join(AXES)}, or the axes that point forward, left, up, such as ("+y", "-x", "+z")'
+
+
+def rotation_to_flu(axes: Axes) -> np.ndarray:
+    """Matrix that takes a file's coordinates to forward, left, up.
+
+    Parameters
+    ----------
+    axes : str, 3 str or (3, 3) array
+        A name from `AXES`, three signed axes, or the matrix itself.
+
+    Returns
+    -------
+    rotation : (3, 3) float64
+        A rotation: never a reflection.
+    """
+    if isinstance(axes, str):
+        if axes not in AXES:
+            raise ValueError(f"axes {axes!r} are not known: {_WAY_OUT}")
+        axes = AXES[axes]
+    if not isinstance(axes, Sequence | np.ndarray):
+        raise ValueError(f"axes must be a name, three signed axes or a (3, 3) matrix, got {axes!r}: {_WAY_OUT}")
+    if all(isinstance(axis, str) for axis in axes):
+        if not set(axes) <= _WAYS.keys():
+            raise ValueError(f"axes {tuple(axes)} are not three of {', '.join(_WAYS)}: {_WAY_OUT}")
+        axes = np.array([_WAYS[axis] for axis in axes])
+    try:
+        rotation = np.asarray(axes, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"axes {axes!r} are no (3, 3) matrix of numbers: {_WAY_OUT}") from error
+    if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
+        raise ValueError(f"axes must be three at right angles to each other, got {rotation.tolist()}: {_WAY_OUT}")
+    if np.linalg.det(rotation) < 0:
+        raise ValueError(f"axes must be right-handed, got the reflection {rotation.tolist()}: {_WAY_OUT}")
+    return rotation
+
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -79,8 +128,7 @@ def scan_from_table(
     # They go from the file's coordinates to x forward, y left, z up.
     xyz, returned, reach = _positions([columns[name] for name in POSITION], rotation, origin)
     kept: np.ndarray | slice = slice(None)
-    dropped = returned.size - int(np.count_nonzero(returned))
-    if dropped:
+    if dropped := returned.size - int(np.count_nonzero(returned)):
         kept = returned
         log.info("%s: %d of %d rows hold no point and are dropped", where, dropped, returned.size)
     if reach > REACH:
@@ -158,3 +206,82 @@ def check_scales(intensity_max: float | None, time_unit: float | None) -> None:
         raise ValueError(f"intensity_max must be above 0, got {intensity_max!r}")
     if time_unit is not None and not 0.0 < time_unit < np.inf:
         raise ValueError(f"time_unit must be above 0 [s], such as 1e-9 for nanoseconds, got {time_unit!r}")
+
+
+_MOST = 2**20  # cells of a raster; that of a lidar of 512 lasers has as many, and the search takes 100 bytes for each
+_PER_ROW, _PER_COLUMN = 8, 2  # returns at least, before the angle of a row or a column is believed
+_TOLERANCE = np.radians(1.0)  # [rad] within which 9 of 10 returns must lie on the raster
+_STEP = 8  # every 8th column gives the rows' offsets, where it has enough returns
+
+
+def directions_without_return(x: np.ndarray, y: np.ndarray, z: np.ndarray, returned: np.ndarray) -> np.ndarray | None:
+    """Return the directions of the beams without a return.
+
+    A spinning lidar's raster has one elevation per row and one azimuth per column, plus, on some sensors, an
+    offset of the azimuth per row. All three are found from the returns. Rows with fewer than 8 returns and
+    columns with fewer than 2 give no angle, so their beams without return are left out.
+
+    Parameters
+    ----------
+    x, y, z : (rows, columns) float
+        Points as seen from the sensor, forward, left, up [m].
+    returned : (rows, columns) bool
+        Where there is a point.
+
+    Returns
+    -------
+    directions : (M, 3) float32 or None
+        Unit vectors. None if the raster is no spinning lidar's, seen from the origin: if 1 of 10 returns or
+        more lies over 1 degree off its row's elevation or its column's azimuth; or if it has more than 2**20 cells.
+    """
+    if returned.size > _MOST:
+        return None
+    if returned.shape[0] > returned.shape[1]:  # some drivers write a column of lasers after the other
+        x, y, z, returned = x.T, y.T, z.T, returned.T
+    while True:
+        rows = np.count_nonzero(returned, axis=1) >= _PER_ROW
+        columns = np.count_nonzero(returned, axis=0) >= _PER_COLUMN
+        if rows.all() and columns.all():
+            break
+        x, y, z, returned = (image[rows][:, columns] for image in (x, y, z, returned))
+    if min(returned.shape) < 2:
+        return None
+
+    # Directions in the plane as unit complex numbers: a turn is a product.
+    x, y, z = (np.ascontiguousarray(image, np.float32) for image in (x, y, z))
+    distance = np.hypot(x, y)
+    elevations = np.arctan2(z, distance)
+    elevation = _median(elevations, returned)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ways = np.where(returned & (distance > 0), (x + 1j * y) / distance, 0)
+
+    # The azimuth of the columns, the rows' offset from it, the columns' again without that offset, and so on.
+    enough = np.count_nonzero(returned[:, ::_STEP], axis=1) >= _PER_ROW
+    some = np.s_[:, :: _STEP if enough.all() else 1]
+    offset = np.ones((len(ways), 1), ways.dtype)
+    for _ in range(4):
+        column = _unit((ways[some] * offset.conj()).sum(axis=0, keepdims=True))
+        offset = _median(np.angle(ways[some] * column.conj()), returned[some])
+        offset = np.cos(offset) + 1j * np.sin(offset)
+    azimuth = offset * _unit((ways * offset.conj()).sum(axis=0, keepdims=True))
+    residual = np.hypot(elevations - elevation, np.angle(ways * azimuth.conj()))
+    if np.quantile(residual[returned], 0.9) > _TOLERANCE:
+        return None
+
+    elevation, azimuth = np.broadcast_to(elevation, returned.shape)[~returned], azimuth[~returned]
+    level = np.cos(elevation)
+    return np.stack((level * azimuth.real, level * azimuth.imag, np.sin(elevation)), axis=1).astype(np.float32)
+
+
+def _median(angle: np.ndarray, returned: np.ndarray) -> np.ndarray:
+    """Take the median of each row over its returns; as `numpy.nanmedian`, but three times as fast."""
+    number = np.count_nonzero(returned, axis=1)[:, None]
+    ordered = np.sort(np.where(returned, angle, angle.dtype.type(np.inf)), axis=1)
+    low, high = (np.take_along_axis(ordered, at, axis=1) for at in ((number - 1) // 2, number // 2))
+    return np.asarray((low + high) / 2)
+
+
+def _unit(way: np.ndarray) -> np.ndarray:
+    """Bring complex numbers to length 1; 0, where all directions cancel, becomes 1."""
+    length = np.abs(way)
+    return np.where(length > 0, way / np.maximum(length, np.finfo(way.real.dtype).tiny), 1)

@@ -6,14 +6,12 @@
 >>> points = read_semantic_kitti("velodyne/000000.bin", "labels/000000.label")  # doctest: +SKIP
 """
 
-import os
-
 import numpy as np
 
-from ogm.io.formats.raw import parse_kitti
+from ogm.io.formats import parse_kitti
 from ogm.io.labels import LabelledPoints
 from ogm.io.reading import read_bytes
-from ogm.storage.files import OgmError, error_context
+from ogm.storage.files import FilePath, OgmError, error_context
 
 __all__ = ["SEMANTIC_KITTI", "SEMANTIC_KITTI_MOVING", "SEMANTIC_KITTI_TRAINING", "read_semantic_kitti"]
 
@@ -42,7 +40,7 @@ SEMANTIC_KITTI_TRAINING = {
 _LABEL = np.dtype("<u4")
 
 
-def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[str]) -> LabelledPoints:
+def read_semantic_kitti(scan: FilePath, labels: FilePath) -> LabelledPoints:
     """Read a scan with the classes that its points belong to.
 
     Parameters
@@ -66,8 +64,7 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
         away than any.
     """
     (data, inner), (numbers, named) = read_bytes(scan), read_bytes(labels)
-    columns = parse_kitti(data, inner).columns
-    rows = np.column_stack(list(columns.values()))
+    rows = np.column_stack(list(parse_kitti(data, inner).columns.values()))
     if len(numbers) != _LABEL.itemsize * len(rows):
         raise OgmError(
             f"{labels} has {len(numbers) / _LABEL.itemsize:g} labels, {scan} has {len(rows)} points: wanted as many, "

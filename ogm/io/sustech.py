@@ -4,20 +4,20 @@
 >>> boxes = read_sustech("label/000965.json")                               # doctest: +SKIP
 """
 
-import os
 from pathlib import Path
 
 import numpy as np
 
-from ogm.io.axes import Axes, rotation_to_flu
 from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import need, numbers, read_json
+from ogm.io.scan_table import Axes, rotation_to_flu
 from ogm.scan import Boxes
+from ogm.storage.files import FilePath
 
 __all__ = ["read_sustech"]
 
 
-def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Boxes:
+def read_sustech(path: FilePath, axes: Axes = "sustech") -> Boxes:
     """Read the boxes of one scan (``label/000965.json``).
 
     Parameters

@@ -200,8 +200,7 @@ class TransformBuffer:
         return max((first for first, _ in spans), default=-math.inf), min((last for _, last in spans), default=math.inf)
 
     def _connect(self, parent: str, child: str) -> None:
-        others = [one for one, frame in self._edges if frame == child]
-        if others:
+        if others := [one for one, frame in self._edges if frame == child]:
             log.warning("frame %s has several parents, %s: the shortest chain counts", child, [*others, parent])
         self._edges[parent, child] = _Edge()
         for one, other in ((parent, child), (child, parent)):

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from ogm.fusion import FusionStep, Mapper
 from ogm.io.messages import foxglove_grid
-from ogm.io.messages.plain import ros_stamp
-from ogm.io.messages.poses import pose_message
+from ogm.io.messages.plain import pose_message, ros_stamp
 from ogm.io.reading import optional
 from ogm.pose import inverse, pose
 from ogm.scan import Frame

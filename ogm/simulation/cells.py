@@ -9,7 +9,7 @@ from scipy.ndimage import minimum_filter
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.pose import check_pose
-from ogm.simulation.arrays import Floats, Floats32, Mask
+from ogm.simulation.mesh import Floats, Floats32, Mask
 from ogm.simulation.scene import Scene
 from ogm.truth import HEIGHT_LIMITS, TRUTH_SPEC
 

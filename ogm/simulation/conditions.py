@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 
-from ogm.simulation.arrays import Floats, Mask
+from ogm.simulation.mesh import Floats, Mask
 from ogm.simulation.mounts import FULL_TURN
 from ogm.simulation.recipe import DataRecipe, Faults, Skies
 from ogm.simulation.sample import Beams, Weather

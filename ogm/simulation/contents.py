@@ -5,11 +5,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
-from ogm.simulation.detections import DETECTION
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.plan import PERIOD
 from ogm.simulation.radars import RADARS
-from ogm.simulation.sample import OBJECT, Beams
+from ogm.simulation.sample import DETECTION, OBJECT, Beams
 from ogm.truth import TRUTH_SPEC
 
 SHARD = 10  # samples per shard: they become complete together

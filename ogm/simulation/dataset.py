@@ -11,7 +11,6 @@ same versions of the libraries, whatever else is made at the same time.
 """
 
 import logging
-import os
 from collections.abc import Callable
 from contextlib import closing
 from importlib.metadata import distributions
@@ -19,29 +18,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
 from ogm.simulation.conditions import draw_weather
+from ogm.simulation.mesh import Array, Ints
 from ogm.simulation.plan import DatasetPlan, moment, sample_rng
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.sensors import LIDARS, beams_of, hd_directions
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, swept, workers_that_fit
 from ogm.state import Truth
-from ogm.storage.files import naming
+from ogm.storage.files import FilePath, naming
 from ogm.storage.locks import locked
 from ogm.truth import TRUTH_SPEC, cells_in_boxes
 from ogm.truth.boxes import boxes_seen_from
 
 try:
     from ogm.simulation.cells import measure_ground
+    from ogm.simulation.kernels import View, make_view
     from ogm.simulation.lidar import air_of, scan
-    from ogm.simulation.moments import SceneSetup, World, set_up, the_ego_body
+    from ogm.simulation.moments import SceneSetup, World, sample_sweeps, set_up, the_ego_body
     from ogm.simulation.survey import Known, Limits, aimed_truth, hd_truth
-    from ogm.simulation.sweeps import sample_sweeps
-    from ogm.simulation.visibility import View, make_view
 except ImportError as error:
     raise ImportError(
         f'the simulator lacks a package ({error}): pip install "ogm-toolkit[sim]"; '
@@ -56,7 +54,7 @@ LISTED = 85.0  # [m] around the sensor, within which objects are listed: a littl
 
 
 def simulate(
-    folder: str | os.PathLike[str],
+    folder: FilePath,
     plan: DatasetPlan,
     *,
     workers: int | None = None,
@@ -149,7 +147,7 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     return SimulatedSample(beams_of(here.spec), *arrays, *motion, **facts)
 
 
-def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *, salt: int = 0) -> Truth:
+def truth_of(plan: DatasetPlan, here: SceneSetup, returns: Ints, *, salt: int = 0) -> Truth:
     """Observe the truth around the sensor, in the way that the plan wants; all is unknown if it wants none.
 
     Parameters
@@ -189,7 +187,7 @@ def _boxes(here: SceneSetup) -> Boxes:
     return boxes_seen_from(inverse(here.T_world_sensor), poses, sizes)
 
 
-def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
+def _listed(here: SceneSetup, returns: Ints) -> Array:
     """Return the rows of the objects nearby, the nearest first."""
     rows = np.zeros(len(here.objects), OBJECT)
     T, boxes = inverse(here.T_world_sensor), _boxes(here)
@@ -221,7 +219,5 @@ def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
 
 def versions() -> dict[str, str]:
     """Return the versions of the libraries that the bytes of a sample depend on."""
-    found = {
-        name: [*distributions(name=name)] for name in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr")
-    }
+    found = {one: [*distributions(name=one)] for one in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr")}
     return {name: installed[0].version if installed else "unknown" for name, installed in found.items()}

@@ -5,15 +5,12 @@ return, which is what Velodyne's calibrated intensities are up to 100.
 """
 
 import math
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import NamedTuple
 
 from ogm.jit import kernel
-from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.kernels import Hits, uniform
 from ogm.simulation.materials import Material
+from ogm.simulation.mesh import Array, Bytes, Floats, Floats32, Ints, Ints32
 
 ROUGH = 0.3  # share that rough ground sends back the way it came at grazing incidence (Oren-Nayar)
 LOBE = 0.01  # width of a specular reflection: square of the tangent of incidence
@@ -55,7 +52,7 @@ class Device(NamedTuple):
     columns: int
     sideways: float
     upwards: Floats
-    shift: NDArray[np.int64]
+    shift: Ints
     near: float
     far: float
     reach: float
@@ -91,8 +88,8 @@ class RangeImage(NamedTuple):
 
     range: Floats32
     intensity: Floats32
-    object: NDArray[np.int32]
-    material: NDArray[np.uint8]
+    object: Ints32
+    material: Bytes
 
 
 @kernel
@@ -110,14 +107,7 @@ def _patch(x: float, y: float, z: float, size: float) -> int:
 
 
 @kernel
-def reflect(
-    directions: NDArray[Any],
-    T: NDArray[Any],
-    hits: Hits,
-    optics: NDArray[Any],
-    coats: NDArray[Any],
-    strength: NDArray[Any],
-) -> None:
+def reflect(directions: Array, T: Array, hits: Hits, optics: Array, coats: Array, strength: Array) -> None:
     """Fill in how strong the return of each ray would be if nothing disturbed it.
 
     Parameters
@@ -184,9 +174,7 @@ def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
 
 
 @kernel
-def _share_light(
-    i: int, distance: NDArray[Any], strength: NDArray[Any], device: Device, seed: int
-) -> tuple[float, float, int]:
+def _share_light(i: int, distance: Array, strength: Array, device: Device, seed: int) -> tuple[float, float, int]:
     """Return distance, strength and source of the light of ray i, whose beam's edge may lap over to neighbours."""
     d, p, source = 1.0 * distance[i], 1.0 * strength[i], i
     for side in range(4):
@@ -216,9 +204,7 @@ def _share_light(
 
 
 @kernel
-def receive(
-    hits: Hits, strength: NDArray[Any], device: Device, air: Air, steady: NDArray[Any], seed: int, image: RangeImage
-) -> None:
+def receive(hits: Hits, strength: Array, device: Device, air: Air, steady: Array, seed: int, image: RangeImage) -> None:
     """Turn what the rays hit into what the lidar reports.
 
     Parameters

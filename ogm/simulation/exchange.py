@@ -1,4 +1,4 @@
-"""The layout of the paper's data (van Kempen et al. 2021): point clouds as PCD, truth grids as PNG.
+"""Samples in the layout of the paper's data (van Kempen et al. 2021), PCD and PNG, and pictures of them.
 
 ::
 
@@ -9,28 +9,32 @@
 Files are numbered from 1 and belong together by name.
 """
 
-import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from PIL import Image, ImageDraw
 
+from ogm import plot
 from ogm.grid import GridSpec
 from ogm.io.images import open_image
-from ogm.simulation.arrays import Floats32
+from ogm.plot.colours import colours
+from ogm.plot.drawing import font, plain
+from ogm.plot.points import dots_panel
+from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Array, Bytes, Floats32
+from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
-from ogm.storage.files import OgmError, atomic_write
+from ogm.storage.files import FilePath, OgmError, atomic_write
 
 PAPER_GRID = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 FOLDERS = {"training": "train", "validation": "valid", "test": "test"}
 
 
 def export(
-    store: Store,
-    path: str | os.PathLike[str],
-    *,
-    tick: Callable[[Iterable[int], str], Iterable[int]] = lambda numbers, _: numbers,
+    store: Store, path: FilePath, *, tick: Callable[[Iterable[int], str], Iterable[int]] = lambda numbers, _: numbers
 ) -> int:
     """Write a data set's finished samples in the paper's layout; sequences have no place in it.
 
@@ -63,7 +67,7 @@ def export(
     return count
 
 
-def write_pcd(path: str | os.PathLike[str], points: Floats32) -> None:
+def write_pcd(path: FilePath, points: Floats32) -> None:
     """Write a cloud (N, 4): x, y, z [m] and intensity [0, 1], which the file counts 0 ... 255."""
     n = len(points)
     header = (
@@ -75,7 +79,7 @@ def write_pcd(path: str | os.PathLike[str], points: Floats32) -> None:
         file.write(header.encode("ascii") + rows.tobytes())
 
 
-def write_label(path: str | os.PathLike[str], truth: Truth) -> None:
+def write_label(path: FilePath, truth: Truth) -> None:
     """Write a truth grid as a picture: green 255 free, blue 255 occupied; row 0 the front, column 0 the left."""
     from PIL import Image
 
@@ -87,7 +91,7 @@ def write_label(path: str | os.PathLike[str], truth: Truth) -> None:
         Image.fromarray(image).save(file, format="PNG")
 
 
-def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Truth:
+def read_label(path: FilePath, spec: GridSpec = PAPER_GRID) -> Truth:
     """Read a truth grid from a picture.
 
     Parameters
@@ -115,3 +119,134 @@ def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Tru
     if both := np.count_nonzero(free & occupied):
         raise OgmError(f"{path} has {both} cells both free and occupied; in a label a cell is one or neither")
     return Truth(spec, (free * CellState.FREE + occupied * CellState.OCCUPIED).astype(np.uint8))
+
+
+MOST, COLUMNS = 24, 6  # samples of a contact sheet, and those side by side
+GREY = (0.45, 0.45, 0.45)  # cells to be ignored
+# The kinds that the picture of HD points distinguishes, each by one colour.
+KINDS: dict[str, tuple[tuple[float, float, float], set[M]]] = {
+    "road": ((0.45, 0.45, 0.50), {M.ASPHALT, M.WORN_ASPHALT, M.WET_ASPHALT, M.COBBLES}),
+    "marking": ((1.0, 1.0, 1.0), {M.MARKING}),
+    "paving": ((0.78, 0.66, 0.52), {M.PAVING, M.GRAVEL}),
+    "grass, soil": ((0.55, 0.62, 0.25), {M.GRASS, M.SOIL}),
+    "plants": ((0.10, 0.60, 0.20), {M.FOLIAGE, M.BARK}),
+    "built": ((0.90, 0.35, 0.25), {m for m in M if M.KERB <= m < M.METAL_SHEET}),
+    "metal, signs": ((1.0, 0.80, 0.10), {M.METAL_SHEET, M.METAL_POLE, M.SIGN, M.TARPAULIN}),
+    "traffic": ((0.25, 0.60, 1.0), {m for m in M if M.PAINT_LIGHT <= m < M.TARPAULIN} - {M.SIGN}),
+}
+SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
+SKY = np.array([0.72, 0.82, 0.93])
+
+
+def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
+    """Show a truth grid: free, occupied and unknown in the colours of `ogm.plot.colours`, grey to be ignored."""
+    shades = np.empty((4, 3))
+    order = [CellState.FREE, CellState.OCCUPIED, CellState.UNKNOWN, CellState.IGNORE]
+    shades[order] = *colours().legend.values(), GREY
+    legend = colours().legend | ({"ignored": GREY} if truth.ignored.any() else {})
+    return plot.cells_panel(shades[truth.state], truth.spec, title, legend)
+
+
+def sample_panels(sample: SimulatedSample, spec: GridSpec = PAPER_GRID) -> tuple[plot.Panel, plot.Panel]:
+    """Show a sample's points, coloured by height, and its truth."""
+    ground = -float(sample.T_vehicle_sensor[2, 3])
+    cloud = plot.points_panel(sample.points, spec, f"{len(sample.points)} points of {sample.lidar}", ground)
+    return cloud, truth_panel(sample.truth.crop(spec))
+
+
+def materials_panel(points: Floats32, material: Bytes, spec: GridSpec, title: str) -> plot.Panel:
+    """Show points from above, coloured by what they hit.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        In the frame of `spec` [m].
+    material : (N,) uint8
+        `Material` of each.
+    spec : GridSpec
+    title : str
+    """
+    colours = np.zeros((256, 3))
+    for colour, members in KINDS.values():
+        colours[list(members)] = colour
+    legend = {name: colour for name, (colour, _) in KINDS.items()}
+    return dots_panel(points, colours[material], spec, title, legend)
+
+
+def contact_sheet(path: FilePath, store: Store) -> None:
+    """Draw samples of a data set to a .png, points beside truth, spread evenly over what is finished."""
+    tiles: list[tuple[str, Bytes]] = []
+    finished = {name: store[name].finished for name in store.counts}
+    total = sum(map(len, finished.values()))
+    for name, numbers in finished.items():
+        share = min(len(numbers), round(MOST * len(numbers) / max(total, 1)) or 1)
+        for k in np.linspace(0, len(numbers) - 1, share).round().astype(int):
+            sample = store[name][int(numbers[k])]
+            tiles.append((f"{sample.split} {sample.index}: {sample.lidar}", _tile(sample)))
+    _save(path, tiles, max(1, min(COLUMNS, len(tiles))), 13)
+
+
+def _tile(sample: SimulatedSample) -> Bytes:
+    """Draw a sample small: two pictures of a pixel per cell of 0.32 m side by side."""
+    cloud, truth = sample_panels(sample)
+    # Of the 4 x 4 fine cells of a pixel, the brightest shows: thin things do not vanish.
+    blocks = cloud.image.reshape(256, 4, 176, 4, 3).swapaxes(1, 2).reshape(256, 176, 16, 3)
+    brightest = blocks.sum(axis=-1).argmax(axis=-1)
+    points = np.take_along_axis(blocks, brightest[..., None, None], axis=2)[:, :, 0]
+    cells = truth.image.reshape(256, 2, 176, 2, 3).swapaxes(1, 2).reshape(256, 176, 4, 3)
+    reddest = cells[..., 0].argmax(axis=-1)  # occupied
+    labels = np.take_along_axis(cells, reddest[..., None, None], axis=2)[:, :, 0]
+    return np.concatenate([points, np.full((256, 4, 3), 255, np.uint8), labels], axis=1)
+
+
+class Camera(NamedTuple):
+    """Where a picture is taken from.
+
+    Attributes
+    ----------
+    eye, target : (x, y, z)
+        [m]
+    width, height : int
+        Pixels.
+    field : float
+        Horizontal field of view [rad].
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    width: int = 1600
+    height: int = 900
+    field: float = np.pi / 3
+
+    def directions(self) -> Floats32:
+        """Return the unit direction of every pixel, (height, width, 3) float32."""
+        forward = np.subtract(self.target, self.eye)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        reach = np.tan(self.field / 2)
+        u = reach * np.linspace(-1, 1, self.width)
+        v = reach * self.height / self.width * np.linspace(1, -1, self.height)
+        rays = forward + u[None, :, None] * right + v[:, None, None] * np.cross(right, forward)
+        return np.asarray((rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32))
+
+
+def save_views(path: FilePath, views: Sequence[tuple[str, Bytes]]) -> None:
+    """Write pictures below each other to one PNG file, each with a title."""
+    _save(path, views, 1, 24)
+
+
+def _save(path: FilePath, images: Sequence[tuple[str, Array]], columns: int, text: int) -> None:
+    """Write pictures of one width to a PNG file, in rows, each below its title in a font of some size [px]."""
+    wide = images[0][1].shape[1] if images else 0
+    gap, line = text // 2, 2 * text
+    rows = [images[k : k + columns] for k in range(0, len(images), columns)]
+    tops = np.cumsum([0, *(line + max(len(image) for _, image in row) for row in rows)])
+    sheet = Image.new("RGB", (columns * (wide + gap) + gap, int(tops[-1]) + gap), "white")
+    draw = ImageDraw.Draw(sheet)
+    for k, (title, image) in enumerate(images):
+        left, top = gap + k % columns * (wide + gap), int(tops[k // columns])
+        draw.text((left + wide // 2, top + line // 2), plain(title), "black", font(text), anchor="mm")
+        sheet.paste(Image.fromarray(np.ascontiguousarray(image)), (left, top + line))
+    with atomic_write(path) as file:
+        sheet.save(file, "PNG")

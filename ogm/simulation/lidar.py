@@ -19,16 +19,16 @@ from typing import Any
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ogm.pose import check_pose
-from ogm.simulation.arrays import Floats, Floats32, Mask
 from ogm.simulation.echo import Air, Device, RangeImage, receive, reflect
+from ogm.simulation.kernels import beams_in_dust
 from ogm.simulation.materials import GROUND, Material, table
+from ogm.simulation.mesh import Floats, Floats32, Ints, Mask
 from ogm.simulation.sample import Weather
 from ogm.simulation.scene import NOTHING, STATIC, Scene
 from ogm.simulation.sensors import LidarSpec
-from ogm.simulation.visibility import beams_in_dust
 
 __all__ = ["CLEAR", "RangeImage", "Weather", "air_of", "scan", "to_points"]
 
@@ -106,14 +106,12 @@ def scan(
         scattered = np.zeros(len(rays), np.bool_)
         beams_in_dust(hits.distance, strength, rays, dust, rng.random((len(rays), 3), np.float32), scattered)
         hits.material[scattered], hits.object[scattered], hits.cosine[scattered] = NOTHING, STATIC, 1
-    columns: Any = (np.empty(len(rays), dtype) for dtype in ("f4", "f4", "i4", "u1"))
-    image = RangeImage(*columns)
+    image = RangeImage._make(np.empty(len(rays), dtype) for dtype in ("f4", "f4", "i4", "u1"))
     receive(hits, strength, _device(spec), air_of(weather), _STEADY, seed, image)
     if seeing is not None:  # drops right before the sensor, and light from beside the edge
         blind = ~seeing.ravel()
         image.range[blind], image.intensity[blind], image.object[blind], image.material[blind] = 0, 0, STATIC, NOTHING
-    columns = (column.reshape(spec.shape) for column in image)
-    return RangeImage(*columns)
+    return RangeImage._make(column.reshape(spec.shape) for column in image)
 
 
 def _moving_rays(spec: LidarSpec, T: Floats, velocity: Floats, yaw_rate: float) -> tuple[Floats32, Floats32]:
@@ -182,7 +180,7 @@ def air_of(weather: Weather) -> Air:
     return Air(extinction, drops, depth)
 
 
-def to_points(image: RangeImage, spec: LidarSpec) -> tuple[Floats32, NDArray[np.int64], NDArray[np.int64]]:
+def to_points(image: RangeImage, spec: LidarSpec) -> tuple[Floats32, Ints, Ints]:
     """Return the returns of a range image as points, layer by layer.
 
     Returns

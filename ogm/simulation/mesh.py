@@ -1,4 +1,4 @@
-"""Triangles with a material each, and the few shapes that everything in a town is put together from.
+"""Triangles with a material each, the shapes that all in a town is put together from, and types of their arrays.
 
 >>> from ogm.simulation.materials import Material
 >>> from ogm.simulation.mesh import box, merge
@@ -8,16 +8,24 @@
 (24, 3)
 """
 
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.simulation.arrays import Floats32
 from ogm.simulation.materials import Material
 
 __all__ = ["Mesh", "box", "cylinder", "ellipsoid", "empty", "loft", "merge", "quads", "sheet", "wall"]
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Ints32 = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+Array = NDArray[Any]
+HeightAt = Callable[[Floats, Floats], Array]  # height of the ground [m] at x, y [m]
 
 
 class Mesh(NamedTuple):
@@ -35,7 +43,7 @@ class Mesh(NamedTuple):
 
     vertices: Floats32
     triangles: NDArray[np.uint32]
-    material: NDArray[np.uint8]
+    material: Bytes
 
     def moved(self, T: ArrayLike) -> "Mesh":
         """Return the mesh seen from another frame: `T` is a 4x4 ``T_to_from``."""
@@ -69,8 +77,7 @@ def empty() -> Mesh:
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
     """Put meshes together into one."""
-    parts = list(meshes)
-    if not parts:
+    if not (parts := list(meshes)):
         return empty()
     starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     return Mesh(
@@ -173,3 +180,21 @@ def ellipsoid(center: ArrayLike, radii: ArrayLike, material: int, *, sides: int 
     sine, cosine = np.sin(polar)[:, None], np.cos(polar)[:, None]
     unit = np.stack(np.broadcast_arrays(sine * np.cos(around), sine * np.sin(around), cosine), axis=-1)
     return loft(np.asarray(center, np.float64) + unit * np.asarray(radii, np.float64), material)
+
+
+SUNK = 0.3  # [m] feet reach this far into the ground, so that they stand on a slope as well
+
+
+def upright(x: float, y: float, z: float, yaw: float = 0.0) -> Floats:
+    """Return the transform (4, 4) of a piece that stands upright at a place."""
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T[:3, 3] = x, y, z
+    return T
+
+
+def triangles(corners: ArrayLike, material: int) -> Mesh:
+    """Make triangles (N, 3, 3) that share no corners."""
+    vertices = np.asarray(corners, np.float32).reshape(-1, 3)
+    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    return Mesh(vertices, faces, np.full(len(faces), material, np.uint8))

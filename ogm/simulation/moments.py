@@ -1,5 +1,6 @@
-"""A moment of a drive through a town: everything in place, ready for rays."""
+"""A moment of a drive through a town: everything in place, ready for rays, and the radar sweeps around it."""
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -8,11 +9,14 @@ import numpy as np
 from numpy.random import Generator
 
 from ogm.pose import inverse, pose, transform_points
-from ogm.simulation.arrays import Floats
 from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
+from ogm.simulation.mesh import Floats
 from ogm.simulation.mounts import LidarMount
-from ogm.simulation.plan import SEQUENCE, DatasetPlan, Moment, moment, sample_rng
+from ogm.simulation.plan import PERIOD, SEQUENCE, SPLITS, DatasetPlan, Moment, moment, sample_rng
+from ogm.simulation.radar import sweep
+from ogm.simulation.radars import RADARS
 from ogm.simulation.recipe import RECIPES, Country, DataRecipe
+from ogm.simulation.sample import PlacedSweep
 from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of
 from ogm.simulation.town import Town, build_town
@@ -135,3 +139,56 @@ def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator
         conditions=conditions,
         steepest=recipe.steepest,
     )
+
+
+def sweep_times(split: str, time: float, rate: float) -> list[float]:
+    """Return when the sweeps of a radar are taken that belong to a sample [s].
+
+    In `sequences`, whole multiples of the radar's period within the lidar's turn, so that every sweep of a drive
+    belongs to one sample; in the other splits, the sample's time alone.
+    """
+    if split != "sequences":
+        return [time]
+    first = math.ceil((time - PERIOD / 2) * rate - 1e-6)
+    last = math.ceil((time + PERIOD / 2) * rate - 1e-6)
+    return [k / rate for k in range(first, last)]
+
+
+def sample_sweeps(plan: DatasetPlan, split: str, index: int, world: World) -> tuple[PlacedSweep, ...]:
+    """Simulate the sweeps of all radars that belong to a sample.
+
+    Parameters
+    ----------
+    plan, split, index
+        As of `ogm.simulation.dataset.make_sample`.
+    world : World
+        The sample's; its moving things stay where the last sweep had them.
+
+    Returns
+    -------
+    tuple of PlacedSweep
+        In the order of the plan's radars, each in the order of time.
+    """
+    at = moment(plan, split, index)
+    taken = [
+        (time, number)
+        for number, mount in enumerate(plan.radars)
+        for time in sweep_times(split, at.time, RADARS[mount.radar].rate)
+    ]
+    result: dict[tuple[float, int], PlacedSweep] = {}
+    for time in dict.fromkeys(time for time, _ in sorted(taken)):
+        state = traffic_of(plan, at).at(time)
+        near = put_in_place(world, state)
+        velocities = np.array([one.velocity for one in near]).reshape(-1, 3)
+        tracks = np.array([*(one.track for one in near), -1])
+        for number in (number for other, number in taken if other == time):
+            mount = plan.radars[number]
+            T = state.ego @ pose(mount.x, mount.y, mount.z, yaw=mount.yaw)
+            arm = T[:3, 3] - state.ego[:3, 3]
+            own = np.asarray(state.ego_velocity) + state.ego_yaw_rate * np.array([-arm[1], arm[0], 0.0])
+            rng = np.random.default_rng([plan.seed, 6, SPLITS.index(split), index, number, round(1e6 * time)])
+            spec = RADARS[mount.radar]
+            found = sweep(world.scene, spec, T, rng, velocity=own, velocities=velocities)
+            placed = found._replace(object=tracks[found.object].astype(np.int32))
+            result[time, number] = PlacedSweep(number, time, T, own, placed)
+    return tuple(result[key] for key in sorted(result, key=lambda key: key[::-1]))

@@ -24,17 +24,62 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ogm.geometric.radar import FALSE_ALARM, REFERENCE_SNR
 from ogm.pose import check_pose, rotate
-from ogm.simulation.arrays import Floats
-from ogm.simulation.detections import Origin, RadarSweep
-from ogm.simulation.radar_materials import IS_GROUND, cross_section, mirror_share
+from ogm.simulation.materials import GROUND, Material
+from ogm.simulation.mesh import Bytes, Floats, Floats32, Ints, Ints32
 from ogm.simulation.radars import RadarMode, RadarSpec
+from ogm.simulation.sample import Origin, RadarSweep
 from ogm.simulation.scene import EGO, Scene
 
 __all__ = ["Origin", "RadarSweep", "sweep"]
+
+FLASH = math.radians(4.0)  # width of specular reflection: facades and panels are not flat
+GRAZING = math.radians(6.0)  # at which the ground ceases to be a mirror
+
+# Of each material: diffuse echo per area across the beam [dB], extra echo of a mirror that faces the sensor [dB],
+# share of the power that a mirror sends on. Effective values, ours: chosen for published cross sections of whole
+# things (cars 10, lorries 20, people -8 dBsm) and for weak ground; corners and wheels of metal are in those of paint.
+_WALL, _METAL, _BODY, _SOFT = (-14, 14, 0.2), (0, 18, 0.6), (5, 15, 0.5), (-12, 0, 0.0)
+_GROUNDS = {Material.GRASS: -24, Material.SOIL: -25, Material.GRAVEL: -23, Material.COBBLES: -24, Material.PAVING: -30}
+_ECHO: dict[Material, tuple[float, float, float]] = {
+    **{one: (-30, 0, 0.5) for one in GROUND},
+    **{one: (level, 0, 0.2) for one, level in _GROUNDS.items()},
+    **{one: _WALL for one in (Material.PLASTER_LIGHT, Material.PLASTER_DARK, Material.BRICK, Material.CONCRETE)},
+    **{one: _WALL for one in (Material.STONE, Material.ROOF, Material.KERB)},
+    Material.WINDOW: (-20, 14, 0.3),
+    Material.CAR_GLASS: (-10, 10, 0.2),
+    **{one: _METAL for one in (Material.METAL_SHEET, Material.METAL_POLE, Material.SIGN)},
+    **{one: _BODY for one in (Material.PAINT_LIGHT, Material.PAINT_MEDIUM, Material.PAINT_DARK, Material.PAINT_BLACK)},
+    **{one: _BODY for one in (Material.PLATE, Material.LAMP, Material.TYRE, Material.EGO_VEHICLE)},
+    Material.TARPAULIN: (3, 10, 0.2),
+    Material.PLASTIC_DARK: (-8, 0, 0.0),
+    Material.WOOD: (-14, 4, 0.05),
+    Material.BARK: (-10, 0, 0.0),
+    Material.FOLIAGE: (-15, 0, 0.0),
+    **{one: (-6, 0, 0.0) for one in (Material.CLOTH_LIGHT, Material.CLOTH_DARK, Material.SKIN, Material.HIGH_VIS)},
+}
+_TABLE = np.zeros((256, 3))
+for _material in Material:
+    _diffuse, _flash, _share = _ECHO.get(_material, _SOFT)
+    _TABLE[_material] = 10 ** (_diffuse / 10), 10 ** (_flash / 10) if _flash else 0.0, _share
+IS_GROUND = np.zeros(256, np.bool_)
+IS_GROUND[list(GROUND)] = True
+
+
+def cross_section(material: Bytes, cosine: Floats32) -> Floats:
+    """Return the radar cross section per area across the beam."""
+    angle = np.arccos(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
+    return np.asarray(_TABLE[material, 0] + _TABLE[material, 1] * np.exp(-((angle / FLASH) ** 2)))
+
+
+def mirror_share(material: Bytes, cosine: Floats32) -> Floats:
+    """Return the share of the power that goes on as from a mirror; of the ground only at a grazing angle."""
+    grazing = np.arcsin(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
+    return np.asarray(_TABLE[material, 2] * np.where(IS_GROUND[material], np.exp(-((grazing / GRAZING) ** 2)), 1.0))
+
 
 AZIMUTH_STEP, ELEVATION_STEP = math.radians(0.5), math.radians(1.0)  # of the rays
 STRAY = 1.0  # [m] a detection that is reported further from what it is of is a ghost
@@ -49,8 +94,8 @@ class _Paths(NamedTuple):
     azimuth: Floats
     elevation: Floats
     power: Floats  # signal-to-noise ratio that it adds
-    origin: NDArray[np.uint8]
-    object: NDArray[np.int32]
+    origin: Bytes
+    object: Ints32
 
 
 def sweep(
@@ -115,9 +160,7 @@ def _unit(azimuth: Floats, elevation: Floats) -> Floats:
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
 
-def _paths(
-    scene: Scene, spec: RadarSpec, mode: RadarMode, T: Floats, own: Floats, velocities: Floats, salt: int
-) -> _Paths:
+def _paths(scene: Scene, spec: RadarSpec, mode: RadarMode, T: Floats, own: Floats, moving: Floats, salt: int) -> _Paths:
     """Follow the rays of a mode, and those that go on from mirrors."""
     edge = mode.half_width + 2 * mode.azimuth_resolution
     across = np.arange(-edge, edge, AZIMUTH_STEP) + AZIMUTH_STEP / 2
@@ -126,16 +169,14 @@ def _paths(
     world = rotate(T[:3, :3], _unit(azimuth, elevation).T).T
     normals = np.zeros((len(world), 3), np.float32)
     hits = scene.cast(T[:3, 3], world.astype(np.float32), salt=salt, normals=normals)
-    hit = np.isfinite(hits.distance) & (hits.object != EGO)
-    index = np.flatnonzero(hit)
+    index = np.flatnonzero(np.isfinite(hits.distance) & (hits.object != EGO))
     gain = _gain(spec, mode, azimuth, elevation)
-    solid = AZIMUTH_STEP * ELEVATION_STEP
-    constant = REFERENCE_SNR * mode.reach**4 * solid
+    constant = REFERENCE_SNR * mode.reach**4 * (AZIMUTH_STEP * ELEVATION_STEP)
 
     u = world[index]
     distance, cosine, material = hits.distance[index].astype(np.float64), hits.cosine[index], hits.material[index]
     echo = cross_section(material, cosine)
-    rate = np.einsum("nk,nk->n", u, velocities[hits.object[index]] - own)
+    rate = np.einsum("nk,nk->n", u, moving[hits.object[index]] - own)
     origin = np.where(IS_GROUND[material], np.uint8(Origin.GROUND), np.uint8(Origin.OBJECT))
     power = constant * gain[index] * echo / np.maximum(distance, 1.0) ** 2
     direct = _Paths(distance, rate, azimuth[index], elevation[index], power, origin, hits.object[index])
@@ -150,7 +191,7 @@ def _paths(
     beyond = scene.cast(start, after.astype(np.float32), salt=salt + 1)
     real = np.flatnonzero(np.isfinite(beyond.distance) & (beyond.object != EGO) & ~IS_GROUND[beyond.material])
     on, second = on[real], beyond.distance[real].astype(np.float64)
-    mirror, target = velocities[hits.object[index[on]]], velocities[beyond.object[real]]
+    mirror, target = moving[hits.object[index[on]]], moving[beyond.object[real]]
     u1, u2 = u[on], after[real]
     rate = np.einsum("nk,nk->n", u1, mirror - own) + np.einsum("nk,nk->n", u2, target - mirror)
     length = distance[on] + second
@@ -162,10 +203,9 @@ def _paths(
     bounced = _Paths(length, rate, azimuth[index[on]], elevation[index[on]], power, origin, beyond.object[real])
 
     both: Any = zip(direct, bounced, strict=True)
-    paths = _Paths(*(np.concatenate(pair) for pair in both))
+    paths = _Paths._make(map(np.concatenate, both))
     keep = (paths.distance > mode.range_min) & (paths.distance < mode.range_max)
-    columns: Any = (column[keep] for column in paths)
-    return _Paths(*columns)
+    return _Paths._make(column[keep] for column in paths)
 
 
 def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator) -> tuple[Any, ...]:
@@ -202,11 +242,11 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
     found = np.flatnonzero(peak)
     snr = np.maximum(total[found] - 1, 1.0)
     error = 0.05 + 0.5 / np.sqrt(2 * snr)
-    distance, rate, sine, elevation = (column[found] for column in mean)
-    distance = distance + mode.range_resolution * error * rng.standard_normal(len(found))
-    rate = rate + mode.doppler_resolution * error * rng.standard_normal(len(found))
-    sine = sine + mode.azimuth_resolution * error * rng.standard_normal(len(found))
-    elevation = elevation + spec.elevation_resolution * error * rng.standard_normal(len(found))
+    resolutions = (mode.range_resolution, mode.doppler_resolution, mode.azimuth_resolution, spec.elevation_resolution)
+    distance, rate, sine, elevation = (
+        column[found] + resolution * error * rng.standard_normal(len(found))
+        for column, resolution in zip(mean, resolutions, strict=True)
+    )
     origin, thing = paths.origin[leader[found]].astype(np.int64), paths.object[leader[found]]
 
     # noise
@@ -227,7 +267,7 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
     return tuple(column[seen] for column in (distance, rate, azimuth, elevation, snr, rcs, origin, thing))
 
 
-def _at(key: NDArray[np.int64], wanted: NDArray[np.int64], values: Floats) -> Floats:
+def _at(key: Ints, wanted: Ints, values: Floats) -> Floats:
     """Return the values of other bins, 0 where a bin is empty; `key` is sorted."""
     place = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
     return np.where(key[place] == wanted, values[place], 0.0) if len(key) else values

@@ -15,15 +15,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ogm.extras import import_extra
 from ogm.pose import check_pose
 from ogm.simulation import kernels
-from ogm.simulation.arrays import Floats32
 from ogm.simulation.kernels import Answer, Hits
 from ogm.simulation.materials import table
-from ogm.simulation.mesh import Mesh, empty, merge
+from ogm.simulation.mesh import Array, Floats32, Ints32, Mesh, empty, merge
 
 __all__ = ["EGO", "NOTHING", "STATIC", "Hits", "Scene"]
 
@@ -119,7 +118,7 @@ class Scene:
             self._cast_batch(rays, hits.part(start, stop), wanted, salt, number + start)
         return hits
 
-    def _cast_batch(self, rays: Floats32, hits: Hits, normals: NDArray[Any], salt: int, number: int) -> None:
+    def _cast_batch(self, rays: Floats32, hits: Hits, normals: Array, salt: int, number: int) -> None:
         """Find what rays hit, and cast those again that glass lets through; `number` is that of the first ray."""
         hits.distance[:], hits.material[:], hits.object[:], hits.cosine[:] = np.inf, NOTHING, STATIC, 0
         index = np.arange(len(rays), dtype=np.int32)
@@ -130,9 +129,7 @@ class Scene:
                 return
             self._keep_nearest(hits, normals, index, *kernels.restart(hits, index, rays, SKIN))
 
-    def _keep_nearest(
-        self, hits: Hits, normals: NDArray[Any], index: NDArray[Any], rays: NDArray[Any], base: NDArray[Any]
-    ) -> None:
+    def _keep_nearest(self, hits: Hits, normals: Array, index: Array, rays: Array, base: Array) -> None:
         for shape in (self._static, self._moving):
             if not shape.empty:
                 kernels.keep_nearer(hits, index, rays, base, shape.cast(rays), normals)
@@ -141,7 +138,7 @@ class Scene:
 class _Shape:
     """One Open3D scene and what its triangles are."""
 
-    def __init__(self, mesh: Mesh, things: NDArray[np.int32], threads: int) -> None:
+    def __init__(self, mesh: Mesh, things: Ints32, threads: int) -> None:
         _check(mesh)
         self.materials, self.things, self.threads = np.ascontiguousarray(mesh.material), things, threads
         self.empty = not len(mesh.triangles)
@@ -157,7 +154,7 @@ class _Shape:
         return Answer(t, primitive, normals, self.materials, self.things)
 
 
-def _tensor(array: NDArray[Any]) -> Any:
+def _tensor(array: Array) -> Any:
     return import_extra("open3d", "sim").core.Tensor.from_numpy(np.ascontiguousarray(array))
 
 

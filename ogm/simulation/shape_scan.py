@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.scan import Mount, Scan
-from ogm.simulation.arrays import Floats, Floats32, Mask
-from ogm.simulation.mesh import Mesh, empty
+from ogm.simulation.mesh import Floats, Floats32, Ints32, Mask, Mesh, empty
 from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS
 from ogm.state import CellState, Truth
@@ -51,7 +50,7 @@ class HandBuiltScene:
     scan: Scan
     truth: Truth
     regions: Mapping[str, Mask]
-    part: NDArray[np.int32]
+    part: Ints32
     parts: tuple[str, ...]
 
     def points_on(self, part: str) -> Floats32:
@@ -145,7 +144,7 @@ def scan_shapes(
     return HandBuiltScene("", scan, Truth(SPEC, state), {}, part, names).with_regions(**regions)
 
 
-def _cast(meshes: list[Mesh], directions: Floats32) -> tuple[Floats, NDArray[np.int32]]:
+def _cast(meshes: list[Mesh], directions: Floats32) -> tuple[Floats, Ints32]:
     """Return the range [m] at which each beam hits a mesh, inf without a hit, and the index of the mesh or -1."""
     scene = Scene(empty(), threads=1)
     scene.place(meshes)

@@ -11,10 +11,9 @@ from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
 from ogm.extras import import_extra
-from ogm.simulation.arrays import Floats
 from ogm.simulation.contents import FACTS, OBJECTS, OF_RADARS, POSES, SHARD, SWEEP, UNMEASURED, Contents
-from ogm.simulation.detections import PlacedSweep, RadarSweep
-from ogm.simulation.sample import OBJECT, SimulatedSample, Weather
+from ogm.simulation.mesh import Array, Floats, Ints
+from ogm.simulation.sample import OBJECT, PlacedSweep, RadarSweep, SimulatedSample, Weather
 from ogm.state import Truth
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath
@@ -37,7 +36,7 @@ class Split(Sequence[SimulatedSample]):
         self.columns = contents.facts
         self._count = count
         self._arrays: dict[str, Any] = {}
-        self._small: dict[tuple[str, int], NDArray[Any]] = {}
+        self._small: dict[tuple[str, int], Array] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_arrays": {}, "_small": {}}
@@ -86,7 +85,7 @@ class Split(Sequence[SimulatedSample]):
         facts |= {"measured": measured, "sweeps": self.sweeps(i)}
         return SimulatedSample(beams, *arrays, **facts)
 
-    def objects(self, index: int) -> NDArray[Any]:
+    def objects(self, index: int) -> Array:
         """Read the traffic participants of a sample alone, (K,) of `OBJECT`; errors are those of ``split[index]``."""
         i, row = self._row(index)
         count = int(row[self.columns.index("objects")])
@@ -169,11 +168,11 @@ class Split(Sequence[SimulatedSample]):
         return np.concatenate([np.zeros((0, len(self.columns))), *shards])
 
     @property
-    def finished(self) -> NDArray[np.int64]:
+    def finished(self) -> Ints:
         """Numbers of the samples that can be read, ascending."""
         return np.flatnonzero(self.facts[:, 0])
 
-    def _shard(self, name: str, shard: int) -> NDArray[Any]:
+    def _shard(self, name: str, shard: int) -> Array:
         """Read a small array of a shard, once for its ten samples."""
         key = name, shard
         if key not in self._small:
@@ -195,20 +194,19 @@ class Split(Sequence[SimulatedSample]):
             self._arrays[name] = array
         return self._arrays[name]
 
-    def _read(self, name: str, index: Any) -> NDArray[Any]:
+    def _read(self, name: str, index: Any) -> Array:
         first = index if isinstance(index, int) else index.start
         there = shard_file(self.path / self.name, name, first // SHARD).exists()
         if name == "checksums" and not there:
-            return np.zeros(
-                (index.stop - first, len(self.contents.checked)), np.uint32
-            )  # made by a version that kept none
+            # made by a version that kept none
+            return np.zeros((index.stop - first, len(self.contents.checked)), np.uint32)
         array = self._array(name)
         if not there:
             if name == "facts":
                 return np.zeros((index.stop - first, len(self.columns)))  # not made yet
             raise self._damaged(name, first, "a file is missing")
         try:
-            values: NDArray[Any] = array[index]
+            values: Array = array[index]
         except (ArithmeticError, EOFError, LookupError, MemoryError, RuntimeError, TypeError, ValueError) as error:
             # what zarr and its codecs raise
             raise self._damaged(name, first, str(error)) from error
@@ -216,7 +214,7 @@ class Split(Sequence[SimulatedSample]):
             self._compare(name, index, values[None])
         return values
 
-    def _compare(self, name: str, index: int, values: NDArray[Any]) -> None:
+    def _compare(self, name: str, index: int, values: Array) -> None:
         """Compare a sample's part of an array, (1, ...), with its checksum, if there is one."""
         kept = self._shard("checksums", index // SHARD)[index % SHARD]
         if kept.any() and kept[self.contents.checked.index(name)] != sample_checksums(self.name, index, values)[0]:
@@ -230,7 +228,7 @@ class Split(Sequence[SimulatedSample]):
         )
 
 
-def sample_checksums(split: str, first: int, values: NDArray[Any]) -> NDArray[np.uint32]:
+def sample_checksums(split: str, first: int, values: Array) -> NDArray[np.uint32]:
     """Return the CRC-32 of each sample's part of an array, (k,), begun with the sample's split and number."""
     little = values.astype(values.dtype.newbyteorder("<"), copy=False)
     sums = [zlib.crc32(one.tobytes(), zlib.crc32(f"{split} {first + k}".encode())) for k, one in enumerate(little)]
@@ -242,8 +240,7 @@ _DIMENSIONS = {name: len(shape) for name, (shape, _) in Contents().layout.items(
 
 def shard_file(split: Any, name: str, shard: int) -> Any:
     """Return the file or the object that holds a shard of an array."""
-    dimensions = 1 + _DIMENSIONS[name]
-    return split.joinpath(name, "c", str(shard), *["0"] * (dimensions - 1))
+    return split.joinpath(name, "c", str(shard), *["0"] * _DIMENSIONS[name])
 
 
 def load_zarr() -> Any:

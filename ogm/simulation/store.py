@@ -14,7 +14,6 @@ versions of the libraries that made them, and their own SHA-256; no date and no 
 same bytes.
 """
 
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -26,13 +25,13 @@ from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
 from ogm.io.reading import decode_json
-from ogm.simulation.arrays import Floats, Floats32
 from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
+from ogm.simulation.mesh import Floats, Floats32
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import Damaged, Split, load_zarr, open_array, sample_checksums, shard_file
 from ogm.storage.archive import attributes_checksum
-from ogm.storage.files import OgmError, update_hint
+from ogm.storage.files import FilePath, OgmError, update_hint
 from ogm.storage.remote import ObjectPath, as_path
 from ogm.truth import TRUTH_SPEC
 
@@ -64,7 +63,7 @@ class Store:
         self.contents = Contents(self.beams, self.radars, self.format != OLDER, gaps)
 
     @classmethod
-    def open(cls, path: str | os.PathLike[str] | ObjectPath) -> "Store":
+    def open(cls, path: FilePath | ObjectPath) -> "Store":
         """Open a data set to read, from a folder or an object store (``s3://...``, see `ogm.storage.remote.as_path`).
 
         Raises
@@ -74,43 +73,38 @@ class Store:
         OgmError
             If the folder holds something else, or a data set of another version.
         """
-        given: Any = as_path(path)
-        return cls._opened(given)
-
-    @classmethod
-    def _opened(cls, path: Any) -> "Store":
-        """Open a data set at a Path or an ObjectPath."""
+        place = as_path(path)
         try:
-            attributes = decode_json((path / "zarr.json").read_bytes(), path)["attributes"]
+            attributes = decode_json((place / "zarr.json").read_bytes(), place)["attributes"]
             found = attributes["format"]
         except FileNotFoundError:
-            raise FileNotFoundError(f"{path} holds no data set; `ogm simulate {path}` makes one") from None
+            raise FileNotFoundError(f"{place} holds no data set; `ogm simulate {place}` makes one") from None
         except NotADirectoryError:
-            raise OgmError(f"{path} is a file; a data set is a folder that `ogm simulate` made") from None
+            raise OgmError(f"{place} is a file; a data set is a folder that `ogm simulate` made") from None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise OgmError(f"{path} is no data set that `ogm simulate` made ({error!r})") from error
+            raise OgmError(f"{place} is no data set that `ogm simulate` made ({error!r})") from error
         if found == BEGUN:
             raise FileNotFoundError(
-                f"{path} holds no data set yet: making it was stopped at once; `ogm simulate {path}` begins again"
+                f"{place} holds no data set yet: making it was stopped at once; `ogm simulate {place}` begins again"
             )
         if found not in (FORMAT, GAPS, SWEEPS, OLDER):
             raise OgmError(
-                f"{path} has the format {found}, this version of ogm reads {FORMAT} to {SWEEPS}"
+                f"{place} has the format {found}, this version of ogm reads {FORMAT} to {SWEEPS}"
                 + (update_hint(found, FORMAT, SWEEPS) or "; make the data set anew, or use the version that made it")
             )
         try:
-            store = cls(path, attributes)
+            store = cls(place, attributes)
             if attributes.get("sha256", "") not in ("", attributes_checksum(attributes)):
                 raise ValueError("their SHA-256 differs")
             return store
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise Damaged(
-                f"{path / 'zarr.json'} holds other values than `ogm simulate` writes ({error!r}); "
+                f"{place / 'zarr.json'} holds other values than `ogm simulate` writes ({error!r}); "
                 "restore the file, or make the data set anew in a new folder"
             ) from error
 
     @classmethod
-    def exists(cls, path: str | os.PathLike[str]) -> bool:
+    def exists(cls, path: FilePath) -> bool:
         """Return whether there is a data set, be it damaged; what a killed `create` left is none."""
         try:
             cls.open(path)
@@ -123,7 +117,7 @@ class Store:
     @classmethod
     def create(
         cls,
-        path: str | os.PathLike[str],
+        path: FilePath,
         plan: Mapping[str, Any],
         counts: Mapping[str, int],
         beams: Sequence[Beams],
@@ -177,13 +171,9 @@ class Store:
         for name, count in counts.items():
             _grow(root, name, count, Contents(tuple(beams), radars, gaps=gaps))
         # Last: until then it is no data set, and is begun again.
-        made: dict[str, Any] = {
-            "format": SWEEPS if radars else GAPS if gaps else FORMAT,
-            "plan": dict(plan),
-            "splits": counts,
-            "lidars": [asdict(one) for one in beams],
-            **({"radars": [one._asdict() for one in radars]} if radars else {}),
-        }
+        made: dict[str, Any] = {"format": SWEEPS if radars else GAPS if gaps else FORMAT, "plan": dict(plan)}
+        made |= {"splits": counts, "lidars": [asdict(one) for one in beams]}
+        made |= {"radars": [one._asdict() for one in radars]} if radars else {}
         made |= {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)}
         root.attrs.put(made | {"sha256": attributes_checksum(made)})
         return cls.open(path)

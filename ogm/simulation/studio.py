@@ -1,26 +1,22 @@
 """Pictures that need the simulator itself: HD points by material, and views of a town with its traffic."""
 
-import os
-
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm import plot
 from ogm.extras import import_extra
-from ogm.simulation.arrays import Floats32
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
-from ogm.simulation.exchange import PAPER_GRID
+from ogm.simulation.exchange import PAPER_GRID, SKY, SUN, Camera, materials_panel, sample_panels, save_views
 from ogm.simulation.materials import Material
-from ogm.simulation.mesh import Mesh, merge
+from ogm.simulation.mesh import Bytes, Floats32, Mesh, merge
 from ogm.simulation.plan import DatasetPlan
-from ogm.simulation.preview import SKY, SUN, Camera, materials_panel, sample_panels, save_views
 from ogm.simulation.sensors import hd_directions
 from ogm.simulation.traffic.bodies import ego_vehicle
+from ogm.storage.files import FilePath
 
 FAR = 900.0  # [m] at which the air hides a third of what is there
 
 
-def preview(path: str | os.PathLike[str], town_path: str | os.PathLike[str], plan: DatasetPlan, index: int = 0) -> None:
+def preview(path: FilePath, town_path: FilePath, plan: DatasetPlan, index: int = 0) -> None:
     """Draw a training sample as the paper's Fig. 2, and the town that it was taken in.
 
     Parameters
@@ -48,7 +44,7 @@ def preview(path: str | os.PathLike[str], town_path: str | os.PathLike[str], pla
     save_views(town_path, views)
 
 
-def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[Floats32, NDArray[np.uint8]]:
+def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[Floats32, Bytes]:
     """Return what an HD lidar hits, (N, 3) float32 in the sensor's frame [m], and the materials (N,)."""
     rays = hd_directions(here.spec, layers).reshape(-1, 3)
     hits = here.world.scene.cast(here.T_world_sensor, rays)
@@ -67,7 +63,7 @@ def _from_behind(here: SceneSetup) -> Camera:
     return Camera(tuple(eye[:3]), tuple(target[:3]), 1800, 900)
 
 
-def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
+def render(mesh: Mesh, camera: Camera) -> Bytes:
     """Draw triangles in sunlight, with shadows and haze; (height, width, 3) uint8."""
     open3d = import_extra("open3d", "sim")
     tensor = open3d.core.Tensor

@@ -10,16 +10,16 @@ the same rules, those of `ogm.truth`.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 
 from ogm.jit import kernel
 from ogm.scan import Boxes
-from ogm.simulation.arrays import Floats32, Mask
 from ogm.simulation.cells import AIMS, Aim, Below, aimed_directions, steep_cells
+from ogm.simulation.kernels import View, in_view, lose_sight
 from ogm.simulation.materials import GROUND, Material
+from ogm.simulation.mesh import Bytes, Floats32, Mask
 from ogm.simulation.scene import Scene
-from ogm.simulation.visibility import View, in_view, lose_sight
 from ogm.state import Truth
 from ogm.truth import HEIGHT_LIMITS, Kind
 from ogm.truth.observe import OBSTACLE_SEEN
@@ -195,7 +195,7 @@ class _Observer:
 
 @kernel
 def _steep_is_step(
-    kinds: NDArray[np.uint8], distance: Floats32, directions: Floats32, steep: Mask, grid: tuple[float, float, float]
+    kinds: Bytes, distance: Floats32, directions: Floats32, steep: Mask, grid: tuple[float, float, float]
 ) -> None:
     """Turn hits of ground (N,) in steep cells into hits of a step."""
     resolution, x0, y0 = grid

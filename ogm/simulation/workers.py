@@ -16,7 +16,7 @@ import numpy as np
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
-from ogm.storage.files import finish_zarr, temporary_folder
+from ogm.storage.files import FilePath, finish_zarr, temporary_folder
 from ogm.storage.locks import sweep
 from ogm.storage.workers import DIED, Workers
 
@@ -60,7 +60,7 @@ class Estimate(NamedTuple):
         )
 
 
-def begin(path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams], versions: dict[str, str]) -> Store:
+def begin(path: FilePath, plan: DatasetPlan, beams: Sequence[Beams], versions: dict[str, str]) -> Store:
     """Begin a data set, or open one that was begun by the same plan, to go on with it.
 
     Incomplete files of a killed run are removed. Where other versions of libraries go on, the data set names
@@ -166,8 +166,7 @@ def make_shards(
         Shards that were yielded are complete.
     """
     cores = check_workers(workers)
-    todo = missing_shards(store)
-    if not todo:
+    if not (todo := missing_shards(store)):
         return
     work = _Work(store.path.resolve(), plan, function, max(1, cores // workers))
     with _explained(store), Workers(workers, scheduler) as pool:

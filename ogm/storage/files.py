@@ -23,6 +23,7 @@ __all__ = [
     "OF_DISK", "OgmError", "atomic_write", "error_text", "finish_zarr", "naming", "temporary_folder", "update_hint",
 ]  # fmt: skip
 
+FilePath = str | os.PathLike[str]
 OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)  # errors of a full or broken disk
 _PREFIX = ".ogm-"
 _swept: set[Path] = set()  # folders that this process has cleared of what killed ones left

@@ -20,7 +20,7 @@ from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import read_scan, write_poses
 from ogm.io.logs import LogWriter
-from ogm.io.logs.files import RandomAccess
+from ogm.io.logs.definitions import RandomAccess
 from ogm.io.messages import StampedTransform, point_cloud2, tf_message
 from ogm.io.messages.plain import ros_stamp
 from ogm.pose import Trajectory, inverse, pose, transform_points

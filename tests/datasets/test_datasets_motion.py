@@ -9,8 +9,8 @@ from cases import each
 
 from ogm.datasets import open_dataset
 from ogm.datasets.frames import FrameRef, RawFrame
-from ogm.datasets.motion import MotionReader
 from ogm.datasets.recording import Recording
+from ogm.datasets.truth import MotionReader
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
 from ogm.truth import TRUTH_SPEC

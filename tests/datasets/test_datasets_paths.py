@@ -7,7 +7,7 @@ import pytest
 from cases import each
 
 from ogm.datasets import frame_numbers
-from ogm.datasets.paths import drive_of, in_order, pose_files, poses_of, scan_name, scan_paths
+from ogm.datasets.scans import drive_of, in_order, pose_files, poses_of, scan_name, scan_paths
 
 
 def test_names_are_sorted_by_their_numbers_and_counted_by_the_last() -> None:

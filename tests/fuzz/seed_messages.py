@@ -12,9 +12,8 @@ from seed_grids import dynamic, evidential
 from seed_logs import CLOUD, START, TF, packets
 from targets import Target, check_grid, check_poses, check_scan, cloud
 
-from ogm.io.grids.protobuf import decode_foxglove_grid
-from ogm.io.logs.definitions import decode, message_types
-from ogm.io.logs.files import Channel
+from ogm.io.grids.logged import decode_foxglove_grid
+from ogm.io.logs.definitions import Channel, decode, message_types
 from ogm.io.messages import (
     StampedTransform,
     foxglove_grid,

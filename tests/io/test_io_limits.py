@@ -25,7 +25,7 @@ from PIL import Image
 
 from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, OgmError
 from ogm.io import read_grid, read_poses, read_scan
-from ogm.io.formats.arrow_sizes import unpacked_sizes
+from ogm.io.formats.feather import unpacked_sizes
 from ogm.io.logs.chunks import unpack_zstd
 from ogm.io.reading import decode_json, read_bytes, text_lines
 from ogm.io.sustech import read_sustech

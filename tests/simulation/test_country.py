@@ -10,9 +10,8 @@ from cases import each
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.recipe import Country
 from ogm.simulation.town import Town, build_town
-from ogm.simulation.town.country import COVERS, LEAST, USES, draw_profile, turn_rural
-from ogm.simulation.town.growth import crops, furrows, high_grass
-from ogm.simulation.town.terrain import STEEPEST
+from ogm.simulation.town.country import COVERS, LEAST, USES, crops, draw_profile, furrows, high_grass, turn_rural
+from ogm.simulation.town.ground import STEEPEST
 
 COUNTRY = Country(share=(0.7, 0.8))
 FIELD = shapely.box(-15, -10, 15, 10)

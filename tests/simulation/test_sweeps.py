@@ -15,10 +15,10 @@ from stand_in import BEAMS, stand_in
 from ogm import open_dataset
 from ogm.pose import inverse, pose
 from ogm.simulation.contents import Contents, StoredRadar
-from ogm.simulation.detections import Origin, PlacedSweep, RadarSweep
 from ogm.simulation.mounts import LidarMount, RadarMount, radars_at
 from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.radars import RADARS
+from ogm.simulation.sample import Origin, PlacedSweep, RadarSweep
 from ogm.simulation.store import Damaged, Store
 from ogm.storage.files import OgmError
 
@@ -77,7 +77,7 @@ def test_a_plan_with_radars_survives_json_and_does_not_become_another() -> None:
 @each("rate", [13.0, 20.0, 7.3])
 def test_every_sweep_of_a_drive_belongs_to_one_sample(rate: float) -> None:
     pytest.importorskip("open3d")
-    from ogm.simulation.sweeps import sweep_times
+    from ogm.simulation.moments import sweep_times
 
     taken = [sweep_times("sequences", 20 + 0.1 * k, rate) for k in range(100)]
     times = np.concatenate(taken)

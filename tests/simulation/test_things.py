@@ -9,7 +9,7 @@ from shapely import Polygon
 
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh
-from ogm.simulation.town import fences, furniture, plants, structures
+from ogm.simulation.town import furniture, plants, structures
 from ogm.simulation.town.buildings import building
 from ogm.simulation.town.footprints import STYLES, split_front
 
@@ -17,9 +17,9 @@ pytestmark = pytest.mark.slow  # frozen code: test_dataset.py compares what samp
 LINE = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.3], [10.0, 2.0, 0.5]])
 LENGTH = 6.0 + np.hypot(4.0, 2.0)
 PIECES = {
-    "guard_rail": lambda rng: fences.guard_rail(LINE),
-    "low_wall": lambda rng: fences.low_wall(LINE, rng),
-    "fence": lambda rng: fences.fence(LINE, rng),
+    "guard_rail": lambda rng: structures.guard_rail(LINE),
+    "low_wall": lambda rng: structures.low_wall(LINE, rng),
+    "fence": lambda rng: structures.fence(LINE, rng),
     "gantry": lambda rng: structures.gantry(14.0, rng),
     "bridge": lambda rng: structures.bridge(20.0, 4.0, rng),
 } | {

@@ -10,13 +10,13 @@ from cases import each, refused
 from ogm import GridSpec
 from ogm.pose import pose
 from ogm.simulation.cells import measure_ground, steep_cells
+from ogm.simulation.kernels import View, beams_in_dust, in_view, lose_sight, make_view
 from ogm.simulation.lidar import scan, to_points
 from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Mesh, box, merge, quads
 from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS
 from ogm.simulation.survey import Limits, aimed_truth, hd_truth
-from ogm.simulation.visibility import View, beams_in_dust, in_view, lose_sight, make_view
 from ogm.state import CellState
 
 SPEC = GridSpec.centered(20.48, 20.48, 0.16)

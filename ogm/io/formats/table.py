@@ -77,8 +77,7 @@ def refuse_doubles(names: Iterable[str], path: Path | str) -> None:
     """
     names = list(names)
     exact, known = Counter(names), Counter(plain(name) for name in names if plain(name) in KNOWN)
-    doubled = [name for name in names if exact[name] > 1 or known[plain(name)] > 1]
-    if doubled:
+    if doubled := [name for name in names if exact[name] > 1 or known[plain(name)] > 1]:
         raise OgmError(
             f"{path} has the fields {', '.join(doubled)[:200]}, wanted one of each name (capitals and scalar_ "
             "make no difference): write the file with one of them, or rename the other"

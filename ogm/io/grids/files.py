@@ -1,6 +1,5 @@
-"""Grid files of all formats, by the ending of their names."""
+"""Grid files of all formats, by the ending of their names; arrays and pictures, which hold no place of their own."""
 
-import os
 import warnings
 from pathlib import Path
 from typing import get_args
@@ -12,14 +11,14 @@ from ogm.grid import LAYERED_FORMAT, EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.geotiff import check_crs, read_geotiff, write_geotiff
 from ogm.io.grids.logged import GridLog, GridMessage, check_logged, read_logged
 from ogm.io.grids.map_server import MapMode, read_map_server, write_map_server
-from ogm.io.grids.pictures import read_array, read_picture, write_picture
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import check_scientific, read_scientific, write_scientific
-from ogm.io.layers import AnyGrid, evidential
+from ogm.io.images import open_image
 from ogm.io.logs import LOG_ENDINGS
-from ogm.io.reading import optional
+from ogm.io.messages.grids import AnyGrid, evidential
+from ogm.io.reading import optional, parse_array, read_bytes
 from ogm.storage.archive import stated_format
-from ogm.storage.files import OgmError, error_context
+from ogm.storage.files import FilePath, OgmError, atomic_write, error_context
 
 GRID_ENDINGS = (".npz", ".npy", ".png")  # of files that hold the grid of one frame
 _YAML, _TIFF, _SCIENTIFIC = (".yaml", ".yml"), (".tif", ".tiff"), (".nc", ".zarr")
@@ -27,11 +26,7 @@ MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # of
 
 
 def write_grid(
-    path: str | os.PathLike[str],
-    grid: AnyGrid | PlacedGrid,
-    *,
-    mode: MapMode | None = None,
-    message: GridMessage | None = None,
+    path: FilePath, grid: AnyGrid | PlacedGrid, *, mode: MapMode | None = None, message: GridMessage | None = None
 ) -> None:
     """Write a grid in the format that the ending of the path names. Files are whole or not there.
 
@@ -87,11 +82,7 @@ def write_grid(
 
 
 def check_grid_output(
-    path: str | os.PathLike[str],
-    *,
-    mode: MapMode | None = None,
-    message: GridMessage | None = None,
-    crs: str | None = None,
+    path: FilePath, *, mode: MapMode | None = None, message: GridMessage | None = None, crs: str | None = None
 ) -> None:
     """Raise what `write_grid` would raise for a path and options, before hours of work: ValueError, ImportError.
 
@@ -121,9 +112,7 @@ def check_grid_output(
         check_crs(crs, path)
 
 
-def read_grid(
-    path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
-) -> EvidentialGrid:
+def read_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None = None) -> EvidentialGrid:
     """Read the masses of free and occupied, in the coordinates of the frame that they were written in.
 
     Parameters
@@ -158,9 +147,7 @@ def read_grid(
     return evidential(found)
 
 
-def read_any_grid(
-    path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
-) -> AnyGrid | LayeredGrid:
+def read_any_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None = None) -> AnyGrid | LayeredGrid:
     """Read all that a file holds of a grid: a `DynamicGrid` with its velocities, a `LayeredGrid`, else the masses.
 
     Parameters and errors as for `read_grid`.
@@ -172,9 +159,7 @@ def read_any_grid(
         return placed.upright
 
 
-def read_placed_grid(
-    path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
-) -> PlacedGrid:
+def read_placed_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None = None) -> PlacedGrid:
     """Read a grid with its place in a frame, which may be turned. Parameters and errors as for `read_grid`.
 
     Where a file holds all of a `DynamicGrid`, that is its grid.
@@ -214,3 +199,48 @@ def _read(path: Path, area: GridSpec | None, topic: str | None) -> PlacedGrid:
         dynamic = stated_format(path) == DYNAMIC_FORMAT
         return PlacedGrid(DynamicGrid.load(path) if dynamic else EvidentialGrid.load(path))
     return PlacedGrid(read_array(path, area) if ending == ".npy" else read_picture(path, area))
+
+
+def read_array(path: Path, area: GridSpec) -> EvidentialGrid:
+    """Read masses of free and occupied, (nx, ny, 2) float, index (0, 0) behind on the right."""
+    wanted = "masses of free and occupied, (nx, ny, 2) float"
+    array = parse_array(read_bytes(path)[0], path, lambda shape: len(shape) == 3 and shape[-1] == 2, wanted)
+    if array.dtype.kind != "f":
+        raise OgmError(f"{path} must hold {wanted}, got {array.dtype} {array.shape}")
+    return EvidentialGrid(_on(area, (array.shape[0], array.shape[1]), path), array.astype(np.float32))
+
+
+def read_picture(path: Path, area: GridSpec) -> EvidentialGrid:
+    """Read a picture: red 255 times the mass of occupied, green that of free, row 0 the front, column 0 the left."""
+    with open_image(path) as picture:
+        if picture.mode not in ("RGB", "RGBA"):
+            raise OgmError(f"{path} must be an RGB picture, red occupied and green free, got {picture.mode}")
+        spec = _on(area, (picture.height, picture.width), path)  # before it is unpacked
+        green, red = picture.getchannel(1), picture.getchannel(0)
+    mass = np.empty((*spec.shape, 2), np.float32)
+    for state, channel in enumerate((green, red)):
+        mass[..., state] = np.asarray(channel)[::-1, ::-1]
+    mass /= 255
+    mass /= np.maximum(mass[..., :1] + mass[..., 1:], 1)  # rounding may exceed one
+    return EvidentialGrid(spec, mass)
+
+
+def write_picture(path: Path, grid: EvidentialGrid) -> None:
+    """Write a picture as `read_picture` reads it. Masses are rounded to 1/255; the place of the cells is not in it."""
+    from PIL import Image
+
+    pixels = np.zeros((*grid.spec.shape, 3), np.uint8)
+    pixels[..., 0], pixels[..., 1] = np.rint(255 * grid.occupied), np.rint(255 * grid.free)
+    with atomic_write(path) as file:
+        Image.fromarray(np.ascontiguousarray(pixels[::-1, ::-1])).save(file, "PNG")
+
+
+def _on(area: GridSpec, shape: tuple[int, int], path: Path) -> GridSpec:
+    """Return cells of a shape that fill an area."""
+    resolution = area.length / max(shape[0], 1)
+    if not np.isclose(resolution * shape[1], area.width, rtol=1e-6):
+        raise OgmError(
+            f"{path} has {shape[0]} x {shape[1]} cells; on {area.length:g} m x {area.width:g} m they are no squares. "
+            "Save it as .npz with its own spec (EvidentialGrid.save)"
+        )
+    return GridSpec(resolution, shape, area.origin)

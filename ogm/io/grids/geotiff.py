@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
-from ogm.io.layers import layers_of, needed_layers
+from ogm.io.messages.grids import layers_of, needed_layers
 from ogm.io.reading import optional, reason
 from ogm.storage.files import OgmError, atomic_write
 from ogm.storage.limits import current_limits, too_large
@@ -73,10 +73,8 @@ def read_geotiff(path: Path) -> PlacedGrid:
     """Read a GeoTIFF whose bands have the names free and occupied, or those of `layers_of`; nodata is unknown."""
     rasterio = optional("rasterio", path, "geo")
     try:
-        with (
-            rasterio.Env(GDAL_CACHEMAX=_CACHE),
-            rasterio.open(path, driver="GTiff") as image,
-        ):  # not one of GDAL's formats that name other files
+        # not one of GDAL's formats that name other files
+        with rasterio.Env(GDAL_CACHEMAX=_CACHE), rasterio.open(path, driver="GTiff") as image:
             GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
             names = list(image.descriptions)
             if not {"free", "occupied"} <= set(names):

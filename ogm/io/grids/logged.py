@@ -1,40 +1,29 @@
 """Grids in logs (``.mcap``, ``.db3``, ``.bag``): one map, or those of a whole drive with its poses, for viewers."""
 
 import logging
-import os
+import struct
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal, Self, get_args
 
 from ogm.io.grids.placed import PlacedGrid
-from ogm.io.grids.protobuf import decode_foxglove_grid
 from ogm.io.logs import LogMessage, LogReader, LogWriter, open_log
-from ogm.io.messages import (
-    StampedTransform,
-    foxglove_grid,
-    grid_from_foxglove_grid,
-    grid_from_grid_map,
-    grid_from_occupancy_grid,
-    grid_map,
-    occupancy_grid,
-    tf_message,
-)
-from ogm.io.messages.plain import stamp_seconds
+from ogm.io.messages.grids import grid_from_occupancy_grid, occupancy_grid
+from ogm.io.messages.layers import foxglove_grid, grid_from_foxglove_grid, grid_from_grid_map, grid_map
+from ogm.io.messages.plain import stamp_seconds, tf_message
 from ogm.io.reading import optional
-from ogm.storage.files import OgmError
+from ogm.io.transforms import StampedTransform
+from ogm.storage.files import FilePath, OgmError, error_context
 
 _log = logging.getLogger(__name__)
 
 GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid"]
-_TYPES = {
-    "occupancy-grid": "nav_msgs/msg/OccupancyGrid",
-    "grid-map": "grid_map_msgs/msg/GridMap",
-    "foxglove-grid": "foxglove.Grid",
-}
-_MAKERS: dict[str, Callable[..., Any]] = {
-    "occupancy-grid": occupancy_grid,
-    "grid-map": grid_map,
-    "foxglove-grid": foxglove_grid,
+# Type of each message, and the function that makes it.
+_MESSAGES: dict[str, tuple[str, Callable[..., Any]]] = {
+    "occupancy-grid": ("nav_msgs/msg/OccupancyGrid", occupancy_grid),
+    "grid-map": ("grid_map_msgs/msg/GridMap", grid_map),
+    "foxglove-grid": ("foxglove.Grid", foxglove_grid),
 }
 _READERS = {
     "nav_msgs/msg/OccupancyGrid": grid_from_occupancy_grid,
@@ -74,7 +63,7 @@ class GridLog:
     ...         log.write(PlacedGrid(mapper.grid, stamp=mapper.stamp))
     """
 
-    def __init__(self, path: str | os.PathLike[str], message: GridMessage = "occupancy-grid", topic: str = "/map"):
+    def __init__(self, path: FilePath, message: GridMessage = "occupancy-grid", topic: str = "/map"):
         path = Path(path)
         check_logged(path, message)
         self.message, self.topic = message, topic
@@ -99,13 +88,10 @@ class GridLog:
         transforms, stamp = list(transforms), placed.stamp or 0.0
         if transforms:
             self._log.write("/tf", "tf2_msgs/msg/TFMessage", tf_message(transforms), stamp)
-        made = _MAKERS[self.message](
-            placed.evidential if self.message == "occupancy-grid" else placed.grid,
-            frame_id=placed.frame_id,
-            stamp=stamp,
-            T_frame_grid=placed.T_frame_grid,
-        )
-        self._log.write(self.topic, _TYPES[self.message], made, stamp)
+        kind, make = _MESSAGES[self.message]
+        grid = placed.evidential if self.message == "occupancy-grid" else placed.grid
+        made = make(grid, frame_id=placed.frame_id, stamp=stamp, T_frame_grid=placed.T_frame_grid)
+        self._log.write(self.topic, kind, made, stamp)
 
 
 def check_logged(path: Path, message: str) -> None:
@@ -132,8 +118,7 @@ def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
     try:
         with open_log(path) as log:
             topic = topic or _topic(log, path)
-            refs = log.refs([topic])
-            if not refs:
+            if not (refs := log.refs([topic])):
                 raise OgmError(f"{path} has no message of {topic}: was it recorded to its end?")
             message = log.message(refs[-1])
             for warning in log.warnings:
@@ -170,3 +155,89 @@ def _placed(message: LogMessage) -> PlacedGrid:
         header = made.header if hasattr(made, "header") else made.info.header
         frame, stamp = str(header.frame_id), stamp_seconds(header.stamp)
     return PlacedGrid(grid, T, frame.lstrip("/"), stamp or None)
+
+
+_SIZES = {1: 8, 5: 4}  # [byte] of the wire types of fixed length
+_XY, _XYZ, _XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
+
+
+def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
+    """Return a ``foxglove.Grid`` with the names of its fields.
+
+    Raises
+    ------
+    OgmError
+        If the bytes are none.
+    """
+    with error_context("it is no whole foxglove.Grid", ValueError, IndexError, TypeError, AttributeError, struct.error):
+        top = _fields(data)
+        pose, time = _fields(_last(top, 3, b"")), _fields(_last(top, 1, b""))
+        fields = []
+        for one in top.get(8, []):
+            field = _fields(one)
+            fields.append(
+                SimpleNamespace(name=_last(field, 1, b"").decode(), offset=_whole(field, 2), type=_last(field, 3, 0))
+            )
+        return SimpleNamespace(
+            timestamp=SimpleNamespace(sec=_last(time, 1, 0), nanosec=_last(time, 2, 0)),
+            frame_id=_last(top, 2, b"").decode(),
+            pose=SimpleNamespace(position=_vector(pose, 1, _XYZ), orientation=_vector(pose, 2, _XYZW)),
+            column_count=_whole(top, 4),
+            cell_size=_vector(top, 5, _XY),
+            row_stride=_whole(top, 6),
+            cell_stride=_whole(top, 7),
+            fields=fields,
+            data=_last(top, 9, b""),
+        )
+
+
+def _fields(data: bytes) -> dict[int, list[Any]]:
+    """Return the values of a message by the numbers of their fields."""
+    found: dict[int, list[Any]] = {}
+    position = 0
+    while position < len(data):
+        key, position = _varint(data, position)
+        number, wire = key >> 3, key & 7
+        if wire == 0:
+            value: Any
+            value, position = _varint(data, position)
+        else:
+            if wire == 2:
+                length, position = _varint(data, position)
+            elif wire in _SIZES:
+                length = _SIZES[wire]
+            else:
+                raise ValueError(f"wire type {wire}")
+            value = data[position : position + length]
+            position += length
+            if position > len(data):
+                raise ValueError("it is cut short")
+        found.setdefault(number, []).append(value)
+    return found
+
+
+def _varint(data: bytes, position: int) -> tuple[int, int]:
+    value = shift = 0
+    while shift < 70:
+        byte = data[position]
+        value |= (byte & 0x7F) << shift
+        position, shift = position + 1, shift + 7
+        if byte < 0x80:
+            return value, position
+    raise ValueError("a number of more than 10 bytes")
+
+
+def _last(fields: dict[int, list[Any]], number: int, default: Any) -> Any:
+    """Return the value of a field; one that is missing has its default, as proto3 has it."""
+    return fields.get(number, [default])[-1]
+
+
+def _whole(fields: dict[int, list[Any]], number: int) -> int:
+    return int(struct.unpack("<I", _last(fields, number, bytes(4)))[0])
+
+
+def _vector(fields: dict[int, list[Any]], number: int, names: tuple[str, ...]) -> SimpleNamespace:
+    """Return a message of doubles."""
+    inner = _fields(_last(fields, number, b""))
+    numbers = (struct.unpack("<d", _last(inner, k, bytes(8)))[0] for k in range(1, len(names) + 1))
+    return SimpleNamespace(**dict(zip(names, numbers, strict=True)))

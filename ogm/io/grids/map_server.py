@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ogm.grid import GridSpec
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
 from ogm.io.images import open_image
-from ogm.io.messages.occupancy import mass_from_occupancy, occupancy_values
+from ogm.io.messages.grids import mass_from_occupancy, occupancy_values
 from ogm.io.reading import is_file_name
 from ogm.state import predict_state
 from ogm.storage.files import OgmError, atomic_write
@@ -59,15 +59,8 @@ def write_map_server(path: Path, placed: PlacedGrid, mode: MapMode = "trinary") 
     pixels, ending = _pixels(placed, mode)
     image_path = path.with_name(f"{path.stem}{ending}")
     occupied, free = _THRESHOLDS[mode]
-    values = {
-        "image": image_path.name,
-        "mode": mode,
-        "resolution": placed.grid.spec.resolution,
-        "origin": [x, y, yaw],
-        "negate": 0,
-        "occupied_thresh": occupied,
-        "free_thresh": free,
-    }
+    values: dict[str, Any] = {"image": image_path.name, "mode": mode, "resolution": placed.grid.spec.resolution}
+    values |= {"origin": [x, y, yaw], "negate": 0, "occupied_thresh": occupied, "free_thresh": free}
     with atomic_write(path) as file:
         file.write(yaml.safe_dump(values, sort_keys=False, default_flow_style=None, allow_unicode=True).encode())
         with atomic_write(image_path) as image_file:
@@ -98,8 +91,7 @@ def _rows(cells: NDArray[Any]) -> NDArray[Any]:
 def read_map_server(path: Path) -> PlacedGrid:
     """Read a map of map_server. Values become masses as `ogm.io.messages.mass_from_occupancy` makes them."""
     header = _header(path)
-    values = np.ascontiguousarray(_values(header)[::-1].T)
-    mass = mass_from_occupancy(values)
+    mass = mass_from_occupancy(np.ascontiguousarray(_values(header)[::-1].T))
     return placed_at({"free": mass[..., 0], "occupied": mass[..., 1]}, header.resolution, header.corner)
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
-from ogm.io.layers import AnyGrid, evidential, grid_from_layers
-from ogm.io.messages.occupancy import split_corner
+from ogm.io.messages.grids import AnyGrid, evidential, grid_from_layers, split_corner
 from ogm.pose import check_pose, check_stamp, pose
 
 _MAX_TILT = 1e-3  # [rad] within which a frame counts as level: at 100 m the projected cells are off by 0.05 mm
@@ -124,7 +123,7 @@ def placed_at(layers: Mapping[str, NDArray[np.float32]], resolution: float, corn
     Parameters
     ----------
     layers : mapping of str to (nx, ny) float array
-        See `ogm.io.layers.grid_from_layers`.
+        See `ogm.io.messages.grids.grid_from_layers`.
     resolution : float
         [m]
     corner : Corner

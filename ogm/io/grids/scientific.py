@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.placed import PlacedGrid, nanometres
-from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
+from ogm.io.messages.grids import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.reading import optional, reason
 from ogm.pose import pose
 from ogm.storage.files import OgmError, update_hint
@@ -73,13 +73,8 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
     T = placed.T_frame_grid
     level = np.allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-9)
     cells = placed.upright if level else placed.grid
-    facts: dict[str, Any] = {
-        "Conventions": "CF-1.11",
-        "title": "Evidential occupancy grid",
-        "format": _FORMAT,
-        "resolution": cells.spec.resolution,
-        "frame_id": placed.frame_id,
-    }
+    facts: dict[str, Any] = {"Conventions": "CF-1.11", "title": "Evidential occupancy grid", "format": _FORMAT}
+    facts |= {"resolution": cells.spec.resolution, "frame_id": placed.frame_id}
     if placed.stamp is not None:
         facts["stamp"] = placed.stamp
     if not level:

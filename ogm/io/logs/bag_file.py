@@ -10,9 +10,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.logs.chunked import ChunkedFile
-from ogm.io.logs.chunks import Chunk
-from ogm.io.logs.files import Channel, Place, ros2_name
+from ogm.io.logs.chunks import Chunk, ChunkedFile
+from ogm.io.logs.definitions import Channel, Place, ros2_name
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits
 

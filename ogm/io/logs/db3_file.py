@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.io.logs.chunks import unpack_zstd
-from ogm.io.logs.files import Channel, Place
+from ogm.io.logs.definitions import Channel, Place
 from ogm.io.reading import optional
 from ogm.storage.files import OgmError, error_context
 from ogm.storage.limits import current_limits, too_large

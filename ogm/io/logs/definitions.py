@@ -1,13 +1,107 @@
-"""Message types: those that `rosbags` has of ROS 1 and ROS 2, and those of drivers that logs often lack."""
+"""What the files of all kinds of logs have in common: channels, an index of messages, and the types of messages."""
 
+import os
+import re
 import struct
+import weakref
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
-from ogm.io.logs.files import Channel
+import numpy as np
+from numpy.typing import NDArray
+
 from ogm.io.reading import optional
 from ogm.storage.files import OgmError
+
+Place = tuple[int, int]
+"""Where a message lies: two numbers that its file understands."""
+
+LOG_ENDINGS = (".mcap", ".db3", ".bag")
+
+
+class Channel(NamedTuple):
+    """A topic of a file.
+
+    Attributes
+    ----------
+    topic : str
+    type : str
+        As in ROS 2: sensor_msgs/msg/PointCloud2.
+    encoding : str
+        "cdr" (ROS 2), "ros1", or another one, whose messages are not decoded.
+    definition : str
+        Of the type; "" where the file has none.
+    format : str
+        Of the definition: "ros1msg", "ros2msg", "ros2idl".
+    """
+
+    topic: str
+    type: str
+    encoding: str
+    definition: str = ""
+    format: str = ""
+
+
+class LogFile(Protocol):
+    """One file of a log: opening it makes an index of its messages, of 24 bytes each, and decodes none.
+
+    Attributes
+    ----------
+    format : str
+        In words.
+    channels : dict of int to Channel
+    index : dict of int to (K, 3) int64
+        By channel: the log times [ns] and places of its messages, in the order of the file.
+    warnings : list of str
+        What is damaged or missing.
+    """
+
+    format: str
+    channels: dict[int, Channel]
+    index: dict[int, NDArray[np.int64]]
+    warnings: list[str]
+
+    def read(self, place: Place, size: int | None = None) -> bytes | memoryview:
+        """Return the message at a place, or its first `size` bytes; raise `OgmError` where it is damaged."""
+        ...
+
+
+class RandomAccess:
+    """A file that threads and forked processes may read at the same time; it is closed with its last reference."""
+
+    def __init__(self, path: Path) -> None:
+        file = os.open(path, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
+        self._file, self.size = file, os.fstat(file).st_size
+        weakref.finalize(self, os.close, file)
+
+    def read(self, start: int, size: int) -> bytes:
+        """Return `size` bytes from `start` on, or as many as there are: none before its begin or after its end."""
+        if not 0 <= start <= self.size or size < 0:
+            return b""
+        return os.pread(self._file, size, start)
+
+
+def log_files(folder: Path) -> list[Path]:
+    """Return the parts of a log that lie in a folder, with part 2 before part 10.
+
+    Raises
+    ------
+    OgmError
+        If they are of several kinds.
+    """
+    files = [one for one in folder.iterdir() if one.suffix.lower() in LOG_ENDINGS and one.is_file()]
+    if len({one.suffix.lower() for one in files}) > 1:
+        names = ", ".join(sorted(one.name for one in files))
+        raise OgmError(f"{folder} holds logs of several kinds ({names}): give one of them")
+    return sorted(files, key=lambda one: [int(p) if p.isdecimal() else p for p in re.split(r"(\d+)", one.name)])
+
+
+def ros2_name(name: str) -> str:
+    """Return a type's name as ROS 2 writes it: sensor_msgs/PointCloud2 is sensor_msgs/msg/PointCloud2."""
+    package, slash, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if slash and "/" not in rest else name
+
 
 _LIVOX = {
     "CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line",
@@ -28,17 +122,15 @@ _LAYERS = (
     "string[] layers\nstring[] basic_layers\nstd_msgs/Float32MultiArray[] data\nuint16 outer_start_index\n"
     "uint16 inner_start_index"
 )
-_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 _OURS = {
-    1: _BOTH
-    | {
-        "tf2_msgs/msg/TFMessage": _TRANSFORMS,
-        "tf/msg/tfMessage": _TRANSFORMS,
+    1: {
+        **_BOTH,
+        **dict.fromkeys(("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), "geometry_msgs/TransformStamped[] transforms"),
         "grid_map_msgs/msg/GridMapInfo": f"std_msgs/Header header\n{_SIZES}",
         "grid_map_msgs/msg/GridMap": f"GridMapInfo info\n{_LAYERS}",
     },
-    2: _BOTH
-    | {
+    2: {
+        **_BOTH,
         "grid_map_msgs/msg/GridMapInfo": _SIZES,
         "grid_map_msgs/msg/GridMap": f"std_msgs/Header header\nGridMapInfo info\n{_LAYERS}",
     },
@@ -77,8 +169,7 @@ def decode(channel: Channel, raw: bytes | memoryview) -> Any:
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
 
-    ros = {"ros1": 1, "cdr": 2}.get(channel.encoding)
-    if ros is None:
+    if (ros := {"ros1": 1, "cdr": 2}.get(channel.encoding)) is None:
         raise OgmError(f"messages of {channel.type} are {channel.encoding or 'of no encoding'}, wanted those of ROS")
     try:
         store = (

@@ -1,16 +1,19 @@
-"""Messages of a log, by topic and in the order of their log times, or by their places."""
+"""Logs opened and read: messages by topic and in the order of their log times, or by their places."""
 
+import os
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ogm.io.logs.definitions import decode
-from ogm.io.logs.files import Channel, LogFile
-from ogm.storage.files import OgmError, error_context
+from ogm.io.logs.bag_file import BAG_MAGIC, BagFile
+from ogm.io.logs.db3_file import DB3_MAGIC, Db3File
+from ogm.io.logs.definitions import LOG_ENDINGS, Channel, LogFile, decode, log_files
+from ogm.io.logs.mcap_file import MCAP_MAGIC, McapFile
+from ogm.storage.files import FilePath, OgmError, error_context
 
 _ROWS = 10_000  # of the index that become objects at once
 _HEAD = 512  # [byte] in which the header of a message ends, if its frame has a name of usual length
@@ -253,3 +256,51 @@ def _head(channel: Channel, raw: bytes | memoryview) -> MessageHead:
     if length > _HEAD - 16:
         raise struct.error(f"its frame has a name of {length} bytes")
     return MessageHead(sec * 10**9 + nanosec, sec + nanosec * 1e-9, bytes(raw[start:end]).decode().lstrip("/"))
+
+
+_KINDS: dict[bytes, Callable[[Path], LogFile]] = {MCAP_MAGIC: McapFile, DB3_MAGIC: Db3File, BAG_MAGIC: BagFile}
+
+
+def open_log(path: FilePath | Sequence[FilePath]) -> LogReader:
+    """Open a log: a ROS 1 bag (``.bag``), a ROS 2 bag (``.db3``), an MCAP (``.mcap``), or a folder with parts of one.
+
+    The first bytes of a file decide what it is. Parts of a recording that was split are one log. Neither
+    ``metadata.yaml`` nor an index at the end of a file is needed: of a file that was cut, all whole messages before the
+    cut are read, and `LogReader.warnings` states where it was cut.
+
+    Parameters
+    ----------
+    path : path or sequence of paths
+
+    Returns
+    -------
+    LogReader
+        A context manager.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OgmError
+        If it is no log, empty, or so damaged that nothing can be read.
+    """
+    given = [path] if isinstance(path, str | os.PathLike) else list(path)
+    paths = [one for each in given for one in (log_files(Path(each)) if Path(each).is_dir() else [Path(each)])]
+    if not paths:
+        raise OgmError(f"{given[0] if given else 'nothing'} holds no log ({', '.join(LOG_ENDINGS)})")
+    return LogReader(paths, [_opened(path) for path in paths])
+
+
+def _opened(path: Path) -> LogFile:
+    if not path.exists():
+        raise FileNotFoundError(f"there is no {path}: check the name and the folder")
+    with open(path, "rb") as file:
+        start = file.read(16)
+    if not start:
+        raise OgmError(f"{path} holds 0 bytes: was it recorded, or copied, to its end?")
+    for magic, kind in _KINDS.items():
+        if start.startswith(magic):
+            return kind(path)
+    packed = start.startswith(b"\x28\xb5\x2f\xfd")
+    way = f"unpack it first: zstd -d {path.name}" if packed else "is its name right?"
+    raise OgmError(f"{path} is no log: it begins with {start!r}, wanted an MCAP, a ROS 1 bag or a ROS 2 bag; {way}")

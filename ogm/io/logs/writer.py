@@ -10,11 +10,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
 
-from ogm.io.logs.definitions import message_types
-from ogm.io.logs.opening import LOG_ENDINGS
+from ogm.io.logs.definitions import LOG_ENDINGS, message_types
 from ogm.io.messages.plain import ros_stamp
 from ogm.io.reading import optional
-from ogm.storage.files import OgmError, atomic_write, naming
+from ogm.storage.files import FilePath, OgmError, atomic_write, naming
 from ogm.storage.whole_path import whole_path
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
@@ -52,7 +51,7 @@ class LogWriter:
     ...     log.write("/map", "nav_msgs/msg/OccupancyGrid", occupancy_grid(grid, frame_id="map"), stamp)
     """
 
-    def __init__(self, path: str | os.PathLike[str], compression: str = "") -> None:
+    def __init__(self, path: FilePath, compression: str = "") -> None:
         self.path, self._compression = Path(path), compression
         ending = self.path.suffix.lower()
         if ending not in LOG_ENDINGS:
@@ -141,7 +140,10 @@ class LogWriter:
             ros = not hasattr(message, "get_schema")
             data = self._serialized(topic, name, message, 2) if ros else message.encode()
             if name not in schemas:
-                form, text = ("ros2msg", _definition(name)) if ros else ("protobuf", message.get_schema().data)
+                if ros:  # with the definitions of its parts
+                    form, text = "ros2msg", message_types(2).generate_msgdef(name, ros_version=2)[0].encode()
+                else:
+                    form, text = "protobuf", message.get_schema().data
                 schemas[name] = writer.register_schema(name, form, text)
             if (topic, name) not in channels:
                 facts = {"offered_qos_profiles": _TRANSIENT_LOCAL if _is_latched(topic, name) else ""} if ros else {}
@@ -198,12 +200,6 @@ def _close(writer: Any) -> None:
 def _is_latched(topic: str, name: str) -> bool:
     """Tell whether late subscribers get what was sent before, as those of static transforms and maps expect."""
     return topic == "/tf_static" or name == "nav_msgs/msg/OccupancyGrid"
-
-
-def _definition(name: str) -> bytes:
-    """Return the definition of a ROS 2 type, with those of its parts."""
-    text: str = message_types(2).generate_msgdef(name, ros_version=2)[0]
-    return text.encode()
 
 
 def _for_ros1(message: Any, name: str, store: Any, header: Any = None) -> Any:

@@ -12,16 +12,18 @@ messages as trees of `types.SimpleNamespace` with numpy arrays: rosbags serialis
 (5, 'lidar', 12.5)
 """
 
-from ogm.io.messages.captures import scans_from_pcap
-from ogm.io.messages.clouds import point_cloud2, scan_from_point_cloud2
-from ogm.io.messages.fill import fill_message
-from ogm.io.messages.foxglove import foxglove_grid, grid_from_foxglove_grid
-from ogm.io.messages.layers import grid_from_grid_map, grid_map, layers_from_grid_map
+from ogm.io.messages.clouds import point_cloud2, scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
+from ogm.io.messages.grids import grid_from_occupancy_grid, occupancy_grid
+from ogm.io.messages.layers import (
+    foxglove_grid,
+    grid_from_foxglove_grid,
+    grid_from_grid_map,
+    grid_map,
+    layers_from_grid_map,
+)
 from ogm.io.messages.livox import scan_from_livox
-from ogm.io.messages.occupancy import grid_from_occupancy_grid, occupancy_grid
-from ogm.io.messages.poses import tf_message, transform_from_odometry, transforms_from_tf
-from ogm.io.messages.radars import scan_from_continental, scan_from_radar_scan
-from ogm.io.messages.velodyne import scan_from_velodyne_scan
+from ogm.io.messages.plain import fill_message, tf_message, transform_from_odometry, transforms_from_tf
+from ogm.io.messages.velodyne import scan_from_velodyne_scan, scans_from_pcap
 from ogm.io.transforms import StampedTransform
 
 __all__ = [

@@ -13,15 +13,8 @@ from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
 _SAME_CLOCK = 10.0  # [s] between the header's stamp and the time base
-_POINT = [
-    ("offset_time", "u4"),
-    ("x", "f4"),
-    ("y", "f4"),
-    ("z", "f4"),
-    ("reflectivity", "u1"),
-    ("tag", "u1"),
-    ("line", "u1"),
-]
+_POINT = [("offset_time", "u4"), *((axis, "f4") for axis in "xyz")]
+_POINT += [(name, "u1") for name in ("reflectivity", "tag", "line")]
 _SIZE = 19  # [byte] of a point; from the start of one to that of the next, CDR has 20
 
 

@@ -1,15 +1,19 @@
-"""Parts that messages share: stamps and headers, as plain objects with the field names of the messages."""
+"""Parts that messages share: stamps, headers, poses and transforms, as plain objects or those of rclpy and rospy."""
 
+import array
 import functools
+import importlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import SimpleNamespace
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ogm.pose import check_stamp
+from ogm.io.reading import from_quaternions
+from ogm.io.transforms import StampedTransform
+from ogm.pose import check_pose, check_stamp, matrix_to_quaternion
 from ogm.storage.files import OgmError, error_context
 
 P = ParamSpec("P")
@@ -108,3 +112,125 @@ def as_bytes(data: Any, where: str) -> NDArray[np.uint8]:
         return np.frombuffer(memoryview(data).cast("B"), np.uint8)
     except (TypeError, ValueError, OverflowError) as error:
         raise OgmError(f"{where} has data that are no bytes, but {type(data).__name__}: {error}") from error
+
+
+@reads_message
+def transforms_from_tf(message: Any) -> list[StampedTransform]:
+    """Return the transforms of a ``tf2_msgs/TFMessage`` (``/tf``, ``/tf_static``), or of one ``TransformStamped``.
+
+    Raises
+    ------
+    OgmError
+        If a position is not finite, or a quaternion has not length 1.
+    """
+    several = message.transforms if hasattr(message, "transforms") else [message]
+    result = []
+    for one in several:
+        where = describe_message(one, "TransformStamped")
+        child = str(one.child_frame_id).lstrip("/")
+        T = _rigid(one.transform.translation, one.transform.rotation, f"{where}, of {child}")
+        result.append(StampedTransform(frame_of(one), child, stamp_seconds(one.header.stamp), T))
+    return result
+
+
+@reads_message
+def transform_from_odometry(message: Any) -> StampedTransform:
+    """Return the pose of a ``nav_msgs/Odometry``: of its ``child_frame_id`` in the frame of its header.
+
+    Raises
+    ------
+    OgmError
+        If a position is not finite, or a quaternion has not length 1.
+    """
+    placed = message.pose.pose
+    T = _rigid(placed.position, placed.orientation, describe_message(message, "Odometry"))
+    child = str(message.child_frame_id).lstrip("/")
+    return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
+
+
+def tf_message(transforms: Iterable[StampedTransform]) -> SimpleNamespace:
+    """Return transforms as a ``tf2_msgs/TFMessage``, for ``/tf`` or ``/tf_static``."""
+    several = []
+    for one in transforms:
+        placed = pose_message(one.T_parent_child)
+        moved = SimpleNamespace(translation=placed.position, rotation=placed.orientation)
+        several.append(SimpleNamespace(header=header(one.stamp, one.parent), child_frame_id=one.child, transform=moved))
+    return SimpleNamespace(transforms=several)
+
+
+def pose_message(T: ArrayLike) -> SimpleNamespace:
+    """Return a transform (4, 4) as a ``geometry_msgs/Pose``; w of its quaternion is not negative."""
+    array = check_pose(T)
+    x, y, z = array[:3, 3].tolist()
+    quaternion = matrix_to_quaternion(array[:3, :3])
+    return SimpleNamespace(
+        position=SimpleNamespace(x=x, y=y, z=z),
+        orientation=SimpleNamespace(**dict(zip("xyzw", quaternion.tolist(), strict=True))),
+    )
+
+
+def transform_of_pose(placed: Any, where: str) -> NDArray[np.float64]:
+    """Return a ``geometry_msgs/Pose`` as a transform (4, 4); a quaternion that was not set, of zeros, turns nothing."""
+    q = placed.orientation
+    if not any((q.x, q.y, q.z, q.w)):
+        q = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+    return _rigid(placed.position, q, where)
+
+
+def _rigid(position: Any, q: Any, where: str) -> NDArray[np.float64]:
+    """Return the transform (4, 4) of a position and a quaternion."""
+    placed = np.array([[position.x, position.y, position.z]], np.float64)
+    return np.asarray(from_quaternions(placed, np.array([[q.x, q.y, q.z, q.w]], np.float64), lambda _: where)[0])
+
+
+def fill_message(message: Any, plain: SimpleNamespace) -> Any:
+    """Copy a plain message into one of rclpy or rospy.
+
+    Parameters
+    ----------
+    message : object
+        A new instance of the message's class: ``PointCloud2()``.
+    plain : SimpleNamespace
+        What a function of this package returned. Fields that `message` has not are left out, such as ``seq`` of a
+        ROS 1 header in ROS 2.
+
+    Returns
+    -------
+    object
+        `message`.
+    """
+    if hasattr(message, "secs"):  # a time of ROS 1
+        message.secs, message.nsecs = plain.sec, plain.nanosec
+        return message
+    for name, value in vars(plain).items():
+        if hasattr(message, name):
+            setattr(message, name, _filled(message, name, value))
+    return message
+
+
+def _filled(message: Any, name: str, value: Any) -> Any:
+    """Return a value in the type that a field has."""
+    now = getattr(message, name)
+    if isinstance(value, SimpleNamespace):
+        return fill_message(now, value)
+    if isinstance(value, np.ndarray):
+        if isinstance(now, bytes):  # uint8[] of ROS 1
+            return value.tobytes()
+        if isinstance(now, array.array):  # a sequence of numbers in ROS 2, which checks each one of a list
+            return array.array(now.typecode, value.astype(np.dtype(now.typecode), copy=False).tobytes())
+        return value if isinstance(now, np.ndarray) else value.tolist()
+    if isinstance(value, list) and value and isinstance(value[0], SimpleNamespace):
+        kind = _element(message, name)
+        return [fill_message(kind(), one) for one in value]
+    return value
+
+
+def _element(message: Any, name: str) -> type:
+    """Return the class of the elements of a field, from what the message's class tells about it."""
+    if hasattr(message, "get_fields_and_field_types"):  # ROS 2: sequence<sensor_msgs/PointField>
+        described = message.get_fields_and_field_types()[name].removeprefix("sequence<").split(">")[0].split(",")[0]
+    else:  # ROS 1: sensor_msgs/PointField[]
+        described = message._slot_types[message.__slots__.index(name)].split("[")[0]
+    package, _, kind = described.partition("/")
+    found: type = getattr(importlib.import_module(f"{package}.msg"), kind.rpartition("/")[2])
+    return found

@@ -1,37 +1,29 @@
-"""Packets of Velodyne sensors, as in ``velodyne_msgs/VelodyneScan``, to scans."""
+"""Packets of Velodyne sensors, in ``velodyne_msgs/VelodyneScan`` or network captures (``.pcap``), to scans."""
 
-import os
+import logging
 import re
-from collections.abc import Sequence
+import struct
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.io.formats.table import Table
 from ogm.io.messages.plain import as_bytes, describe_message, reads_message, stamp_seconds
-from ogm.io.no_returns import directions_without_return
 from ogm.io.reading import optional
-from ogm.io.scan_table import scan_from_table
+from ogm.io.scan_table import directions_without_return, scan_from_table
+from ogm.pose import check_stamp
 from ogm.scan import Scan
-from ogm.storage.files import OgmError, error_context
+from ogm.storage.files import FilePath, OgmError, error_context
 
 # Names of Velodynes, and those that velodyne-decoder has for them
 VELODYNE_MODELS = {
-    "VLP-16": "VLP16",
-    "Puck LITE": "PuckLite",
-    "Puck Hi-Res": "PuckHiRes",
-    "VLP-32A": "VLP32A",
-    "VLP-32B": "VLP32B",
-    "VLP-32C": "VLP32C",
-    "HDL-32E": "HDL32E",
-    "HDL-64E S1": "HDL64E_S1",
-    "HDL-64E S2": "HDL64E_S2",
-    "HDL-64E S3": "HDL64E_S3",
-    "VLS-128": "VLS128",
-    "Alpha Prime": "AlphaPrime",
+    **{"VLP-16": "VLP16", "Puck LITE": "PuckLite", "Puck Hi-Res": "PuckHiRes", "VLP-32A": "VLP32A"},
+    **{"VLP-32B": "VLP32B", "VLP-32C": "VLP32C", "HDL-32E": "HDL32E", "HDL-64E S1": "HDL64E_S1"},
+    **{"HDL-64E S2": "HDL64E_S2", "HDL-64E S3": "HDL64E_S3", "VLS-128": "VLS128", "Alpha Prime": "AlphaPrime"},
 }
 """Names of models, and what `velodyne_decoder.Model` names them. An HDL-64E needs its calibration file besides."""
 
@@ -59,11 +51,7 @@ class Packet(NamedTuple):
 
 @reads_message
 def scan_from_velodyne_scan(
-    message: Any,
-    model: str | None = None,
-    *,
-    calibration: str | os.PathLike[str] | None = None,
-    no_returns: bool = True,
+    message: Any, model: str | None = None, *, calibration: FilePath | None = None, no_returns: bool = True
 ) -> Scan:
     """Return the scan of a ``velodyne_msgs/VelodyneScan``.
 
@@ -113,9 +101,7 @@ class VelodyneDecoder:
         What they are of, for errors.
     """
 
-    def __init__(
-        self, packets: Sequence[Packet], model: str | None, calibration: str | os.PathLike[str] | None, where: str
-    ) -> None:
+    def __init__(self, packets: Sequence[Packet], model: str | None, calibration: FilePath | None, where: str) -> None:
         self.library = optional("velodyne_decoder", Path(where), "ros")
         name = _model_of(packets, where) if model is None else _known_model(model)
         with error_context(f"{calibration} is no calibration of a Velodyne", Exception):
@@ -173,3 +159,131 @@ def _known_model(model: str) -> str:
     if plain not in names:
         raise ValueError(f"there is no model {model!r}: give one of {', '.join(VELODYNE_MODELS)}")
     return names[plain]
+
+
+log: logging.Logger = logging.getLogger(__name__)
+
+_MOST = 20_000  # packets of one turn: that of the largest sensor has some 2500
+_LONGEST = 2**24  # [byte] of a packet or a block, as Wireshark has it
+
+
+def scans_from_pcap(
+    path: FilePath,
+    model: str | None = None,
+    *,
+    source: str | None = None,
+    calibration: FilePath | None = None,
+    no_returns: bool = True,
+) -> Iterator[Scan]:
+    """Read the scans of a network capture, one whole turn of the sensor after the other.
+
+    A turn begins where the first packet begins. What is left at the end and is no whole turn is left out, and so is
+    a packet that is cut off.
+
+    Parameters
+    ----------
+    path : path
+        A ``.pcap`` or ``.pcapng``. Packets of other lengths than a Velodyne's data are left out.
+    model, calibration, no_returns
+        As for `scan_from_velodyne_scan`.
+    source : str, optional
+        Address and port of the sensor, such as ``192.168.1.201:2368``, where several are in the capture.
+
+    Yields
+    ------
+    Scan
+        Its stamp is that of the capture.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OgmError
+        If it is no capture, has no packets of a Velodyne, or of several sensors and `source` is not given, or nothing
+        tells the model.
+    ImportError
+        If velodyne-decoder is missing.
+    """
+    path = Path(path)
+    decoder: VelodyneDecoder | None = None
+    turn: list[Packet] = []
+    advance, before, step = 0, None, 0  # [1/100 degree]
+    for packet in _captured(path, source):
+        azimuth = int.from_bytes(packet.data[2:4], "little")
+        if before is not None:
+            step = (azimuth - before) % 36000
+            advance += step
+        before = azimuth
+        if advance >= 36000 or len(turn) >= _MOST:
+            decoder = decoder or VelodyneDecoder(turn, model, calibration, str(path))
+            yield decoder.scan(turn, turn[0].stamp, no_returns, str(path))
+            turn, advance = [], 0
+        turn.append(packet)
+    if not turn:
+        raise OgmError(
+            f"{path} has no packets of {PACKET_BYTES} bytes{f' from {source}' if source else ''}, as Velodynes send"
+        )
+    if advance + step >= 36000:
+        decoder = decoder or VelodyneDecoder(turn, model, calibration, str(path))
+        yield decoder.scan(turn, turn[0].stamp, no_returns, str(path))
+    elif decoder is None:
+        raise OgmError(f"{path} has no whole turn of the sensor, only {advance / 100:g} degrees")
+    else:
+        log.info("%s: %g degrees at the end are no whole turn and are left out", path, advance / 100)
+
+
+class _BoundedReads:
+    """A file that gives no more at once than a packet can have: dpkt asks for whatever length the file states."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self.seek, self.name = file, file.seek, file.name
+
+    def read(self, size: int) -> bytes:
+        if not 0 <= size <= _LONGEST:
+            raise EOFError(f"a packet of {size} bytes")
+        return self._file.read(size)
+
+
+def _captured(path: Path, source: str | None) -> Iterator[Packet]:
+    """Read the data packets of one sensor."""
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
+    dpkt = optional("dpkt", path, "ros")
+    found = source
+    with open(path, "rb") as file:
+        try:
+            packets = dpkt.pcap.UniversalReader(_BoundedReads(file))
+            linux = packets.datalink() == dpkt.pcap.DLT_LINUX_SLL
+        except (ValueError, EOFError, struct.error, dpkt.Error) as error:
+            raise OgmError(f"{path} is no network capture ({error}): is its name right?") from error
+        layer = dpkt.sll.SLL if linux else dpkt.ethernet.Ethernet
+        try:
+            for stamp, raw in packets:
+                data, sender = _payload(layer, raw, dpkt)
+                if data is None or len(data) != PACKET_BYTES or (source is not None and sender != source):
+                    continue
+                found = found or sender
+                if sender != found:
+                    raise OgmError(f"{path} has packets of several sensors, {found} and {sender}: give one as source")
+                try:
+                    yield Packet(check_stamp(float(stamp)), data)
+                except ValueError as error:
+                    raise OgmError(f"{path} has a packet whose {error}") from error
+        except (EOFError, dpkt.Error) as error:
+            log.warning("%s is cut short: %s", path, error)
+
+
+def _payload(layer: Any, raw: bytes, dpkt: Any) -> tuple[bytes | None, str]:
+    """Return the innermost bytes of a packet of the network, and who sent them."""
+    try:
+        packet = layer(raw)
+    except dpkt.Error:
+        return None, ""
+    address, port = "", 0
+    while hasattr(packet, "data"):
+        if isinstance(packet, dpkt.ip.IP):
+            address = ".".join(map(str, packet.src))
+        elif isinstance(packet, dpkt.udp.UDP):
+            port = packet.dport
+        packet = packet.data
+    return (bytes(packet) if isinstance(packet, bytes | bytearray | memoryview) else None), f"{address}:{port}"

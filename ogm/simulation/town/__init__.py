@@ -1,30 +1,28 @@
-"""Towns, drawn by a seed: streets and lanes, ground with hills and kerbs, houses, trees and street furniture."""
+"""Towns, drawn by a seed: streets, lanes and round trips, ground with hills and kerbs, houses, trees, furniture."""
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.random import Generator
 from shapely import Polygon
 
-from ogm.simulation.arrays import Floats, Floats32
-from ogm.simulation.mesh import Mesh, merge
+from ogm.simulation.mesh import Array, Floats, Floats32, Mesh, merge
 from ogm.simulation.recipe import Country
 from ogm.simulation.town.country import CountryBank, lay_fields, turn_rural
 from ogm.simulation.town.furnish import furnish
-from ogm.simulation.town.ground import cover, height_raster, surface
+from ogm.simulation.town.ground import Raster, cover, height_raster, make_terrain, raised, surface
 from ogm.simulation.town.lanes import RING, Draft, Lane, make_lanes
 from ogm.simulation.town.layout import make_plan
 from ogm.simulation.town.lots import fill_blocks
 from ogm.simulation.town.network import StreetNetwork, make_network
-from ogm.simulation.town.terrain import Raster, make_terrain, raised
-from ogm.simulation.town.trips import SHORTEST, round_trip
 
 __all__ = ["Town", "build_town"]
 
 HEIGHT_STEP = 0.25  # [m] of the raster of ground heights
+SHORTEST = 600.0  # [m] of a round trip
+TRIES = 12000  # random drives, of which the best is taken
 ATTEMPTS = 20  # draws of streets
 SMALLEST, LARGEST = 240.0, 1000.0  # [m]
 APRON = 25.0  # [m] ground and backs of houses beyond the square, so that no street is near the end of the ground
@@ -76,7 +74,7 @@ class Town:
     corner: Floats
     districts: tuple[tuple[Polygon, str], ...]
 
-    def ground_height(self, x: NDArray[Any], y: NDArray[Any]) -> Floats:
+    def ground_height(self, x: Array, y: Array) -> Floats:
         """Height of the ground at x, y [m]: bilinear in the raster, as at the edge beyond it."""
         return Raster(self.height, self.height_step, (float(self.corner[0]), float(self.corner[1])))(x, y)
 
@@ -174,3 +172,66 @@ def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
     here = draft.lanes[lane]
     away = np.linalg.norm(here.points[0, :2] - network.grid.nodes[network.grid.roundabout])
     return "roundabout" if here.phase < 0 and away < RING else ""
+
+
+def round_trip(
+    lanes: list[Lane], kinds: list[str], worth: list[float], sense: float, rng: Generator, longest: float
+) -> tuple[int, ...]:
+    """Find a closed trip of at least 600 m that sees many kinds of street.
+
+    Parameters
+    ----------
+    lanes : list of Lane
+        All lanes.
+    kinds : list of str
+        What a trip over each lane shows: kind of street and district, or "roundabout"; "" for nothing.
+    worth : list of float
+        What a metre of each lane is worth.
+    sense : float
+        1 for counter-clockwise, -1 for clockwise.
+    rng : np.random.Generator
+        Draws the trips that are tried.
+    longest : float
+        Trips worth more metres than this are no better.
+
+    Returns
+    -------
+    tuple of int
+        Its lanes in order; none if no such trip was found.
+    """
+    lengths = [lane.length for lane in lanes]
+    begin = [k for k, lane in enumerate(lanes) if lane.junction < 0 and kinds[k]]
+    best: tuple[float, tuple[int, ...]] = (-1.0, ())
+    for _ in range(TRIES):
+        found = _wander(lanes, int(rng.choice(begin)), rng)
+        length = sum(lengths[k] for k in found)
+        if length < SHORTEST:
+            continue
+        points = np.concatenate([lanes[k].points[:, :2] for k in found])
+        following = np.roll(points, -1, axis=0)
+        area = (points[:, 0] * following[:, 1] - following[:, 0] * points[:, 1]).sum() / 2
+        if area * sense <= 0:
+            continue
+        seen = {kinds[k] for k in found if kinds[k]}
+        metres = min(sum(lengths[k] * worth[k] for k in found), longest)
+        total = 100.0 * len(seen) + 300.0 * ("roundabout" in seen) + metres
+        if total > best[0]:
+            best = total, found
+    return best[1]
+
+
+def _wander(lanes: list[Lane], start: int, rng: Generator) -> tuple[int, ...]:
+    """Drive at random and cross no junction twice; the lanes of the trip if it comes back, else none."""
+    trip, crossed = [start], set[int]()
+    for draw in rng.random(200):
+        here = lanes[trip[-1]]
+        past = crossed - {here.junction}
+        ways = [k for k in here.successors if k == start or not (k in trip or lanes[k].junction in past)]
+        if not ways:
+            return ()
+        following = ways[int(draw * len(ways))]
+        if following == start:
+            return tuple(trip)
+        crossed |= {lanes[following].junction} - {-1}
+        trip.append(following)
+    return ()

@@ -1,18 +1,17 @@
-"""Houses on their footprints: storeys with windows, doors, shops, balconies, passages, roofs."""
+"""Houses on their footprints: storeys, passages, and roofs, flat ones behind parapets or pitched ones."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 import shapely
 from numpy.random import Generator
+from numpy.typing import ArrayLike
 from shapely import Polygon
 
-from ogm.simulation.arrays import Floats, HeightAt
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, cylinder, merge
-from ogm.simulation.town import roofs
-from ogm.simulation.town.design import HouseDesign, draw_design
-from ogm.simulation.town.facades import Side, side_of, upright
+from ogm.simulation.mesh import Floats, HeightAt, Mesh, box, cylinder, merge, quads, triangles
+from ogm.simulation.town.facades import HouseDesign, Side, draw_design, side_of, upright
 from ogm.simulation.town.footprints import front_first
 from ogm.simulation.town.storeys import SUNK, House, ground_floor, upper_storeys
 
@@ -73,7 +72,7 @@ def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: Heigh
     if not passage.is_empty:
         through = np.array(passage.exterior.coords)
         upper = max(upper, float(np.max(height_at(*through.T))) + HEADROOM + 0.1)
-        parts.append(roofs.flat(passage, upper, design.wall))
+        parts.append(flat(passage, upper, design.wall))
     top = upper + (design.storeys - 1) * design.storey
     house = House(design, height_at, low, floor, upper, top)
     inner = outline.buffer(-0.05, join_style="mitre")
@@ -147,10 +146,10 @@ def _roof(outline: Polygon, street: Side, top: float, design: HouseDesign, rng: 
     ridge = np.linalg.norm(corners[1] - corners[0])
     over, hip = (design.eaves, 0.0 if design.blind_sides else 0.25), 0.9 if design.roof == "hip" else 0.0
     dormers = int(ridge / 4.5) if design.roof == "gable" and rng.random() < 0.35 else 0
-    parts = [roofs.pitched(corners, top, design.pitch, design.wall, over, hip, dormers)]
+    parts = [pitched(corners, top, design.pitch, design.wall, over, hip, dormers)]
     if design.ground_floor in ("home", "shop"):
         x, y = corners.mean(axis=0) + rng.normal(0, 0.8, 2)
-        parts.append(roofs.chimney(float(x), float(y), top, top + design.pitch * narrow / 2 + 0.9))
+        parts.append(chimney(float(x), float(y), top, top + design.pitch * narrow / 2 + 0.9))
     return merge(parts)
 
 
@@ -158,12 +157,12 @@ def _flat_roof(outline: Polygon, top: float, design: HouseDesign, rng: Generator
     """Lay a flat roof with its parapet, or with eaves that reach over the walls."""
     if design.storeys == 1 and rng.random() < 0.5:
         over = outline.buffer(design.eaves, join_style="mitre")
-        parts = [roofs.flat(over, z, M.ROOF) for z in (top, top + 0.25)]
+        parts = [flat(over, z, M.ROOF) for z in (top, top + 0.25)]
         return merge([*parts, *_rim(over, top, top + 0.25, M.METAL_SHEET)])
-    parts = [roofs.flat(outline, top, M.ROOF), *_rim(outline, top, top + rng.uniform(0.3, 0.9), design.wall)]
+    parts = [flat(outline, top, M.ROOF), *_rim(outline, top, top + rng.uniform(0.3, 0.9), design.wall)]
     if outline.area > 120:
         x, y = outline.representative_point().coords[0]
-        parts.append(roofs.chimney(x, y, top, top + 2.4))
+        parts.append(chimney(x, y, top, top + 2.4))
     return merge(parts)
 
 
@@ -184,9 +183,9 @@ def _pavilion(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     ]
     outline = Polygon(ring)
     if len(ring) == 5 and rng.random() < 0.6:
-        return merge([*posts, roofs.pitched(ring[:-1], top, rng.uniform(0.4, 0.7), M.WOOD, (0.4, 0.2), 0.9)])
+        return merge([*posts, pitched(ring[:-1], top, rng.uniform(0.4, 0.7), M.WOOD, (0.4, 0.2), 0.9)])
     over = outline.buffer(0.2, join_style="mitre")
-    lids = [roofs.flat(over, z, M.ROOF) for z in (top, top + 0.2)]
+    lids = [flat(over, z, M.ROOF) for z in (top, top + 0.2)]
     return merge([*posts, *_rim(over, top, top + 0.2, M.WOOD), *lids])
 
 
@@ -201,7 +200,7 @@ def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
         return np.asarray((1 - t) * ((1 - s) * p[0] + s * p[1]) + t * ((1 - s) * p[3] + s * p[2]))
 
     deck_outline = Polygon([spot(0, 0.05), spot(1, 0.05), spot(1, 0.6), spot(0, 0.6)])
-    parts = [roofs.flat(deck_outline, h, M.METAL_SHEET) for h in (z, z + 0.9)]
+    parts = [flat(deck_outline, h, M.METAL_SHEET) for h in (z, z + 0.9)]
     parts += _rim(deck_outline, z, z + 0.9, M.METAL_SHEET)
     for s in (0.2, 0.8):
         for t in (0.18, 0.48):
@@ -216,3 +215,82 @@ def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     if shop.area > 12:
         parts.append(_house(shop, side_of(spot(0.1, 0.75), spot(0.9, 0.75)), design, height_at, rng))
     return merge(parts)
+
+
+def flat(footprint: Polygon, z: float, material: int) -> Mesh:
+    """Cover a footprint of any shape with a level sheet at height z [m]."""
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(footprint))
+    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+    return triangles(np.concatenate([corners, np.full((*corners.shape[:2], 1), z)], axis=-1), material)
+
+
+def pitched(
+    corners: ArrayLike, z: float, pitch: float, wall: int, over: Sequence[float], hip: float = 0.0, dormers: int = 0
+) -> Mesh:
+    """Set a gabled or hipped roof on four corners; the ridge runs beside the first edge.
+
+    Parameters
+    ----------
+    corners : (4, 2) array
+        Counter-clockwise [m].
+    z : float
+        Height of the walls' top [m].
+    pitch : float
+        Slope: rise over run.
+    wall : Material
+        Of gables and dormers; the roof itself is ROOF, its soffit WOOD.
+    over : (eaves, verge)
+        How far it reaches over the walls along and across the slopes [m].
+    hip : float
+        0 for upright gables, 1 for a hip as steep as the slopes.
+    dormers : int
+        How many on each slope.
+    """
+    p = np.asarray(corners, np.float64)
+    ends = np.stack([p[0] + p[3], p[1] + p[2]]) / 2  # below the ridge's ends
+    span = float(np.linalg.norm(ends[1] - ends[0]))
+    along = (ends[1] - ends[0]) / span
+    run = float(np.linalg.norm(p[3] - p[0]) + np.linalg.norm(p[2] - p[1])) / 4
+    across = (p[0] - p[3]) / np.linalg.norm(p[0] - p[3])
+    eaves, verge = over
+    rise, ahead, aside = pitch * run, eaves if hip else verge, np.array([[-1], [1], [1], [-1]])
+    level = p + ahead * aside * along + eaves * np.array([[1], [1], [-1], [-1]]) * across
+    eave = np.column_stack([level, np.full(4, z - pitch * eaves)])
+    inset = min(hip * run, 0.48 * span) if hip else -verge
+    ridge = np.column_stack([ends + inset * np.array([[1], [-1]]) * along, np.full(2, z + rise)])
+    slopes = quads([[eave[0], eave[1], ridge[1], ridge[0]], [eave[2], eave[3], ridge[0], ridge[1]]], M.ROOF)
+    soffit = quads(eave, M.WOOD)
+    if hip:
+        gables = triangles([[eave[1], eave[2], ridge[1]], [eave[3], eave[0], ridge[0]]], M.ROOF)
+    else:
+        top = np.column_stack([ends, np.full(2, z + rise)])
+        at = np.column_stack([p, np.full(4, z)])
+        gables = triangles([[at[1], at[2], top[1]], [at[3], at[0], top[0]]], wall)
+    windows = _dormers(ends, along, across, run, z, rise, wall, dormers if rise > 2.4 else 0)
+    return merge([slopes, soffit, gables, windows])
+
+
+def chimney(x: float, y: float, low: float, top: float) -> Mesh:
+    """Set a chimney or lift house of 0.6 m at x, y, between two heights [m]."""
+    return box([x - 0.3, y - 0.3, low], [x + 0.3, y + 0.3, top], M.BRICK)
+
+
+def _dormers(
+    ends: Floats, along: Floats, across: Floats, run: float, z: float, rise: float, wall: int, count: int
+) -> Mesh:
+    """Set boxes with a window into both slopes."""
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    front, top = 0.78 * run, z + min(0.22 * rise + 1.5, 0.9 * rise)
+    back, eave = run * (1 - (top - z) / rise), z + rise * (1 - front / run)
+    faces = []
+    for u in (np.arange(count) + 0.5) / max(count, 1) * length:
+        for out in (across, -across):
+            a, b = (ends[0] + (u + k) * along for k in (-0.7, 0.7))
+            fa, fb, ba, bb = a + front * out, b + front * out, a + back * out, b + back * out
+            faces += [
+                [[*fa, eave], [*fb, eave], [*fb, top], [*fa, top]],
+                [[*fa, top], [*fb, top], [*bb, top], [*ba, top]],
+                [[*fa, eave], [*fa, top], [*ba, top], [*ba, top - 0.01]],
+                [[*fb, eave], [*fb, top], [*bb, top], [*bb, top - 0.01]],
+            ]
+    return quads(faces, np.tile([int(M.WINDOW), int(M.ROOF), wall, wall], 2 * count))

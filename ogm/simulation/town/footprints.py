@@ -8,8 +8,8 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 from shapely import Polygon
 
-from ogm.simulation.arrays import Floats
-from ogm.simulation.town.overlay import area, polygons
+from ogm.simulation.mesh import Floats
+from ogm.simulation.town.network import area, polygons
 
 
 def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> list[Polygon]:

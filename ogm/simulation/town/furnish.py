@@ -10,19 +10,16 @@ from numpy.random import Generator
 from shapely import LineString
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh
-from ogm.simulation.town import fences, plants, structures
+from ogm.simulation.mesh import Floats, Mesh, upright
 from ogm.simulation.town import furniture as f
+from ogm.simulation.town import plants, structures
 from ogm.simulation.town.buildings import building
 from ogm.simulation.town.country import CountryField, plant_fields
+from ogm.simulation.town.ground import Raster, raised
 from ogm.simulation.town.layout import TownLayout
 from ogm.simulation.town.lots import Lot
-from ogm.simulation.town.network import Street
-from ogm.simulation.town.overlay import area, inside, polygons
-from ogm.simulation.town.shapes import upright
-from ogm.simulation.town.terrain import Raster, raised
+from ogm.simulation.town.network import Street, area, inside, polygons
 from ogm.simulation.town.yard import Maker, Wanted, Yard
 
 # Share of the fronts that hide what is behind them.
@@ -149,7 +146,7 @@ def _rows(yard: Yard, street: Street, side: int, begin: float, end: float) -> No
         start = rng.uniform(begin + 4, end - 30)
         way = np.arange(start, min(start + rng.uniform(16, 60), end - 2), 2.0)
         edge = profile.right if side < 0 else profile.left
-        yard.add(fences.guard_rail(raised(street.at(way, side * (edge + 0.5)), yard.height)))
+        yard.add(structures.guard_rail(raised(street.at(way, side * (edge + 0.5)), yard.height)))
 
 
 def _spans(plan: TownLayout, yard: Yard) -> None:
@@ -197,7 +194,7 @@ def _lot(lot: Lot, yard: Yard) -> None:
         for part in polygons(shape.buffer(-1.0).simplify(0.3))[:1]:
             for side in shapely.get_parts(shapely.difference(part.exterior, area(yard.blocked))):
                 if side.length > 1.6:
-                    yard.add(fences.fence(yard.line(side, 3.0), yard.rng))
+                    yard.add(structures.fence(yard.line(side, 3.0), yard.rng))
         yard.pieces(shape.buffer(-3), PIECES["works"])
     else:
         _edge(lot, yard, 0.6)
@@ -258,13 +255,13 @@ def _enclose(points: Floats, style: str, kind: float, hides: bool, yard: Yard) -
     if hides and kind < 0.42:
         yard.add(plants.hedge(points, rng, lowest=1.5))
     elif hides and kind < 0.7:
-        yard.add(fences.low_wall(points, rng, lowest=1.5))
+        yard.add(structures.low_wall(points, rng, lowest=1.5))
     elif hides:
-        yard.add(fences.screen(points, rng, M.METAL_SHEET if style == "industrial" else M.WOOD))
+        yard.add(structures.screen(points, rng, M.METAL_SHEET if style == "industrial" else M.WOOD))
     elif style != "suburb" and kind < 0.75:
-        yard.add(fences.fence(points, rng))
+        yard.add(structures.fence(points, rng))
     elif style == "suburb" and kind < 0.85:
-        build = plants.hedge if kind < 0.25 else fences.fence if kind < 0.6 else fences.low_wall
+        build = plants.hedge if kind < 0.25 else structures.fence if kind < 0.6 else structures.low_wall
         yard.add(build(points, rng))
 
 

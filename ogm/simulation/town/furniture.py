@@ -4,14 +4,68 @@ A piece has its origin at its base. Traffic comes towards it from +x, so that a 
 right-hand traffic the road then lies on its -y side, where lamps reach out to and shelters open to.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import ArrayLike
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads, sheet
+from ogm.simulation.mesh import SUNK, Floats, Mesh, box, cylinder, loft, merge, quads, sheet, upright
 from ogm.simulation.town.plants import bush
-from ogm.simulation.town.shapes import SUNK, block, extruded, panel, plate, pole, rod, strip, upright
+
+
+def pole(
+    top: float,
+    radius: float,
+    material: M = M.METAL_POLE,
+    at: Sequence[float] = (0, 0),
+    end: float | None = None,
+    sides: int = 6,
+) -> Mesh:
+    """Make an upright pole at x, y that reaches into the ground, with another radius at its upper `end` if given."""
+    return cylinder([*at, -SUNK], [*at, top], radius, material, end_radius=end, sides=sides)
+
+
+def rod(
+    low: float, high: float, radius: float, material: M, end: float | None = None, sides: int = 8, *, caps: bool = True
+) -> Mesh:
+    """Make an upright cylinder or cone between two heights, with another radius at its upper `end` if given."""
+    return cylinder([0, 0, low], [0, 0, high], radius, material, end_radius=end, sides=sides, caps=caps)
+
+
+def block(center: ArrayLike, size: ArrayLike, material: M) -> Mesh:
+    """Make a box around its middle."""
+    center, half = np.asarray(center, np.float64), np.asarray(size, np.float64) / 2
+    return box(center - half, center + half, material)
+
+
+def extruded(profile: ArrayLike, ends: tuple[float, float], material: M, axis: int = 0) -> Mesh:
+    """Make a prism: a profile (P, 2) of y, z between two x, or with `axis` 1 of x, z between two y."""
+    p = np.asarray(profile, np.float64)
+    sections = [np.insert(p, axis, end, axis=1) for end in ends]
+    return loft(sections, material, caps=material)
+
+
+def panel(width: float, tall: float) -> Floats:
+    """Return a rectangle's outline (4, 2) in y, z around the middle."""
+    return 0.5 * np.array([[-width, -tall], [width, -tall], [width, tall], [-width, tall]])
+
+
+def plate(outline: Floats, z: float, radius: float) -> list[Mesh]:
+    """Make a plate before a pole of that radius: retroreflective front towards +x, bare metal 2 cm behind it."""
+    fan = np.array([(0, k, k + 1) for k in range(1, len(outline) - 1)], np.uint32)
+    parts = []
+    for x, material in ((radius + 0.03, M.SIGN), (radius + 0.01, M.METAL_SHEET)):
+        vertices = np.column_stack([np.full(len(outline), x), outline[:, 0], outline[:, 1] + z])
+        parts.append(Mesh(vertices.astype(np.float32), fan, np.full(len(fan), material, np.uint8)))
+    return parts
+
+
+def strip(start: ArrayLike, end: ArrayLike, half: ArrayLike) -> Floats:
+    """Return the corners (4, 3) of a flat bar between two points, `half` its half width as a vector."""
+    a, b, h = (np.asarray(v, np.float64) for v in (start, end, half))
+    return np.stack([a - h, a + h, b + h, b - h])
 
 
 def lamp(rng: Generator) -> Mesh:

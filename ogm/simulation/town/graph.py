@@ -7,7 +7,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.sparse.csgraph import connected_components
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.mesh import Floats
 
 MARGIN = 35.0  # [m] from the outermost street to the edge of the square
 Edges = list[tuple[int, int]]

@@ -1,4 +1,4 @@
-"""The ground: the triangles of roads, sidewalks and yards, and the kerbs between them.
+"""The ground: heights of hills, banks, crowned roads and kerbs, and the triangles of roads, sidewalks and yards.
 
 Two heights are defined everywhere: that of the road and that of the land beside it, which lies a kerb
 higher. Which one holds is given by the plan. All lines of the plan and a grid are cut at their crossings
@@ -6,18 +6,167 @@ into faces; every face is triangulated with all its corners, so neighbours share
 no ray falls between them; where road and land meet, an upright kerb closes the step.
 """
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from numpy.random import Generator
+from numpy.typing import ArrayLike
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
 
 from ogm.extras import import_extra
 from ogm.simulation.materials import GROUND, Material
-from ogm.simulation.mesh import Mesh, quads
-from ogm.simulation.town.layout import TownLayout
-from ogm.simulation.town.terrain import Raster, Terrain, raster
+from ogm.simulation.mesh import Array, Floats, Floats32, HeightAt, Mask, Mesh, quads
+from ogm.simulation.town.layout import Drop, TownLayout
+
+CROWN = 0.025  # slope across a road, from its middle to the kerbs
+CROWN_REACH = 4.0  # [m] farther from the kerb the road is level
+FIELD = 0.5  # [m] step of the rasters that heights are made of
+DROPPED = 0.02  # [m] height of a kerb that is let down
+# [m] of the land in a district
+UNEVEN = {"centre": 0.1, "suburb": 0.5, "industrial": 0.15, "park": 1.4, "country": 0.9}
+STEEPEST = 0.068  # steepest grade of the hills; crown and bumps come on top
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """A square array of values on points `corner` + `step` * (i, j)."""
+
+    values: Floats32
+    step: float
+    corner: tuple[float, float]
+
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Bilinear between the points, as at the edge beyond it."""
+        u = np.clip((np.asarray(x, np.float64) - self.corner[0]) / self.step, 0, len(self.values) - 1)
+        v = np.clip((np.asarray(y, np.float64) - self.corner[1]) / self.step, 0, self.values.shape[1] - 1)
+        i = np.minimum(u.astype(np.int64), len(self.values) - 2)
+        j = np.minimum(v.astype(np.int64), self.values.shape[1] - 2)
+        u, v = u - i, v - j
+        near = self.values[i, j] * (1 - v) + self.values[i, j + 1] * v
+        far = self.values[i + 1, j] * (1 - v) + self.values[i + 1, j + 1] * v
+        return np.asarray(near * (1 - u) + far * u)
+
+
+def raster(values: Array, step: float, size: float) -> Raster:
+    """Return a raster of a square of `size` metres around (0, 0)."""
+    return Raster(values.astype(np.float32), step, (-size / 2, -size / 2))
+
+
+def raised(points: Floats, height_at: HeightAt) -> Floats:
+    """Lift points (M, 2) to a height: (M, 3)."""
+    return np.column_stack([points, height_at(*points.T)])
+
+
+class Terrain(NamedTuple):
+    """All that heights are computed from."""
+
+    waves: Floats  # (W, 4) wave numbers along x and y [rad/m], phase, amplitude [m]
+    bowls: Floats  # (B, 4) x, y, radius, height of dips (< 0) and humps [m]
+    crown: Raster
+    bank: HeightAt
+    kerb: Raster
+
+    def base(self, x: Floats, y: Floats) -> Floats:
+        """Height of the hills alone [m]."""
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        z = np.zeros(np.broadcast(x, y).shape)
+        for kx, ky, phase, amplitude in self.waves:
+            z += amplitude * np.sin(kx * x + ky * y + phase)
+        for cx, cy, radius, height in self.bowls:
+            z += height * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * radius**2))
+        return z
+
+    def road(self, x: Floats, y: Floats) -> Floats:
+        """Height of the road surface [m]."""
+        return self.base(x, y) + self.crown(x, y)
+
+    def land(self, x: Floats, y: Floats, drops: Sequence[Drop] = ()) -> Floats:
+        """Height of the land beside the road, kerb included [m]."""
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        kerb = self.kerb(x, y)
+        if drops:
+            tree = cKDTree(np.stack([x, y], axis=1))
+            low = np.zeros(len(x))
+            for drop in drops:
+                near = np.array(tree.query_ball_point(drop.at, drop.half + 3.0), np.int64)
+                low[near] = np.maximum(low[near], drop.share(x[near], y[near]))
+            kerb = kerb * (1 - low) + DROPPED * low
+        return self.road(x, y) + kerb + self.bank(x, y)
+
+
+def mask(shape: BaseGeometry, size: float, step: float) -> Mask:
+    """Which points of a raster from -size/2 to size/2 lie in a shape: (n, n) over x, y."""
+    ticks = np.arange(int(round(size / step)) + 1) * step - size / 2
+    result = np.zeros((len(ticks), len(ticks)), bool)
+    if shape.is_empty:
+        return result
+    x0, y0, x1, y1 = shape.bounds
+    i, j = slice(*np.searchsorted(ticks, (x0, x1 + step))), slice(*np.searchsorted(ticks, (y0, y1 + step)))
+    shapely.prepare(shape)
+    x, y = np.meshgrid(ticks[i], ticks[j], indexing="ij")
+    result[i, j] = shapely.contains_xy(shape, x, y)
+    return result
+
+
+def make_terrain(plan: TownLayout, rng: Generator) -> Terrain:
+    """Draw hills, and fit banks, crowns and kerbs to the streets of a plan."""
+    size, streets = plan.size, plan.network.streets
+    # Hills: a few long waves, and bumps that a car feels; together no steeper than STEEPEST.
+    length = np.concatenate([rng.uniform(170, 420, 5), rng.uniform(70, 130, 3)])
+    angle = rng.uniform(0, 2 * np.pi, 8)
+    amplitude = length / 100 * np.where(np.arange(8) < 5, 1.0, 0.35) * rng.uniform(0.5, 1.2, 8)
+    waves = _waves(length, angle, amplitude, rng)
+    around = rng.uniform(-0.3, 0.3, (2, 2)) * size
+    longest = max(streets, key=lambda street: street.length)
+    dip = longest.at(longest.length * 0.5)
+    bowls = np.array([[*dip, 16.0, -0.9], [*around[0], 30.0, 1.5], [*around[1], 25.0, -1.2]])
+    level = raster(np.zeros((2, 2)), size, size)
+    ticks = np.arange(-size / 2, size / 2 + 2, 2.0)
+    hills = Terrain(waves, bowls, level, level, level).base(*np.meshgrid(ticks, ticks, indexing="ij"))
+    share = STEEPEST / np.hypot(*np.gradient(hills, 2.0)).max()
+    waves[:, 3] *= share
+    bowls[:, 3] *= share
+    fine = np.concatenate([rng.uniform(18, 40, 4), rng.uniform(6, 12, 4)])
+    bumps = _waves(fine, rng.uniform(0, 2 * np.pi, 8), np.where(np.arange(8) < 4, 0.012, 0.003), rng)
+    # Crown: rises from the kerbs to the middle of the road.
+    on_road = mask(plan.road, size, FIELD)
+    inside = distance_transform_edt(on_road) * FIELD
+    crown = CROWN * np.minimum(gaussian_filter(np.minimum(inside, CROWN_REACH + 1), 1.0), CROWN_REACH)
+    crown = np.where(on_road, crown, 0.0)
+    # Banks: the land leaves the street's level a few metres behind the sidewalk, as the districts have it.
+    beyond = distance_transform_edt(~mask(plan.corridor, size, FIELD)) * FIELD
+    ramp = np.clip(beyond - 0.5, 0, 9) / 9
+    ramp = ramp**2 * (3 - 2 * ramp)
+    shape = on_road.shape
+    rough = gaussian_filter(rng.standard_normal((shape[0] // 8 + 2, shape[1] // 8 + 2)), 3.0)
+    rough = rough / rough.std()
+    edge = size / 2
+    rim = [p for t in np.linspace(-edge, edge, 9) for p in ((t, -edge), (t, edge), (-edge, t), (edge, t))]
+    uneven = np.array([UNEVEN[style] for style in plan.network.grid.styles] + [1.3] * len(rim))
+    gx, gy = np.meshgrid(*(np.arange(s) * 8 * FIELD - edge for s in rough.shape), indexing="ij")
+    far = np.stack([np.hypot(gx - x, gy - y) for x, y in [*plan.network.grid.faces, *rim]])
+    field = raster(rough * gaussian_filter(uneven[far.argmin(axis=0)], 2.0), 8 * FIELD, size)
+    px, py = np.meshgrid(*(np.arange(s) * FIELD - edge for s in shape), indexing="ij")
+    bank = ramp * np.clip(field(px, py), -2.5, 2.5)
+    # Kerbs: as high as in the profile of the nearest street.
+    kerb = np.full(shape, 0.11)
+    for street in streets:
+        near = shapely.buffer(shapely.linestrings(street.line), 14.0, cap_style="flat")
+        kerb[mask(near, size, FIELD)] = street.profile.kerb
+    rasters = (raster(values, FIELD, size) for values in (crown, bank, gaussian_filter(kerb, 4.0)))
+    return Terrain(np.concatenate([waves, bumps]), bowls, *rasters)
+
+
+def _waves(length: Floats, angle: Floats, amplitude: Floats, rng: Generator) -> Floats:
+    """Return waves (W, 4) as in `Terrain` with lengths, directions and amplitudes, their phases drawn."""
+    k = 2 * np.pi / length
+    return np.stack([k * np.cos(angle), k * np.sin(angle), rng.uniform(0, 2 * np.pi, 8), amplitude], axis=1)
+
 
 TILE = 4.0  # [m] of the grid that cuts the ground
 
@@ -66,7 +215,7 @@ def cover(plan: TownLayout, terrain: Terrain) -> tuple[Mesh, Mesh]:
     return Mesh(vertices, triangles.astype(np.uint32), material[owner]), _kerbs(vertices, triangles, unique, lowered)
 
 
-def _kerbs(vertices: NDArray[Any], triangles: NDArray[Any], code: NDArray[Any], lowered: NDArray[Any]) -> Mesh:
+def _kerbs(vertices: Array, triangles: Array, code: Array, lowered: Array) -> Mesh:
     """Close the steps between road and land: wherever an edge of the one runs along an edge of the other."""
     sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     place = code // 2

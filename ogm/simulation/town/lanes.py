@@ -1,11 +1,11 @@
-"""Lanes: along the streets, through the crossings, round the roundabout, and closed round trips over them."""
+"""Lanes: along the streets, through the crossings, and round the roundabout."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town.network import Street, StreetNetwork, evenly, turn
 
 KERB_RADIUS = 7.0  # [m] of kerbs at corners
@@ -99,13 +99,11 @@ def cuts(network: StreetNetwork) -> Floats:
     return result
 
 
-def _corner(
-    network: StreetNetwork, other: tuple[int, int, Floats], outward: Floats, right: float, left: float
-) -> float:
+def _corner(network: StreetNetwork, arm: tuple[int, int, Floats], outward: Floats, right: float, left: float) -> float:
     """How far from a crossing the kerb's arc towards another arm begins [m]."""
     # A corner lies between the left side of one arm and the right side of the next one.
-    angle = turn(outward, other[2])
-    other_right, other_left = _sides(network.streets[other[0]], other[1])
+    angle = turn(outward, arm[2])
+    other_right, other_left = _sides(network.streets[arm[0]], arm[1])
     mine, theirs = (left, other_right) if angle > 0 else (right, other_left)
     angle = abs(angle)
     if angle >= np.deg2rad(150):

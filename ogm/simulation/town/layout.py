@@ -9,11 +9,10 @@ from numpy.random import Generator
 from shapely import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town.lanes import HEAD, ISLAND, KERB_RADIUS, RING, Draft
-from ogm.simulation.town.network import Street, StreetNetwork
-from ogm.simulation.town.overlay import area, polygons
+from ogm.simulation.town.network import Street, StreetNetwork, area, polygons
 
 BAY = 5.8  # [m] length of a place to park along the kerb
 

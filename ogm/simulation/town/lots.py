@@ -8,11 +8,11 @@ from numpy.random import Generator
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town.footprints import split_front
 from ogm.simulation.town.layout import Bay, Block, Drop, TownLayout, rectangle, wrapped
-from ogm.simulation.town.overlay import area, polygons
+from ogm.simulation.town.network import area, polygons
 
 DEPTH = {"centre": 19.0, "suburb": 30.0, "industrial": 48.0, "arterial": 34.0, "park": 14.0}  # [m]
 SETBACK = {"centre": 0.0, "suburb": 1.2, "industrial": 2.0, "arterial": 1.0, "park": 2.0}  # [m] at least

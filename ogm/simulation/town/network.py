@@ -1,17 +1,19 @@
-"""The street network in the plane: crossings on a curved grid, streets between them, what each street is like."""
+"""The street network in the plane, what each street is like, and overlays of shapes there."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 from shapely import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town.graph import MARGIN, Grid, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
 
 Rural = Callable[[tuple[str, ...], Floats], tuple[str, ...]]  # of districts and the middles of their meshes
@@ -281,3 +283,23 @@ def _corner(a: Floats, b: Floats, c: Floats) -> list[Floats]:
     radius = reach / np.tan(abs(angle) / 2)
     start, side = b - reach * u, np.sign(angle) * np.array([-u[1], u[0]])
     return [start + radius * (np.sin(t) * u + (1 - np.cos(t)) * side) for t in np.linspace(0, abs(angle), 9)]
+
+
+def polygons(shape: BaseGeometry) -> list[Polygon]:
+    """Return the polygons of a geometry, largest first."""
+    parts = [part for part in shapely.get_parts(shape) if isinstance(part, Polygon) and part.area > 0]
+    return sorted(parts, key=lambda part: -part.area)
+
+
+def area(shape: BaseGeometry) -> BaseGeometry:
+    """Return a geometry without the lines and points that an overlay leaves where shapes only touch.
+
+    Overlays refuse such mixtures as operands.
+    """
+    return shapely.union_all(polygons(shape))
+
+
+def inside(line: BaseGeometry, shape: BaseGeometry) -> list[LineString]:
+    """Return the parts of a line within a shape, without points where the two only touch."""
+    parts = shapely.get_parts(shapely.intersection(line, area(shape)))
+    return [part for part in parts if isinstance(part, LineString)]

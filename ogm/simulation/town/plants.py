@@ -7,11 +7,10 @@ import shapely
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats, HeightAt
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, empty, loft, merge, quads
-from ogm.simulation.town.shapes import SUNK, triangles
+from ogm.simulation.mesh import SUNK, Floats, HeightAt, Mesh, empty, loft, merge, quads, triangles
 
 TUFTS = 4000  # a lawn gets no more tufts than this
 
@@ -163,14 +162,7 @@ def grass_tufts(polygon: Polygon, height_at: HeightAt, rng: Generator, *, densit
     Mesh
         Two triangles per tuft, 0.05 to 0.3 m high.
     """
-    if polygon.is_empty:
-        return empty()
-    count = min(int(polygon.area * density), TUFTS)
-    x0, y0, x1, y1 = polygon.bounds
-    tries = int(count * (x1 - x0) * (y1 - y0) / max(polygon.area, 1e-9)) if count else 0
-    x, y = rng.uniform(x0, x1, tries), rng.uniform(y0, y1, tries)
-    inside = shapely.contains_xy(polygon, x, y)
-    x, y = x[inside][:TUFTS], y[inside][:TUFTS]
+    x, y = (column[:TUFTS] for column in points_in(polygon, density, TUFTS, rng))
     if not len(x):
         return empty()
     base = np.stack([x, y, np.asarray(height_at(x, y), np.float64)], axis=1)
@@ -181,6 +173,19 @@ def grass_tufts(polygon: Polygon, height_at: HeightAt, rng: Generator, *, densit
     base[:, 2] -= 0.03
     corners = np.stack([base - across, base + across, base + 0.6 * across + lean, base - 0.6 * across + lean], 1)
     return quads(corners, M.GRASS)
+
+
+def points_in(shape: BaseGeometry, density: float, most: int, rng: Generator) -> tuple[Floats, Floats]:
+    """Draw points evenly, so many per square metre, at most `most`."""
+    count = min(int(shape.area * density), most)
+    if count == 0:
+        return np.zeros(0), np.zeros(0)
+    x0, y0, x1, y1 = shape.bounds
+    tries = int(count * (x1 - x0) * (y1 - y0) / shape.area)
+    x, y = rng.uniform(x0, x1, tries), rng.uniform(y0, y1, tries)
+    shapely.prepare(shape)
+    inside = shapely.contains_xy(shape, x, y)
+    return x[inside], y[inside]
 
 
 def _within_crown(rng: Generator, count: int, taper: float, *, shell: float) -> Floats:

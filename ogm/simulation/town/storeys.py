@@ -4,14 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ogm.simulation.arrays import Floats, HeightAt
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh
+from ogm.simulation.mesh import Bytes, Floats, HeightAt, Mesh
 from ogm.simulation.town import facades
-from ogm.simulation.town.design import HouseDesign
-from ogm.simulation.town.facades import Openings, Side, deck, ledge, punched, side_of
+from ogm.simulation.town.facades import HouseDesign, Openings, Side, deck, ledge, punched, side_of
 
 Pieces = list[tuple[Floats, ArrayLike]]
 
@@ -263,7 +261,7 @@ def _openings(middle: Floats, width: float) -> Openings:
     return Openings(middle - width / 2, middle + width / 2, none, none, none, none.astype(np.uint8))
 
 
-def _panes(rng: Generator, count: int) -> NDArray[np.uint8]:
+def _panes(rng: Generator, count: int) -> Bytes:
     """Choose panes: most are glass, some have their shutters or blinds down."""
     shut = rng.random() * 0.35
     other = rng.choice([M.PLASTER_LIGHT, M.WOOD, M.PLASTIC_DARK])

@@ -8,13 +8,11 @@ from numpy.random import Generator
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh
+from ogm.simulation.mesh import Floats, Mesh, upright
 from ogm.simulation.town import plants
+from ogm.simulation.town.ground import FIELD, Raster, mask, raised, raster
 from ogm.simulation.town.layout import TownLayout
-from ogm.simulation.town.shapes import upright
-from ogm.simulation.town.terrain import FIELD, Raster, mask, raised, raster
 
 HEADROOM = 4.6  # [m] nothing over a road is lower
 _SPOTS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]], float)

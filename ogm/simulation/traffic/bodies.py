@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, box, loft, merge, quads
+from ogm.simulation.mesh import Floats, Mesh, box, loft, merge, quads
 
 
 class Body(NamedTuple):

@@ -1,16 +1,83 @@
-"""The lanes as arrays: path, speed profile, who may not cross whom, where pedestrians cross."""
+"""Lanes and walkways as arrays: places on them, speed profiles, who may not cross whom, where people cross."""
 
 import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ogm.simulation.arrays import Floats, Floats32, Mask
+from ogm.jit import kernel
+from ogm.simulation.mesh import Floats, Floats32, Ints, Mask
 from ogm.simulation.town.lanes import Lane
-from ogm.simulation.traffic.paths import Lines, lines
+
+
+class Lines(NamedTuple):
+    """Polygonal lines, one after the other: points (P, 3), way along each line (P,), first point of each (L + 1,)."""
+
+    points: Floats
+    along: Floats
+    first: Ints
+
+    @property
+    def length(self) -> Floats:
+        """Length of each line [m]."""
+        return self.along[self.first[1:] - 1]
+
+
+def lines(parts: Sequence[Floats]) -> Lines:
+    """Put lines (M, 3) together; points that repeat the one before are left out."""
+    kept = []
+    for part in parts:
+        points = np.asarray(part, np.float64)
+        step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        kept.append(points[np.concatenate([[True], step > 1e-9])])
+    along = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]) for p in kept]
+    first = np.concatenate([[0], np.cumsum([len(p) for p in kept])]).astype(np.int64)
+    return Lines(np.concatenate([np.zeros((0, 3)), *kept]), np.concatenate([np.zeros(0), *along]), first)
+
+
+@kernel
+def _add(table: Lines, first: int, last: int, s: float, weight: float, out: Floats) -> None:
+    """Add the point at way `s` on a line, times a weight, to `out`."""
+    points, along = table.points, table.along
+    low, high = first, last - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if along[middle] <= s:
+            low = middle
+        else:
+            high = middle
+    share = (s - along[low]) / (along[low + 1] - along[low])
+    for k in range(3):
+        out[k] += weight * ((1 - share) * points[low, k] + share * points[low + 1, k])
+
+
+@kernel
+def along_routes(
+    table: Lines, route: Ints, start: Floats, driver: Ints, way: Floats, reach: Floats, out: Floats
+) -> None:
+    """Write the places (U, 3) at `way` on the routes of drivers, corners rounded off over `reach` [m]."""
+    first = table.first
+    for u in range(len(way)):
+        n = driver[u]
+        out[u] = 0.0
+        for k in range(3):
+            s = way[u] + (k - 1) * reach[u]
+            place = max(np.searchsorted(start[n], s, side="right") - 1, 0)
+            lane = route[n, place]
+            weight = 0.5 if k == 1 else 0.25
+            _add(table, first[lane], first[lane + 1], s - start[n, place], weight, out[u])
+
+
+@kernel
+def along_lines(table: Lines, line: Ints, way: Floats, out: Floats) -> None:
+    """Write the places (N, 3) at `way` on lines, whose ends are not passed."""
+    for n in range(len(way)):
+        low, high = table.first[line[n]], table.first[line[n] + 1]
+        out[n] = 0.0
+        _add(table, low, high, min(max(way[n], 0.0), table.along[high - 1]), 1.0, out[n])
+
 
 SIDEWAYS = 2.0  # [m/s^2] comfortable in a bend
 BRAKING = 1.6  # [m/s^2] comfortable before a bend
@@ -52,16 +119,16 @@ class LaneTable(NamedTuple):
     points: Floats
     along: Floats
     limit: Floats
-    first: NDArray[np.int64]
+    first: Ints
     length: Floats
     guarded: Mask
-    junction: NDArray[np.int64]
-    phase: NDArray[np.int64]
+    junction: Ints
+    phase: Ints
     blocked_until: Floats32
     together_until: Floats32
-    onward: NDArray[np.int64]
+    onward: Ints
     fork: Mask
-    most: NDArray[np.int64]
+    most: Ints
 
 
 class Crossings(NamedTuple):
@@ -82,9 +149,9 @@ class Crossings(NamedTuple):
     """
 
     on_lane: Floats
-    lane_first: NDArray[np.int64]
+    lane_first: Ints
     on_walkway: Floats
-    walkway_first: NDArray[np.int64]
+    walkway_first: Ints
     zones: int
 
 
@@ -120,7 +187,7 @@ def lane_table(lanes: Sequence[Lane]) -> LaneTable:
     return LaneTable(*roads, guarded, junction, phase, blocked, together, _onward(lanes), fork, most)
 
 
-def _onward(lanes: Sequence[Lane]) -> NDArray[np.int64]:
+def _onward(lanes: Sequence[Lane]) -> Ints:
     """Return `LaneTable.onward`."""
     alive = drivable(lanes)
     onward = np.full((len(lanes), max(1, *(len(lane.successors) for lane in lanes))), -1, np.int64)
@@ -207,7 +274,7 @@ def crossings(table: LaneTable, walkways: Lines) -> Crossings:
     return Crossings(*_by_line(on_lane, len(table.length)), *_by_line(on_walkway, len(walkways.length)), zone)
 
 
-def _by_line(found: list[tuple[float, ...]], count: int) -> tuple[Floats, NDArray[np.int64]]:
+def _by_line(found: list[tuple[float, ...]], count: int) -> tuple[Floats, Ints]:
     """Return rows sorted by their first column, and the first row of each of `count` lines."""
     rows = np.array(sorted(found), np.float64).reshape(-1, 4)
     return rows, np.searchsorted(rows[:, 0], np.arange(count + 1)).astype(np.int64)

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads
+from ogm.simulation.mesh import Floats, Mesh, box, cylinder, loft, merge, quads
 from ogm.simulation.traffic.bodies import Body, centered, plate, wheel
 
 

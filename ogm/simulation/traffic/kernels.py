@@ -3,7 +3,7 @@
 import numpy as np
 
 from ogm.jit import kernel
-from ogm.simulation.arrays import Floats, Mask
+from ogm.simulation.mesh import Floats, Mask
 from ogm.simulation.traffic.graph import Crossings, LaneTable
 from ogm.simulation.traffic.permission import grant
 from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Record, Signals, Walkers

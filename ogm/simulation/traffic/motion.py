@@ -4,16 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.mesh import Floats
 from ogm.simulation.town import Town
-from ogm.simulation.traffic.departure import LAST, WARM_UP, Object, choose_people, fill_bays, make_signals, set_out
-from ogm.simulation.traffic.fleet import make_fleet
-from ogm.simulation.traffic.graph import crossings, lane_table
+from ogm.simulation.traffic.departure import Object, choose_people, fill_bays, make_fleet, make_signals, set_out
+from ogm.simulation.traffic.graph import Lines, along_lines, along_routes, crossings, lane_table, lines
 from ogm.simulation.traffic.kernels import advance
 from ogm.simulation.traffic.parked import frames
-from ogm.simulation.traffic.paths import Lines, along_lines, along_routes, lines
 from ogm.simulation.traffic.people import PHASES, STRIDE
-from ogm.simulation.traffic.state import STEP, Record
+from ogm.simulation.traffic.state import LAST, STEP, WARM_UP, Record
 
 CHUNK = 500  # steps simulated at once
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.spatial import cKDTree
 
-from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.mesh import Floats, HeightAt
 from ogm.simulation.traffic.bodies import Body
 
 MARGIN = 0.65  # [m] kept free between a lane's traffic and a parked vehicle

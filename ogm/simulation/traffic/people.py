@@ -6,9 +6,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, box, cylinder, ellipsoid, loft, merge
+from ogm.simulation.mesh import Floats, Mesh, box, cylinder, ellipsoid, loft, merge
 from ogm.simulation.traffic.bodies import Body, centered
 
 PHASES = 8  # poses of one walking cycle
@@ -143,8 +142,7 @@ def standing(rng: Generator) -> Body:
     arms, elbows = [((0.05, 0.0), (0.1, 0.15)), ((-0.3, -0.3), (1.2, 1.2)), ((0.2, 0.4), (1.6, 1.9))][rng.integers(3)]
     stance = float(rng.uniform(0.0, 0.12))
     posture = Posture((0.05, -0.05), (0.05, 0.05), arms, elbows, spread=stance)
-    mesh = _person(height, build, clothes(rng), posture)
-    return centered("pedestrian", mesh, (0.1, -0.1))
+    return centered("pedestrian", _person(height, build, clothes(rng), posture), (0.1, -0.1))
 
 
 def _tyre(x: float, radius: float, tube: float, *, sides: int = 14) -> Mesh:

@@ -3,10 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.jit import kernel
-from ogm.simulation.arrays import Floats, Mask
+from ogm.simulation.mesh import Floats, Ints, Mask
 from ogm.simulation.traffic.graph import LaneTable
 from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Signals
 
@@ -28,9 +27,9 @@ class Queue(NamedTuple):
         Vehicles inside each junction.
     """
 
-    want: NDArray[np.int64]
-    held: NDArray[np.int64]
-    inside: NDArray[np.int64]
+    want: Ints
+    held: Ints
+    inside: Ints
 
 
 @kernel
@@ -60,7 +59,7 @@ def _meet(t: LaneTable, d: Drivers, i: int, first: int, last: int, j: int, span:
 
 
 @kernel
-def _sorted(rank: Floats) -> NDArray[np.int64]:
+def _sorted(rank: Floats) -> Ints:
     """Return the order of numbers, smallest first (numba's own sorting takes long to compile)."""
     order = np.zeros(len(rank), np.int64)
     for k in range(1, len(rank)):

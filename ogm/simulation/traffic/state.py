@@ -5,8 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.simulation.arrays import Floats, Floats32
+from ogm.simulation.mesh import Floats, Floats32, Ints
 
+LAST = 1200.0  # [s] scenarios end here
+WARM_UP = 30.0  # [s] simulated before time 0, so that queues have formed
 STEP = 0.1  # [s]
 AHEAD = 14  # lanes of its route that a driver takes into account
 SIGHT = 70.0  # [m]
@@ -35,13 +37,13 @@ class Drivers(NamedTuple):
         of the limit that is driven; highest speed [m/s].
     """
 
-    route: NDArray[np.int64]
+    route: Ints
     start: Floats
     x: Floats
     v: Floats
-    front: NDArray[np.int64]
-    rear: NDArray[np.int64]
-    granted: NDArray[np.int64]
+    front: Ints
+    rear: Ints
+    granted: Ints
     since: Floats
     dice: NDArray[np.uint64]
     length: Floats
@@ -56,8 +58,8 @@ class Drivers(NamedTuple):
 class Signals(NamedTuple):
     """J junctions: number of phases (0: no signal), the one that is green, and since when [s]; changed."""
 
-    phases: NDArray[np.int64]
-    green: NDArray[np.int64]
+    phases: Ints
+    green: Ints
     since: Floats
 
 
@@ -84,15 +86,15 @@ class Walkers(NamedTuple):
         When the last of them left it [s]; changed.
     """
 
-    line: NDArray[np.int64]
+    line: Ints
     way: Floats
     short: Floats
     w: Floats
     pace: Floats
     rest: Floats
     resting: Floats
-    zone: NDArray[np.int64]
-    busy: NDArray[np.int64]
+    zone: Ints
+    busy: Ints
     left: Floats
 
 

@@ -11,7 +11,7 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.messages import StampedTransform, occupancy_grid
-from ogm.io.messages.occupancy import occupancy_values
+from ogm.io.messages.grids import occupancy_values
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 

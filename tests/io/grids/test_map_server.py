@@ -15,7 +15,7 @@ from PIL import Image
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids.files import read_grid, read_placed_grid, write_grid
 from ogm.io.grids.placed import PlacedGrid
-from ogm.io.messages.occupancy import occupancy_values
+from ogm.io.messages.grids import occupancy_values
 from ogm.pose import pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError

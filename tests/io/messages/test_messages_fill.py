@@ -21,7 +21,7 @@ from ogm.io.messages import (
     tf_message,
     transforms_from_tf,
 )
-from ogm.io.messages.occupancy import occupancy_values
+from ogm.io.messages.grids import occupancy_values
 from ogm.pose import pose
 from ogm.scan import Scan
 

@@ -21,7 +21,7 @@ from ogm.io.messages import (
     layers_from_grid_map,
     occupancy_grid,
 )
-from ogm.io.messages.occupancy import mass_from_occupancy, occupancy_values
+from ogm.io.messages.grids import mass_from_occupancy, occupancy_values
 from ogm.plot.colours import colours
 from ogm.pose import pose
 from ogm.state import CellState, predict_state

@@ -1,17 +1,85 @@
-"""Grids as ``nav_msgs/OccupancyGrid``, and back."""
+"""Layers and corners by which files and messages hold a grid; ``nav_msgs/OccupancyGrid`` from a grid, and back."""
 
+from collections.abc import Collection
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.messages.plain import describe_message, header, reads_message, ros_stamp
-from ogm.io.messages.poses import pose_message, transform_of_pose
+from ogm.dynamic_grid import DynamicGrid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.io.messages.plain import describe_message, header, pose_message, reads_message, ros_stamp, transform_of_pose
 from ogm.pose import check_pose, inverse, pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError, error_context
+
+AnyGrid = EvidentialGrid | DynamicGrid
+_MASSES = ("free", "occupied")
+_VELOCITY = ("x", "y", "covariance_xx", "covariance_xy", "covariance_yy")
+_MOVING = ("static", "dynamic", *(f"velocity_{name}" for name in _VELOCITY))
+
+
+def evidential(grid: AnyGrid) -> EvidentialGrid:
+    """Return the masses of free and occupied of a grid."""
+    return grid.to_evidential() if isinstance(grid, DynamicGrid) else grid
+
+
+def layers_of(grid: AnyGrid) -> dict[str, NDArray[np.float32]]:
+    """Return free, occupied and unknown, and of a `DynamicGrid` also what else `DynamicGrid.to_layers` has."""
+    layers = {"free": grid.free, "occupied": grid.occupied, "unknown": grid.unknown}
+    return layers | (dict(grid.to_layers().layers) if isinstance(grid, DynamicGrid) else {})
+
+
+def needed_layers(names: Collection[str]) -> tuple[str, ...]:
+    """Return the layers to read of those that there are: of a `DynamicGrid` if all are there, else the masses.
+
+    Raises
+    ------
+    KeyError
+        If free or occupied is missing, with the names of those.
+    """
+    if missing := [name for name in _MASSES if name not in names]:
+        raise KeyError(" and ".join(missing))
+    return _MASSES + (_MOVING if set(_MOVING) <= set(names) else ())
+
+
+def check_layers(names: Collection[str], where: str, word: str, way_out: str = "") -> tuple[str, ...]:
+    """Return the `needed_layers` of a message, or raise OgmError where it lacks one."""
+    try:
+        return needed_layers(names)
+    except KeyError as error:
+        lack = f"{where} has no {word} {error.args[0]}, only {', '.join(names) or 'none'}"
+        raise OgmError(f"{lack}: it holds no masses of free and occupied{way_out}") from error
+
+
+def grid_from_layers(layers: LayeredGrid, *, nan_is_unknown: bool = False) -> AnyGrid:
+    """Return the grid of the `needed_layers`.
+
+    Parameters
+    ----------
+    layers : LayeredGrid
+    nan_is_unknown : bool
+        Whether nothing is known where a mass has no value (NaN); else it is an error.
+
+    Raises
+    ------
+    ValueError
+        If the numbers are no masses.
+    """
+    names = needed_layers(layers.layers)
+    masses = [name for name in names if not name.startswith("velocity")]
+    unknown = np.zeros(layers.spec.shape, np.bool_)
+    for name in masses if nan_is_unknown else ():
+        unknown |= np.isnan(layers[name])
+    if len(names) > len(_MASSES):
+        taken = {name: layers[name] for name in names}
+        if unknown.any():
+            taken |= {name: np.where(unknown, np.float32(0), taken[name]) for name in masses}
+        return DynamicGrid.from_layers(LayeredGrid(layers.spec, taken))
+    mass = np.stack([layers[name] for name in _MASSES], axis=-1)
+    mass[unknown] = 0
+    return EvidentialGrid(layers.spec, mass)
 
 
 def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
