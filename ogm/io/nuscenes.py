@@ -112,7 +112,9 @@ def read_nuscenes(path: FilePath) -> NuScenes:
     return NuScenes(_in_order(frames), annotated)
 
 
-def _boxes(notes: list[dict[str, Any]], labels: dict[str, str], T_map_sensor: NDArray[np.float64], name: str) -> Boxes:
+def _boxes(
+    notes: Sequence[dict[str, Any]], labels: Mapping[str, str], T_map_sensor: NDArray[np.float64], name: str
+) -> Boxes:
     """Return the boxes of a key frame from its rows of sample_annotation."""
     where = f"an annotation of key frame {name}"
     rows, T_sensor_map = [], inverse(T_map_sensor)

@@ -215,10 +215,12 @@ def read_hdf5_table(path: Path, name: str, wanted: Mapping[str, str]) -> NDArray
         raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
     h5py = optional("h5py", path)
     try:
-        with h5py.File(path, "r") as h5f:
-            if h5f.get(name, getclass=True, getlink=True) is not h5py.HardLink:
-                raise OgmError(f"{path} has no dataset {name} of its own, only {', '.join(list(h5f)[:9]) or 'nothing'}")
-            data = h5f[name]
+        with h5py.File(path, "r") as file:
+            if file.get(name, getclass=True, getlink=True) is not h5py.HardLink:
+                raise OgmError(
+                    f"{path} has no dataset {name} of its own, only {', '.join(list(file)[:9]) or 'nothing'}"
+                )
+            data = file[name]
             where = f"{name} of {path}"
             if not isinstance(data, h5py.Dataset) or data.ndim != 1 or data.dtype.names is None:
                 raise OgmError(f"{where} must be a table, a list of rows of {', '.join(wanted)}")

@@ -219,5 +219,7 @@ def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
 
 def versions() -> dict[str, str]:
     """Return the versions of the libraries that the bytes of a sample depend on."""
-    found = {one: [*distributions(name=one)] for one in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr")}
+    found = {
+        name: [*distributions(name=name)] for name in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr")
+    }
     return {name: installed[0].version if installed else "unknown" for name, installed in found.items()}

@@ -51,7 +51,9 @@ def road() -> Mesh:
 
 def profile(line: list[tuple[float, float]], *, across: bool = False) -> Mesh:
     """Span a surface whose height follows a line (x, z), or (y, z) if `across`, and is level the other way [m]."""
-    right, left = (np.array([(end * FAR, a, z) if across else (a, end * FAR, z) for a, z in line]) for end in (-1, 1))
+    right, left = (
+        np.array([(side * FAR, a, z) if across else (a, side * FAR, z) for a, z in line]) for side in (-1, 1)
+    )
     return sheet(right, left, ANY)
 
 

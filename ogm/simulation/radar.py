@@ -160,7 +160,9 @@ def _unit(azimuth: Floats, elevation: Floats) -> Floats:
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
 
-def _paths(scene: Scene, spec: RadarSpec, mode: RadarMode, T: Floats, own: Floats, moving: Floats, salt: int) -> _Paths:
+def _paths(
+    scene: Scene, spec: RadarSpec, mode: RadarMode, T: Floats, own: Floats, velocities: Floats, salt: int
+) -> _Paths:
     """Follow the rays of a mode, and those that go on from mirrors."""
     edge = mode.half_width + 2 * mode.azimuth_resolution
     across = np.arange(-edge, edge, AZIMUTH_STEP) + AZIMUTH_STEP / 2
@@ -176,7 +178,7 @@ def _paths(scene: Scene, spec: RadarSpec, mode: RadarMode, T: Floats, own: Float
     u = world[index]
     distance, cosine, material = hits.distance[index].astype(np.float64), hits.cosine[index], hits.material[index]
     echo = cross_section(material, cosine)
-    rate = np.einsum("nk,nk->n", u, moving[hits.object[index]] - own)
+    rate = np.einsum("nk,nk->n", u, velocities[hits.object[index]] - own)
     origin = np.where(IS_GROUND[material], np.uint8(Origin.GROUND), np.uint8(Origin.OBJECT))
     power = constant * gain[index] * echo / np.maximum(distance, 1.0) ** 2
     direct = _Paths(distance, rate, azimuth[index], elevation[index], power, origin, hits.object[index])
@@ -191,7 +193,7 @@ def _paths(scene: Scene, spec: RadarSpec, mode: RadarMode, T: Floats, own: Float
     beyond = scene.cast(start, after.astype(np.float32), salt=salt + 1)
     real = np.flatnonzero(np.isfinite(beyond.distance) & (beyond.object != EGO) & ~IS_GROUND[beyond.material])
     on, second = on[real], beyond.distance[real].astype(np.float64)
-    mirror, target = moving[hits.object[index[on]]], moving[beyond.object[real]]
+    mirror, target = velocities[hits.object[index[on]]], velocities[beyond.object[real]]
     u1, u2 = u[on], after[real]
     rate = np.einsum("nk,nk->n", u1, mirror - own) + np.einsum("nk,nk->n", u2, target - mirror)
     length = distance[on] + second

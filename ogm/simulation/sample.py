@@ -114,7 +114,9 @@ _BOX = ("x", "y", "z", "length", "width", "height", "yaw", "vx", "vy")
 # length, width, height [m]; yaw: of the forward axis about the sensor's z axis [rad]; vx, vy: velocity over ground
 # along the sensor's x and y axes [m/s]; track: the same for one participant in all samples of a scenario;
 # returns: points of this sample on it.
-OBJECT = np.dtype([("label", "u1"), *((name, np.float32) for name in _BOX), ("track", np.int32), ("returns", np.int32)])
+OBJECT = np.dtype(
+    [("label", np.uint8), *((name, np.float32) for name in _BOX), ("track", np.int32), ("returns", np.int32)]
+)
 
 
 class Weather(NamedTuple):

@@ -178,14 +178,16 @@ class LidarSpec:
 
     def __post_init__(self) -> None:
         layers = len(self.elevations)
-        for key in ("elevations", "azimuth_offsets", "origins", "elevation_errors", "range_errors"):
-            values = getattr(self, key)
+        for name in ("elevations", "azimuth_offsets", "origins", "elevation_errors", "range_errors"):
+            values = getattr(self, name)
             if not isinstance(values, tuple):
-                raise TypeError(f"{self.name}: {key} must be a tuple, one entry per layer, got {type(values).__name__}")
-            if len(values) != layers and (values or key in ("elevations", "azimuth_offsets")):
-                raise ValueError(f"{self.name}: {len(values)} {key} for {layers} layers")
+                raise TypeError(
+                    f"{self.name}: {name} must be a tuple, one entry per layer, got {type(values).__name__}"
+                )
+            if len(values) != layers and (values or name in ("elevations", "azimuth_offsets")):
+                raise ValueError(f"{self.name}: {len(values)} {name} for {layers} layers")
             if not np.isfinite(np.hstack((0.0, *values))).all():
-                raise ValueError(f"{self.name}: {key} hold NaN or inf: {values}")
+                raise ValueError(f"{self.name}: {name} hold NaN or inf: {values}")
         if not layers:
             raise ValueError(f"{self.name}: elevations are empty; a lidar has at least one layer")
         if any(len(one) != 3 for one in self.origins):

@@ -92,7 +92,9 @@ def _corners(u: tuple[ArrayLike, ...], d: tuple[ArrayLike, ...], z: tuple[ArrayL
     return corners.reshape(-1, 3, 4).swapaxes(1, 2)
 
 
-def punched(length: float, low: float, top: float, openings: Openings, wall: int) -> list[tuple[Corners, ArrayLike]]:
+def punched(
+    length: float, low: float, top: float, openings: Openings, material: int
+) -> list[tuple[Corners, ArrayLike]]:
     """Cut openings into a wall from `low` to `top`: what is left of it, reveals and panes."""
     left, right, sill, head, recess, pane = openings
     columns = len(left)
@@ -108,7 +110,7 @@ def punched(length: float, low: float, top: float, openings: Openings, wall: int
         deck(a, b, -recess, 0.0, sill, sill),
         deck(a, b, -recess, 0.0, head, head),
     ]
-    return [(np.concatenate(pieces), wall), (upright(a, b, -recess, -recess, sill, head), pane.ravel())]
+    return [(np.concatenate(pieces), material), (upright(a, b, -recess, -recess, sill, head), pane.ravel())]
 
 
 def ledge(u0: float, u1: float, depth: float, z0: float, z1: float) -> Corners:

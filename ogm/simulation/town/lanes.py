@@ -99,11 +99,13 @@ def cuts(network: StreetNetwork) -> Floats:
     return result
 
 
-def _corner(network: StreetNetwork, arm: tuple[int, int, Floats], outward: Floats, right: float, left: float) -> float:
+def _corner(
+    network: StreetNetwork, other: tuple[int, int, Floats], outward: Floats, right: float, left: float
+) -> float:
     """How far from a crossing the kerb's arc towards another arm begins [m]."""
     # A corner lies between the left side of one arm and the right side of the next one.
-    angle = turn(outward, arm[2])
-    other_right, other_left = _sides(network.streets[arm[0]], arm[1])
+    angle = turn(outward, other[2])
+    other_right, other_left = _sides(network.streets[other[0]], other[1])
     mine, theirs = (left, other_right) if angle > 0 else (right, other_left)
     angle = abs(angle)
     if angle >= np.deg2rad(150):
