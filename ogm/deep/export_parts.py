@@ -17,8 +17,6 @@ from ogm.deep.polar import CHANNELS
 from ogm.deep.radar_network import RadarNetwork
 from ogm.deep.radar_onnx import FORMAT as RADAR_FORMAT
 
-__all__ = ["ExportParts", "lidar_parts", "radar_parts"]
-
 
 class ExportParts(NamedTuple):
     """A network as it is exported.

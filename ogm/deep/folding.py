@@ -10,8 +10,6 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from ogm.deep.network import PillarNetwork
 
-__all__ = ["ConvReLU", "folded", "fused"]
-
 Network = TypeVar("Network", bound=nn.Module)
 
 

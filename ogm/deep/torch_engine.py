@@ -16,8 +16,6 @@ from ogm.deep.polar import RadarGrid
 from ogm.deep.radar_network import RadarNetwork
 from ogm.grid import GridSpec
 
-__all__ = ["TorchEngine", "TorchRadarEngine"]
-
 
 class TorchEngine:
     """A network that is ready to run by torch, on one grid.

@@ -13,8 +13,6 @@ from ogm.metrics import PREDICTION_METRICS, PredictionSums, accumulate_predictio
 from ogm.scan import Frame
 from ogm.state import CellState, Truth
 
-__all__ = ["PREDICTED", "Predictions"]
-
 HORIZON = 0.5  # [s] from a scan to the time that is predicted
 TOLERANCE = 0.02  # [s] by which the stamp of the later frame may differ from that time
 PREDICTED = {  # the metrics that need no truth of the earlier time

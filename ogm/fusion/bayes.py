@@ -19,8 +19,6 @@ from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["BinaryBayesMapper", "Match"]
-
 Match = Literal["pignistic", "plausibility"]
 
 

@@ -20,8 +20,6 @@ from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["EvidentialMapper", "Rule"]
-
 Rule = Callable[[Any, Any], Any]
 DYNAMIC_DECAY_RATIO = 50.0  # how many times faster dynamic cells are forgotten by default
 _COMPILED: dict[Rule, int] = {dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE, normalized_cautious: CAUTIOUS}

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-__all__ = ["MapLock", "locked"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 

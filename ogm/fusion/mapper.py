@@ -17,8 +17,6 @@ from ogm.fusion.window import Window
 from ogm.geometric.doppler import RadialVelocities
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 
-__all__ = ["CONFLICT_LAYERS", "Forget", "Mapper"]
-
 Forget = Literal["everywhere", "observed"]
 CONFLICT_LAYERS = ("free_to_occupied", "occupied_to_free")
 

@@ -12,8 +12,6 @@ from ogm.grid import GridSpec
 from ogm.plot.moving import heading_wheel
 from ogm.plot.panels import Panel, colour_bytes
 
-__all__ = ["draw_legend", "draw_marks", "draw_vehicle", "font", "legend_width", "plain", "scaled"]
-
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 SMOOTH = 3  # lines of large pictures are drawn this much larger, and shrunk
 

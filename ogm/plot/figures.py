@@ -17,8 +17,6 @@ from ogm.plot.panels import Panel, mass_panel
 from ogm.plot.points import points_panel
 from ogm.storage.files import atomic_write
 
-__all__ = ["save_picture", "show"]
-
 Shown = EvidentialGrid | DynamicGrid | NDArray[Any] | Panel
 
 TALLEST, WIDEST, LIKED = 1024, 1600, 900  # [px] of a panel at most, and its height where cells are whole pixels

@@ -9,11 +9,6 @@ from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colour_maps import colour_map
 from ogm.plot.colours import colours
 
-__all__ = [
-    "Panel", "cells_panel", "conflict_panel", "heading_colours", "layer_panel", "mass_panel", "probability_panel",
-    "colour_bytes", "unknown_panel", "upright", "velocity_panel",
-]  # fmt: skip
-
 CONFLICT_LAYERS, VELOCITY_LAYERS = ("free_to_occupied", "occupied_to_free"), ("velocity_x", "velocity_y")
 BLACK = (0.0, 0.0, 0.0)
 APPEARED, WENT_AWAY = (1.0, 0.62, 0.10), (0.25, 0.62, 1.0)

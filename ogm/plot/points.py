@@ -9,8 +9,6 @@ from ogm.grid import GridSpec
 from ogm.plot.colour_maps import colour_map
 from ogm.plot.panels import Panel, cells_panel
 
-__all__ = ["dots_panel", "height_colours", "points_panel"]
-
 BEHIND_POINTS = (0.08, 0.08, 0.08)
 TURBO = (0.15, 0.825)  # of matplotlib's "turbo", what stands out from BEHIND_POINTS: contrast 4.5 or more (WCAG 2)
 LOWEST, HIGHEST = -0.5, 3.5  # [m] over ground: heights with colours of their own

@@ -5,8 +5,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["arc", "integrated_noise"]
-
 
 def arc(turn_rate: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what takes a velocity to the shift within `dt` [s] at constant turn rate [rad/s], and to its end; (2, 2).

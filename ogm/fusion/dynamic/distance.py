@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from ogm.jit import vector
 
-__all__ = ["LEVELS", "MAX_CAP", "capped_distance"]
-
 LEVELS = 100  # steps in which a distance between 0 and the cap is kept
 MAX_CAP = 11  # [cells] so that sums of two squares fit 8 bits
 

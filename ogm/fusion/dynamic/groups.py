@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from ogm.jit import inline, kernel
 
-__all__ = ["Groups", "find_groups"]
-
 
 class Groups(NamedTuple):
     """Groups of occupied cells.

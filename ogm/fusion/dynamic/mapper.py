@@ -39,8 +39,6 @@ from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["DynamicFilter", "DynamicMapper"]
-
 DynamicFilter = Literal["hybrid", "nuss"]
 MAX_PARTICLES = 2**25  # 1.2 GB
 

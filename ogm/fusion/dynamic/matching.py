@@ -16,8 +16,6 @@ from ogm.fusion.dynamic.distance import MAX_CAP, capped_distance
 from ogm.fusion.dynamic.groups import Groups, find_groups
 from ogm.fusion.dynamic.matching_kernels import MAX_CELLS, MatchNumbers, match_groups
 
-__all__ = ["MatchSettings", "Matches", "match_velocities"]
-
 
 @dataclass(frozen=True)
 class MatchSettings:

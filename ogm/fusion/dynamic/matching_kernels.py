@@ -14,8 +14,6 @@ from ogm.fusion.dynamic.distance import LEVELS
 from ogm.fusion.dynamic.groups import Groups
 from ogm.jit import kernel, vector
 
-__all__ = ["MAX_CELLS", "MatchNumbers", "match_groups"]
-
 MAX_CELLS = 655  # of one group, so that sums of levels fit 16 bits
 NEAR = 2  # nodes around the best that make the mean
 FAR = np.float32(12.0)  # exponent beyond which a velocity has no share in the moments

@@ -13,8 +13,6 @@ from ogm.extras import import_extra
 from ogm.fusion.dynamic.arcs import arc, integrated_noise
 from ogm.fusion.dynamic.objects import Objects
 
-__all__ = ["ObjectTracker", "TrackerSettings"]
-
 _TOLERANCE = 1e-3  # [s] by which a stamp may lie before the last one; it then counts as equal
 _MAX_TRACKS = 1000  # beyond it the lightest new objects get no track
 

@@ -16,8 +16,6 @@ from ogm.fusion.dynamic.particles import Particles
 from ogm.fusion.dynamic.prediction_kernels import NORMALS, Arrivals, Bodies, Horizon, cells_later, move_mass
 from ogm.grid import GridSpec
 
-__all__ = ["PredictionSettings", "move_on", "predict_dynamic"]
-
 _PER_CELL = 16  # particles made of a dynamic cell where none are given
 
 
