@@ -20,7 +20,7 @@ from ogm.simulation.store import FACTS, SHARD, Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath
-from ogm.truth.combine import ignore_cells
+from ogm.truth.scans import ignore_cells
 
 __all__ = ["SimulatedRecording", "is_simulated"]
 

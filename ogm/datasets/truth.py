@@ -19,16 +19,16 @@ from ogm.truth import TRUTH_SPEC, Kind
 from ogm.truth.boxes import (
     MIN_RETURNS,
     boxes_over_points,
+    cells_in_areas,
     cells_in_boxes,
     cells_in_footprint,
     count_returns,
     moving_tracks,
     truth_from_boxes,
+    truth_from_road,
 )
-from ogm.truth.combine import combine_truths, ignore_cells
 from ogm.truth.points import truth_from_points
-from ogm.truth.road import cells_in_areas, truth_from_road
-from ogm.truth.scans import MARGIN
+from ogm.truth.scans import MARGIN, combine_truths, ignore_cells
 
 __all__ = ["ABOVE_BOTTOM", "SOURCES", "RecordedTruth"]
 

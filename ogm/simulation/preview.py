@@ -11,8 +11,8 @@ from PIL import Image, ImageDraw
 from ogm import plot
 from ogm.grid import GridSpec
 from ogm.plot.colours import colours
-from ogm.plot.drawing import font, plain
-from ogm.plot.points import dots_panel
+from ogm.plot.figures import font, plain
+from ogm.plot.panels import dots_panel
 from ogm.simulation.arrays import Floats32
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M

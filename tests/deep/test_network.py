@@ -8,9 +8,9 @@ import pytest
 import torch
 from cases import each
 
-from ogm.deep.folding import fused
 from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork, copy_weights
 from ogm.deep.pillars import Pillars, collate, pillarize
+from ogm.deep.torch_engine import fused
 from ogm.grid import GridSpec
 
 SPEC = GridSpec.centered(length=10.24, width=5.12, resolution=0.16)  # 64 x 32 cells

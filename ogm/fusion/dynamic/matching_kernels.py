@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.dynamic.distance import LEVELS
-from ogm.fusion.dynamic.groups import Groups
+from ogm.fusion.dynamic.groups import LEVELS, Groups
 from ogm.jit import kernel, vector
 
 MAX_CELLS = 655  # of one group, so that sums of levels fit 16 bits
