@@ -14,8 +14,7 @@ from ogm.evaluation import Comparison, Evaluation, compare_paired
 from ogm.evaluation.report import describe_extent, describe_intervals
 from ogm.metrics import METRICS, ConfusionSums
 from ogm.metrics.counts import RANGES
-from ogm.metrics.ranges import by_range
-from ogm.metrics.scores import reasons
+from ogm.metrics.scores import by_range, reasons
 
 KEPT = (
     "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known", "false_free",

@@ -43,7 +43,7 @@ from ogm.deep.network import PillarNetwork
 from ogm.deep.recipe import LITE_RECIPE, mean_loss
 from ogm.deep.torch_engine import TorchEngine
 from ogm.evaluation import evaluate
-from ogm.metrics.ranking import auroc
+from ogm.metrics.areas import auroc
 from ogm.state import CellState
 
 SPEC = GridSpec.centered()

@@ -37,8 +37,8 @@ from ogm import GridSpec, Mount, read_scan
 from ogm.datasets import open_dataset
 from ogm.deep import LITE, PAPER, DeepISM, PillarNetwork
 from ogm.deep.data import Augmentation, PillarDataset
-from ogm.deep.folding import ConvReLU
 from ogm.deep.pillars import pillarize, pillarize_torch
+from ogm.deep.torch_engine import ConvReLU
 from ogm.geometric import HeightBandISM, RayISM
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)

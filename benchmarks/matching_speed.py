@@ -16,8 +16,7 @@ from _timing import Contender, measure
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ogm.fusion.dynamic.distance import capped_distance
-from ogm.fusion.dynamic.groups import find_groups
+from ogm.fusion.dynamic.groups import capped_distance, find_groups
 from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
 
 SHAPE, SIDE = (640, 448), 0.16  # [cells], [m]

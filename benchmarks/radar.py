@@ -41,7 +41,7 @@ from ogm.metrics import ConfusionSums, accumulate, score
 from ogm.models import load_model
 from ogm.models.radar import radar_numbers
 from ogm.plot import mass_panel, show
-from ogm.plot.points import dots_panel
+from ogm.plot.panels import dots_panel
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.exchange import truth_panel

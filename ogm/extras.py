@@ -5,8 +5,6 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
-__all__ = ["import_extra", "lazy_names"]
-
 
 def import_extra(module: str, extra: str) -> Any:
     """Return a module that an extra of ogm installs, or raise an error with the command that adds it.

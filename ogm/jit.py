@@ -32,8 +32,6 @@ from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
 
-__all__ = ["cache_folder", "inline", "is_compiled", "kernel", "log_compilation", "vector"]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 KEPT_VERSIONS = 3  # folders of a module that stay when it is compiled anew, the last used first
 _PACKAGE = Path(__file__).parent

@@ -8,7 +8,7 @@ from cases import each, refused
 
 from ogm import EvidentialGrid, GridSpec, plot
 from ogm.evaluation.figures import COLOURS as METHODS
-from ogm.evaluation.motion_pictures import ARROWS
+from ogm.evaluation.frame_pictures import ARROWS
 from ogm.plot import colours
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear red, green and blue
@@ -51,7 +51,7 @@ def test_states_differ_for_every_eye(eye: str) -> None:
 @each("eye", EYES)
 def test_what_moves_differs_from_what_stands_behind_the_arrows(eye: str) -> None:
     one = colours.COLOURS["safe"]
-    behind = one.mix(0.45 * np.eye(2))  # as `ogm.evaluation.motion_pictures` has it
+    behind = one.mix(0.45 * np.eye(2))  # as `ogm.evaluation.frame_pictures` has it
     arrows = [tuple(np.array(colour) / 255) for colour in ARROWS.values()]
     for other in (*behind, one.unknown, *arrows):
         assert nearest([one.dynamic, other], eye) > 30

@@ -29,7 +29,7 @@ from ogm.fusion import BinaryBayesMapper, EvidentialMapper, rolling_window
 from ogm.geometric import RayISM
 from ogm.live import FoxglovePublisher, LiveReport, receive_frames, serve, stream, warm_up
 from ogm.live.memory import return_large_blocks
-from ogm.live.newest import NewestFrames
+from ogm.live.playback import NewestFrames
 from ogm.live.stream import frame_bytes
 from ogm.pose import inverse, pose
 from ogm.scan import LazyFrame

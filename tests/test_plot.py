@@ -11,8 +11,7 @@ from moving import street
 
 from ogm import Boxes, DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, plot, read_scan
 from ogm.plot.moving import heading_wheel, moving_arrows, moving_groups
-from ogm.plot.panels import colour_bytes, heading_colours
-from ogm.plot.points import BEHIND_POINTS, HIGHEST, LOWEST, dots_panel, height_colours
+from ogm.plot.panels import BEHIND_POINTS, HIGHEST, LOWEST, colour_bytes, dots_panel, heading_colours, height_colours
 
 SPEC = GridSpec(1.0, (7, 5), (-2.0, -2.0))
 

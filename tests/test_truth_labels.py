@@ -11,10 +11,8 @@ from ogm.pose import inverse, pose, transform_points
 from ogm.scan import Boxes
 from ogm.state import CellState, Truth
 from ogm.truth import cells_in_boxes, combine_truths, truth_from_boxes, truth_from_road, truth_from_scans
-from ogm.truth.boxes import boxes_over_points, count_returns, moving_tracks
-from ogm.truth.combine import ignore_cells
-from ogm.truth.road import cells_in_areas
-from ogm.truth.scans import contradicted
+from ogm.truth.boxes import boxes_over_points, cells_in_areas, count_returns, moving_tracks
+from ogm.truth.scans import contradicted, ignore_cells
 
 UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
 

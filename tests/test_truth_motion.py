@@ -15,8 +15,8 @@ from ogm.pose import pose
 from ogm.scan import Boxes
 from ogm.state import LazyTruth
 from ogm.truth import motion_of_boxes
-from ogm.truth.combine import ignore_cells
 from ogm.truth.motion import track_motion
+from ogm.truth.scans import ignore_cells
 
 SPEC = GridSpec(0.2, (60, 50), (-6.0, -5.0))
 STAMPS = [0.1 * k for k in range(10)]

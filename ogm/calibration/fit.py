@@ -17,8 +17,6 @@ from ogm.grid import GridSpec
 from ogm.models.fitted import Calibration, default_parameters
 from ogm.scan import Frame
 
-__all__ = ["BOUNDS", "FITTED", "calibrate"]
-
 FITTED = {  # by default
     "ray": (*("p_miss", "p_false_alarm", "free_reliability_at_hits", "no_return_weight", "obstacle_height"),),
     "height-band": ("z_min", "z_max", "evidence"),

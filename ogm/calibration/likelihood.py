@@ -13,8 +13,6 @@ from ogm.models.fitted import model_class
 from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState
 
-__all__ = ["Likelihood"]
-
 
 class LabelledScan(NamedTuple):
     """A frame as the likelihood needs it."""

@@ -11,8 +11,6 @@ from ogm.calibration.likelihood import Likelihood
 from ogm.evaluation.statistics import MIN_DRIVES
 from ogm.extras import import_extra
 
-__all__ = ["Axis", "LikelihoodSearch"]
-
 LOGIT = ("p_miss", "p_false_alarm", "max_mass")  # searched by their log odds
 DIGITS = 6  # of a fitted parameter
 XTOL, FTOL = 5e-3, 1e-5  # where the search ends: in shares of the bounds' range, and of the NLL

@@ -20,9 +20,6 @@ from ogm.cli.view_command import view
 from ogm.cli.world_command import world_app
 from ogm.plot.colours import use_colours
 
-__all__ = ["app"]
-
-
 app: typer.Typer = typer.Typer(
     name="ogm",
     help="Evidential occupancy grid maps from lidar and radar: free, occupied, and, as a number of its own, unknown.",

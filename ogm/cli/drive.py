@@ -11,8 +11,6 @@ from ogm.cli.console import out, stderr
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
 
-__all__ = ["check_pose_options", "pick_drive", "with_known_poses"]
-
 
 def check_pose_options(
     poses: Path | None, calib: Path | None, odometry: str | None, save_poses: Path | None, first: int | None

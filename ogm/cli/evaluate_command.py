@@ -108,8 +108,7 @@ def evaluate(
     from ogm.datasets import SOURCES, open_dataset
     from ogm.evaluation import evaluate as run_evaluation
     from ogm.evaluation import write_report
-    from ogm.evaluation.runner import REPORT_FILES
-    from ogm.evaluation.selection import choose_frames, named_methods
+    from ogm.evaluation.runner import REPORT_FILES, choose_frames, named_methods
     from ogm.extras import import_extra
     from ogm.grid import GridSpec
 

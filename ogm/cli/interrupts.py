@@ -6,8 +6,6 @@ import time
 from types import FrameType
 from typing import Any
 
-__all__ = ["received", "watch_signals"]
-
 LATER = 0.05  # [s] after which an interrupt that was lost is raised again
 ECHO = 1.0  # [s] in which a second signal is the same: `timeout` sends SIGTERM twice
 

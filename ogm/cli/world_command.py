@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ogm.world import Progress as Event
     from ogm.world import WorldMap
 
-__all__ = ["world_app"]
 
 world_app: typer.Typer = typer.Typer(
     name="world",

@@ -15,9 +15,8 @@ from ogm.grid import GridSpec
 from ogm.scan import Boxes
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC, cells_in_boxes, truth_from_scans
-from ogm.truth.combine import ignore_cells
 from ogm.truth.points import height_above_ground
-from ogm.truth.scans import MARGIN, contradicted
+from ogm.truth.scans import MARGIN, contradicted, ignore_cells
 
 _REACH = 50.0  # [m] scans that were taken farther away hardly see the same cells
 _SPAN = 30.0  # [s] before and after: later, parked cars have left and poses have drifted

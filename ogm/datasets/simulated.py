@@ -19,7 +19,7 @@ from ogm.simulation.store import FACTS, SHARD, Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath
-from ogm.truth.combine import ignore_cells
+from ogm.truth.scans import ignore_cells
 
 _SPLITS = ("validation", "sequences", "test", "training")  # the first that has samples is taken
 _SHORT = {"train": "training", "val": "validation"}

@@ -17,13 +17,18 @@ from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.state import CellState, Motion, Truth
 from ogm.storage.files import OgmError
-from ogm.truth import TRUTH_SPEC, Kind, cells_in_boxes, motion_of_boxes, truth_from_boxes
-from ogm.truth.boxes import MIN_RETURNS, boxes_over_points, cells_in_footprint, count_returns, moving_tracks
-from ogm.truth.combine import combine_truths, ignore_cells
+from ogm.truth import TRUTH_SPEC, Kind, cells_in_boxes, motion_of_boxes, truth_from_boxes, truth_from_road
+from ogm.truth.boxes import (
+    MIN_RETURNS,
+    boxes_over_points,
+    cells_in_areas,
+    cells_in_footprint,
+    count_returns,
+    moving_tracks,
+)
 from ogm.truth.motion import NEEDED, REACH, BoxMotion, track_motion
 from ogm.truth.points import truth_from_points
-from ogm.truth.road import cells_in_areas, truth_from_road
-from ogm.truth.scans import MARGIN
+from ogm.truth.scans import MARGIN, combine_truths, ignore_cells
 
 SOURCES = ("boxes", "classes", "map", "aggregated")
 ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road

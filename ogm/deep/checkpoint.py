@@ -25,8 +25,6 @@ from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.io.reading import read_bytes
 from ogm.storage.files import OgmError, atomic_write
 
-__all__ = ["FORMAT", "load_any_network", "load_network", "load_radar_network", "save_network"]
-
 Made = TypeVar("Made", bound=nn.Module)
 
 

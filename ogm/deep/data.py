@@ -17,7 +17,8 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, ray_masses, to_ground_frame
+from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, ray_masses
+from ogm.deep.points import to_ground_frame
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.scan import Frame, Scan

@@ -10,8 +10,6 @@ from typing import Any
 from ogm.grid import GridSpec
 from ogm.storage.files import OgmError, update_hint
 
-__all__ = ["FORMAT", "check_description", "description_checksum", "grid_of", "read_description"]
-
 FORMAT = "ogm.network/1"
 _MAX_SIZE = 2**20  # [bytes]
 

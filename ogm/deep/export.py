@@ -72,7 +72,7 @@ def export_onnx(
     Raises
     ------
     ValueError
-        If `path` does not end in ``.onnx``, or the network went through `ogm.deep.folding.fused` before.
+        If `path` does not end in ``.onnx``, or the network went through `ogm.deep.torch_engine.fused` before.
     ImportError
         If the packages for the export are absent; the message holds the pip command that adds them.
 

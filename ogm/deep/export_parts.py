@@ -9,15 +9,13 @@ import torch
 from torch import nn
 from torch.nn.functional import pixel_shuffle
 
-from ogm.deep.folding import folded, fused
 from ogm.deep.network import PillarNetwork
 from ogm.deep.onnx_file import FORMAT
 from ogm.deep.points import FEATURES
 from ogm.deep.polar import CHANNELS
 from ogm.deep.radar_network import RadarNetwork
 from ogm.deep.radar_onnx import FORMAT as RADAR_FORMAT
-
-__all__ = ["ExportParts", "lidar_parts", "radar_parts"]
+from ogm.deep.torch_engine import folded, fused
 
 
 class ExportParts(NamedTuple):

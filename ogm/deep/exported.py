@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from ogm.storage.files import OgmError
 
-__all__ = ["ExportedNetwork", "default_threads"]
-
 Inputs = Mapping[str, NDArray[np.float32]]
 Run = Callable[[Inputs], NDArray[np.float32]]
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ogm.deep.network import PillarNetwork
     from ogm.scan import InverseSensorModel
 
-__all__ = ["DeepISM"]
 
 DEFAULT_MOUNT = Mount(1.9)
 MAX_MOUNTS = 8  # for which a model keeps its parts

@@ -17,10 +17,9 @@ from torch import nn
 from torch.nn.functional import batch_norm, conv2d, interpolate, pixel_shuffle, relu, softplus
 
 from ogm.deep.network_grid import check_resolution, check_sides, sensor_coords
-from ogm.deep.pillars import FEATURES, Pillars
+from ogm.deep.pillars import Pillars
+from ogm.deep.points import FEATURES
 from ogm.grid import GridSpec
-
-__all__ = ["LITE", "PAPER", "AddNeck", "NetworkConfig", "PillarNetwork", "copy_weights", "down_block"]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 
-__all__ = ["check_resolution", "check_sides", "sensor_coords"]
-
 
 def check_sides(spec: GridSpec, multiple: int) -> None:
     """Raise a ValueError if a side of the grid is no whole multiple of a number of cells."""

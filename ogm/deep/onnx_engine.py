@@ -14,8 +14,6 @@ from ogm.deep.onnx_file import read_onnx
 from ogm.deep.points import Rectangle, SortedPoints, pillar_maxima, sort_points
 from ogm.grid import GridSpec
 
-__all__ = ["OnnxEngine"]
-
 
 class OnnxEngine(ExportedNetwork):
     """An exported network of lidars that is ready to run, on one grid; see `ogm.deep.exported.ExportedNetwork`.

@@ -21,8 +21,6 @@ from ogm.deep.points import FEATURES
 from ogm.grid import GridSpec
 from ogm.storage.files import OgmError, update_hint
 
-__all__ = ["FORMAT", "OPERATIONS", "OnnxFile", "exported_from", "read_metadata", "read_onnx", "sealed", "weights_sum"]
-
 FORMAT = "ogm.network.onnx/2"
 OPERATIONS = frozenset({
     "Abs", "Add", "Conv", "ConvTranspose", "DepthToSpace", "Div", "Exp", "Gather", "Log", "Neg", "Relu", "Resize",

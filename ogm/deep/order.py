@@ -7,8 +7,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from torch.utils.data import Sampler
 
-__all__ = ["EpochSampler", "ShardSampler"]
-
 STREAMS = 8  # of batches that a process takes in turn, so that up to so many loading processes share no shard
 BLOCK = 8  # shards whose frames are shuffled together
 

@@ -11,14 +11,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ogm.deep.points import EMPTY, FEATURES, Rectangle, sort_points, to_ground_frame
+from ogm.deep.points import EMPTY, Rectangle, sort_points
 from ogm.geometric import RayISM
 from ogm.grid import GridSpec
 from ogm.scan import Mount, Scan
-
-__all__ = [
-    "FEATURES", "Pillars", "cap_pillars", "collate", "pillarize", "pillarize_torch", "ray_masses", "to_ground_frame",
-]  # fmt: skip
 
 
 class Pillars(NamedTuple):

@@ -15,8 +15,6 @@ from ogm.jit import kernel, vector
 from ogm.pose import check_pose
 from ogm.scan import Mount, as_scan
 
-__all__ = ["EMPTY", "FEATURES", "Rectangle", "SortedPoints", "pillar_maxima", "sort_points", "to_ground_frame"]
-
 _log = logging.getLogger(__name__)
 
 FEATURES = 9  # x, y, z, intensity; offsets in x, y, z from the pillar's mean; offsets in x, y from the cell's center

@@ -18,10 +18,6 @@ from ogm.jit import kernel
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan
 
-__all__ = [
-    "CHANNELS", "RadarGrid", "PolarView", "RadarNoise", "polar_features", "polar_places", "view_of", "write_masses",
-]  # fmt: skip
-
 CHANNELS = (
     "static", "moving", "cross section", "Doppler", "range in cell", "azimuth in cell", "height", "detections before",
     "before the first", "range", "azimuth", "field of view", "azimuth noise",

@@ -15,7 +15,6 @@ from ogm.scan import Mount, Scan, as_scan, check_mount
 if TYPE_CHECKING:
     from ogm.deep.radar_network import RadarNetwork
 
-__all__ = ["DeepRadarISM"]
 
 DEFAULT_MOUNT = Mount(0.6)
 

@@ -13,8 +13,6 @@ from ogm.deep.polar import CHANNELS, RadarGrid, RadarNoise, polar_features, pola
 from ogm.scan import Scan
 from ogm.state import CellState
 
-__all__ = ["RadarBatch", "RadarDataset"]
-
 STEP = 3  # cells of the truth from one place of the loss to the next
 DECIBEL = 10 / np.log(10)  # per factor e of power
 

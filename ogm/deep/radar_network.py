@@ -10,8 +10,6 @@ from torch.nn.functional import grid_sample, pixel_shuffle, softplus
 from ogm.deep.network import AddNeck, down_block
 from ogm.deep.polar import CHANNELS, RadarGrid
 
-__all__ = ["RADAR", "RadarConfig", "RadarNetwork"]
-
 
 @dataclass(frozen=True)
 class RadarConfig:

@@ -11,8 +11,6 @@ from ogm.deep.onnx_file import read_metadata
 from ogm.deep.polar import CHANNELS, RadarGrid
 from ogm.storage.files import OgmError
 
-__all__ = ["FORMAT", "RadarOnnxEngine"]
-
 FORMAT = "ogm.radar.onnx/1"
 
 

@@ -24,8 +24,6 @@ from ogm.evidence import evidence_to_mass
 from ogm.state import predict_state
 from ogm.storage.locks import locked
 
-__all__ = ["Frames", "ValidationScores", "make_loader", "refuse_other_run", "run_training", "validate"]
-
 _SAVE_EVERY = 120.0  # [s]
 # In errors of torch.distributed
 _PEER_ENDED = ("Connection closed by peer", "Connection reset by peer", "ncclRemoteError")

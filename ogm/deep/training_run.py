@@ -27,8 +27,6 @@ from ogm.grid import EvidentialGrid
 from ogm.state import Truth
 from ogm.storage.files import OgmError, atomic_write
 
-__all__ = ["TrainingBatch", "TrainingRun", "draw_predictions", "nonfinite_loss_error"]
-
 
 class TrainingBatch(Protocol):
     """Some frames, ready for a network: pillars of lidars, or polar grids of radars."""

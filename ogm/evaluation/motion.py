@@ -1,4 +1,4 @@
-"""Motion in an evaluation: what is kept of a frame, and the result of all of them."""
+"""Motion in an evaluation: what is kept of a frame, the result of all, and predictions compared at their time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,13 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.evaluation.predictions import PREDICTED
+from ogm.evaluation.methods import FusedMethod
 from ogm.evaluation.statistics import Interval, mean_interval
+from ogm.fusion.pipeline import grid_pose
+from ogm.grid import GridSpec
 from ogm.metrics import (
     MOTION_METRICS,
+    PREDICTION_METRICS,
     MotionSums,
     PredictionSums,
     accumulate_motion,
+    accumulate_prediction,
     detection_times,
     distances,
     motion_curve,
@@ -24,8 +28,71 @@ from ogm.metrics import (
 from ogm.metrics.detection_time import Detection, ObjectCells, object_cells
 from ogm.metrics.motion import predicted_moving
 from ogm.metrics.motion_scores import motion_by_range
-from ogm.scan import Boxes
-from ogm.state import Motion
+from ogm.scan import Boxes, Frame
+from ogm.state import CellState, Motion, Truth
+
+HORIZON = 0.5  # [s] from a scan to the time that is predicted
+TOLERANCE = 0.02  # [s] by which the stamp of the later frame may differ from that time
+PREDICTED = {  # the metrics that need no truth of the earlier time
+    name: metric._replace(title=f"{metric.title}, {HORIZON:g} s ahead")
+    for name, metric in PREDICTION_METRICS.items()
+    if not name.endswith("_moving")
+}
+
+
+class _Prediction(NamedTuple):
+    stamp: float  # [s] of the predicted time
+    grid: DynamicGrid  # in map coordinates
+
+
+class Predictions:
+    """The predictions of each dynamic map, by the place of its method, that wait for the frame of their time."""
+
+    def __init__(self) -> None:
+        self._sequence = ""
+        self._waiting: dict[int, list[_Prediction]] = {}
+
+    def predict(self, place: int, method: FusedMethod, frame: Frame) -> None:
+        """Predict the time `HORIZON` after a frame that the method has just fused."""
+        if frame.sequence != self._sequence:
+            self._sequence, self._waiting = frame.sequence, {}
+        assert frame.stamp is not None
+        kept = [made for made in self._waiting.get(place, []) if made.stamp > frame.stamp + TOLERANCE]
+        self._waiting[place] = [*kept, _Prediction(frame.stamp + HORIZON, method.predicted(HORIZON))]
+
+    def compare(self, place: int, frame: Frame, truth: Truth, occupied: NDArray[np.bool_]) -> PredictionSums:
+        """Compare the predictions of the time of a frame with its truth; before `predict` of the same frame.
+
+        Parameters
+        ----------
+        place : int
+        frame : Frame
+        truth : Truth
+            With motion, on the evaluated cells.
+        occupied : (nx, ny) bool
+            Cells that the scan shows as occupied.
+
+        Returns
+        -------
+        PredictionSums
+            Zeros if no prediction is of this time.
+        """
+        assert frame.stamp is not None
+        sums, T = PredictionSums.zeros(), grid_pose(frame)
+        shown = Truth(truth.spec, occupied.astype(np.uint8) + np.uint8(CellState.FREE))
+        for made in self._waiting.get(place, []) if frame.sequence == self._sequence else ():
+            if abs(made.stamp - frame.stamp) <= TOLERANCE:
+                there, spec = _on_map(truth, made.grid.spec, T), made.grid.spec
+                seen = _on_map(shown, spec, T).state == CellState.OCCUPIED
+                sums = sums.plus(accumulate_prediction(made.grid, there, seen))
+        return sums
+
+
+def _on_map(truth: Truth, spec: GridSpec, T_map_grid: NDArray[np.float64]) -> Truth:  # noqa: N803
+    """Return the truth around a vehicle on cells of the map."""
+    yaw = float(np.arctan2(T_map_grid[1, 0], T_map_grid[0, 0]))
+    return truth.crop(spec, yaw, float(T_map_grid[0, 3]), float(T_map_grid[1, 3]))
+
 
 MOTION_HEADLINE = (
     "motion_ap", "motion_iou", "motion_precision", "motion_recall", "static_moving", "velocity_rmse", "velocity_median",
@@ -131,7 +198,7 @@ def compare_motion(
     boxes : Boxes, optional
         Those that `motion.box` counts.
     predicted : PredictionSums
-        See `ogm.evaluation.predictions.Predictions.compare`.
+        See `ogm.evaluation.motion.Predictions.compare`.
     """
     boxes = Boxes.empty() if boxes is None else boxes
     moving = predicted_moving(grid)

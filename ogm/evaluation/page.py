@@ -13,9 +13,8 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ogm.evaluation.chart_data import HEADLINE, chart_data, group_metrics
-from ogm.evaluation.frame_pictures import ERRORS, height_legend, true_states
+from ogm.evaluation.frame_pictures import ARROWS, ERRORS, height_legend, true_states
 from ogm.evaluation.motion import MOTION_HEADLINE, group_motion
-from ogm.evaluation.motion_pictures import ARROWS
 from ogm.evaluation.summary import best_value, summarize
 from ogm.evaluation.text import format_number, join_words, pluralize
 from ogm.storage.files import atomic_write

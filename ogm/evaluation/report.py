@@ -23,8 +23,7 @@ from ogm.evaluation.statistics import MIN_DRIVES, has_parts
 from ogm.evaluation.text import as_json, clean, pluralize
 from ogm.metrics import METRICS, ConfusionSums
 from ogm.metrics.counts import RANGES
-from ogm.metrics.ranges import by_range
-from ogm.metrics.scores import reasons
+from ogm.metrics.scores import by_range, reasons
 from ogm.storage.files import atomic_write
 
 RANKED_BY = "nll"

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.cache import FrameResult, ResultCache
+from ogm.evaluation.frame_pictures import draw_motion
 from ogm.evaluation.methods import FusedMethod, Method, MethodRunner
-from ogm.evaluation.motion import compare_motion
-from ogm.evaluation.motion_pictures import draw_motion
-from ogm.evaluation.predictions import Predictions
+from ogm.evaluation.motion import Predictions, compare_motion
 from ogm.grid import GridSpec
 from ogm.metrics import accumulate, distances
 from ogm.pose import transform_points

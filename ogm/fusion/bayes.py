@@ -13,13 +13,10 @@ from numpy.typing import NDArray
 
 from ogm.fusion.kernels import bayes_update, log_odds_of
 from ogm.fusion.lookup import ScanLookup
-from ogm.fusion.map_lock import locked
-from ogm.fusion.mapper import Forget, Mapper
+from ogm.fusion.mapper import Forget, Mapper, locked
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
-
-__all__ = ["BinaryBayesMapper", "Match"]
 
 Match = Literal["pignistic", "plausibility"]
 

@@ -14,13 +14,10 @@ from numpy.typing import NDArray
 from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, yager
 from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup, gather
-from ogm.fusion.map_lock import locked
-from ogm.fusion.mapper import Forget, Mapper
+from ogm.fusion.mapper import Forget, Mapper, locked
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
-
-__all__ = ["EvidentialMapper", "Rule"]
 
 Rule = Callable[[Any, Any], Any]
 DYNAMIC_DECAY_RATIO = 50.0  # how many times faster dynamic cells are forgotten by default

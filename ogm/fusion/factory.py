@@ -14,8 +14,6 @@ from ogm.fusion.mapper import Mapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec
 
-__all__ = ["covering_window", "make_mapper", "rolling_window"]
-
 _MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
 
 

@@ -13,11 +13,6 @@ from ogm.evidence.kernels import FLOAT32, RULES
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import vector
 
-__all__ = [
-    *("CAUTIOUS", "CUMULATIVE", "DEMPSTER", "YAGER", "Aging"),
-    *("bayes_update", "combine_cells", "evidential_update", "log_odds_of"),
-]
-
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
 # Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
 TINY = np.float32(1e-18)

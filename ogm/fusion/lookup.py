@@ -6,8 +6,6 @@ import numpy as np
 
 from ogm.jit import vector
 
-__all__ = ["ScanLookup", "gather", "look_up"]
-
 EPS_CELL = 1e-6  # [cells] so that rounding does not decide where centres of cells fall on edges of others
 
 

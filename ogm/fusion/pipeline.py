@@ -17,8 +17,6 @@ from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse
 from ogm.scan import Frame, LazyFrame, Scan, SensorModels, of_sensor, run_model
 
-__all__ = ["FusionStep", "deskew_frame", "fuse", "grid_pose", "map_scans", "update_map"]
-
 _DAMAGED = (ValueError, TypeError, OSError)  # what is wrong with one frame, not with the program
 _MAX_JUMPS = 3  # in a row, at the last of which the map begins anew
 _MARGIN = 0.5  # [s] by which a trajectory is extrapolated for the points of its first and last scans

@@ -15,8 +15,6 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import kernel
 from ogm.pose import check_pose
 
-__all__ = ["Reduce", "ResampleMethod", "coarsen", "resample_to", "view_layers", "warp"]
-
 ResampleMethod = Literal["area", "nearest", "cautious"]
 Reduce = Literal["mean", "occupied", "cautious"]
 

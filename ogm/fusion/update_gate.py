@@ -12,8 +12,6 @@ from ogm.geometric.doppler import RadialVelocities
 from ogm.grid import EvidentialGrid
 from ogm.pose import check_pose, check_stamp, inverse
 
-__all__ = ["CheckedScan", "PoseJump", "UpdateGate"]
-
 SLACK = 1.0  # [m] added to the distance that a vehicle may travel between two scans
 TURN_RATE, TURN_SLACK = 2 * math.pi, 0.3  # [rad/s], [rad] beyond which a turn is a jump
 LONG_GAP = 60.0  # [s] without a scan after which a warning is logged

@@ -8,11 +8,6 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 
-__all__ = [
-    "Window", "WindowMode", "affine_between", "cell_transform", "check_choice", "overlaps", "planar_transform",
-    "samples_per_axis",
-]  # fmt: skip
-
 WindowMode = Literal["rolling", "fixed"]
 _MAX_TILT = 45.0  # [deg]
 _MAX_SAMPLES = 8  # per cell and axis, for scans with much finer cells than the map

@@ -14,8 +14,6 @@ from ogm.geometric.kernels.arguments import Cells, GroundLimits, Points, Surface
 from ogm.geometric.kernels.surface import fill, ground_heights, sample_many
 from ogm.grid import GridSpec
 
-__all__ = ["GroundEstimate", "flat_ground", "ground_height", "local_ground", "patchwork_ground", "surface_of"]
-
 GroundPoint = tuple[float, float, float]
 GroundEstimate = Callable[[NDArray[np.float32], GridSpec, GroundPoint], NDArray[np.float32]]
 

@@ -14,8 +14,6 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
 from ogm.scan import Mount, Scan, as_scan
 
-__all__ = ["HeightBandISM"]
-
 NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)
 
 

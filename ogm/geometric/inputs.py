@@ -10,8 +10,6 @@ from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.scan import Mount, Scan, check_mount, mount_of
 
-__all__ = ["check_sensor_in_grid", "check_within", "mount_in_grid", "to_vehicle_frame", "usable_points"]
-
 _log = logging.getLogger(__name__)
 
 _REACH = 1e6  # [m] also keeps what follows from overflowing

@@ -16,8 +16,6 @@ from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
 
-__all__ = ["RadarISM"]
-
 REFERENCE_SNR = 10**1.3  # where `RadarISM.reach` is, and that of `ogm.simulation.radars.RadarMode` for 0 dBsm
 FALSE_ALARM = 1e-4  # probability per bin that sets a radar's threshold
 

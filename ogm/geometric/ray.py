@@ -19,8 +19,6 @@ from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
 
-__all__ = ["RayISM"]
-
 MAX_BINS = 2**15 - 1  # what the kernels count in int16
 
 

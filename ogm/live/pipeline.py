@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ogm.fusion import FusionStep, Mapper, fuse
 from ogm.fusion.pipeline import OnError, log_error
-from ogm.live.newest import NewestFrames
-from ogm.live.playback import play, read_ahead
+from ogm.live.playback import NewestFrames, play, read_ahead
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan, SensorModels
 

@@ -1,14 +1,72 @@
-"""Frames become available: as they come, or at their stamps."""
+"""Frames become available as they come, or at their stamps; of each sensor the newest waits, older ones are dropped."""
 
 import math
+import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from threading import Event
 
 from ogm.fusion.pipeline import OnError
-from ogm.live.newest import NewestFrames
 from ogm.scan import Frame
 from ogm.storage.files import OgmError
+
+
+class NewestFrames:
+    """Frames on their way from the thread that reads to the one that maps; at most one of each sensor waits.
+
+    However slow the mapping is, a frame waits no longer than one frame of every sensor takes. `Scan.sensor` names the
+    sensor.
+
+    Attributes
+    ----------
+    dropped : int
+        Frames that a newer one of their sensor replaced before they were mapped, and those of `drop`.
+    due : float
+        When the frame that was taken last became available, by `time.monotonic` [s].
+    """
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self.due = 0.0
+        self._waiting: dict[str, tuple[Frame, float]] = {}  # in the order of their turns
+        self._changed = threading.Condition()
+        self._closed = False
+
+    def put(self, frame: Frame, due: float | None = None) -> None:
+        """Let a frame wait, whose scan has been read; an older one of its sensor is dropped.
+
+        Parameters
+        ----------
+        frame : Frame
+        due : float, optional
+            When it became available, by `time.monotonic` [s]; now by default.
+        """
+        with self._changed:
+            self.dropped += frame.scan.sensor in self._waiting  # whose turn the new one takes
+            self._waiting[frame.scan.sensor] = frame, time.monotonic() if due is None else due
+            self._changed.notify()
+
+    def drop(self) -> None:
+        """Count a frame that is not even read."""
+        with self._changed:
+            self.dropped += 1
+
+    def close(self) -> None:
+        """End the iteration once what waits is taken."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield the frames, each as soon as it is there, until `close`."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if not self._waiting:
+                    return
+                frame, self.due = self._waiting.pop(next(iter(self._waiting)))
+            yield frame
+
 
 LEAD = 0.2  # [s] from the start, or a new sequence, to its first frame, which must be read first
 LATE = 0.05  # [s] after which frames that are due are dropped unread, until one is not due yet

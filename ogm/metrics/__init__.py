@@ -16,8 +16,7 @@ from ogm.metrics.detection_time import detection_times
 from ogm.metrics.motion import MotionSums, accumulate_motion
 from ogm.metrics.motion_scores import MOTION_METRICS, motion_curve, score_motion
 from ogm.metrics.prediction import PREDICTION_METRICS, PredictionSums, accumulate_prediction, score_prediction
-from ogm.metrics.ranges import by_range, distances
-from ogm.metrics.scores import METRICS, Metric, reasons, score
+from ogm.metrics.scores import METRICS, Metric, by_range, distances, reasons, score
 
 __all__ = [
     "ConfusionSums", "METRICS", "MOTION_METRICS", "Metric", "MotionSums", "PREDICTION_METRICS", "PredictionSums",

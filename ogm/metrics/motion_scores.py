@@ -5,9 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.metrics.areas import above, parts
+from ogm.metrics.areas import above, average_precision, parts
 from ogm.metrics.motion import GROUPS, LEAST, RATIO, SECTORS, MotionSums
-from ogm.metrics.ranking import average_precision
 from ogm.metrics.scores import Metric
 
 _ALL, _STATIC = GROUPS.index("moving"), GROUPS.index("static")

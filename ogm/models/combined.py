@@ -27,8 +27,6 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation, vector
 from ogm.scan import InverseSensorModel, Scan, as_scan
 
-__all__ = ["CombinedISM", "FreeGate", "StateReliability"]
-
 Rule = Callable[..., Any]
 dempster_cell, yager_cell, cumulative_cell, cautious_cell = (rule.cell for rule in COMPILED.values())
 HIT = 0.5  # a cell is a hit where the mass of occupied exceeds this

@@ -16,8 +16,6 @@ import numpy as np
 
 from ogm.jit import is_compiled
 
-__all__ = ["compile_kernels", "compiled_ahead", "main_kernels"]
-
 Kernels = list[tuple[Any, tuple[Any, ...]]]
 
 

@@ -13,8 +13,6 @@ from typing import Any, Self
 from ogm.io.reading import decode_json
 from ogm.storage.files import OgmError, atomic_write, update_hint
 
-__all__ = ["Calibration", "default_parameters", "model_class"]
-
 FORMAT = "ogm.calibration/1"
 MAX_PARAMETER = 1e300
 

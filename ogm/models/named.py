@@ -25,11 +25,6 @@ from ogm.models.fitted import Calibration, model_class
 from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, load_radar_model
 from ogm.scan import InverseSensorModel, Mount, Scan, as_scan
 
-__all__ = [
-    "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "LidarRadarISM",
-    "ReleasedISM", "default_model", "describe_model", "load_model", "short_names", "with_radar",
-]  # fmt: skip
-
 GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-released"
 LITE = "lite"
 COMBINED = "combined"

@@ -13,7 +13,6 @@ from ogm.storage.files import OgmError
 if TYPE_CHECKING:
     from ogm.deep import RadarNoise
 
-__all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "RadarBySensor", "load_radar_model", "radar_noise", "radar_numbers"]
 
 RADAR, DEEP_RADAR = "radar", "deep-radar"
 RADAR_MODELS = {  # name: description

@@ -13,11 +13,11 @@ from ogm.plot.panels import (
     conflict_panel,
     layer_panel,
     mass_panel,
+    points_panel,
     probability_panel,
     unknown_panel,
     velocity_panel,
 )
-from ogm.plot.points import points_panel
 
 __all__ = [
     "Panel", "cells_panel", "conflict_panel", "dynamic_panel", "layer_panel", "mass_panel", "points_panel",

@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["colour_map"]
-
 # 52 colours each, evenly spaced, between which is interpolated: within 1.2 / 255 of the original.
 _MAPS = {
     "inferno": bytes.fromhex(

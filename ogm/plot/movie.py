@@ -29,9 +29,8 @@ from PIL import GifImagePlugin, Image, ImageDraw
 from ogm import plot
 from ogm.grid import GridSpec
 from ogm.plot.colours import Colours, colours
-from ogm.plot.drawing import draw_legend, draw_marks, draw_vehicle, font, plain, scaled
-from ogm.plot.panels import APPEARED, BLACK, WENT_AWAY, heading_colours
-from ogm.plot.points import HIGHEST, LOWEST, height_colours
+from ogm.plot.figures import draw_legend, draw_marks, draw_vehicle, font, plain, scaled
+from ogm.plot.panels import APPEARED, BLACK, HIGHEST, LOWEST, WENT_AWAY, heading_colours, height_colours
 from ogm.storage.files import atomic_write
 
 __all__ = ["Movie", "open_movie"]

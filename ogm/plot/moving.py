@@ -7,8 +7,6 @@ from ogm.dynamic_grid import DynamicGrid
 from ogm.plot.panels import Panel, cells_panel, heading_colours
 from ogm.scan import Boxes
 
-__all__ = ["dynamic_panel", "heading_wheel", "moving_arrows", "moving_groups"]
-
 FREE, UNKNOWN, STATIC = (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
 SLOWEST = 0.5  # [m/s] of a group that has an arrow
 FEWEST = 3  # cells of a group that has an arrow

@@ -22,8 +22,6 @@ from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_by
 from ogm.plot.panels import CONFLICT_LAYERS, VELOCITY_LAYERS
 from ogm.scan import Scan
 
-__all__ = ["facts_html", "html", "png"]
-
 LONGEST, SHORTEST = 520, 260  # [px] along the longer side of a panel
 PANELS, GAP = 4, 6  # of layers side by side; [px] between them
 STRIP = 1024  # rows that are shrunk at once; even

@@ -15,8 +15,6 @@ from ogm.plot.moving import moving_arrows
 from ogm.plot.overview import FULL, Steps
 from ogm.plot.panels import CONFLICT_LAYERS, NO_VALUE, VELOCITY_LAYERS
 
-__all__ = ["Layer", "conflict_layer", "mass_layers", "motion_layer", "number_layer", "velocity_layer"]
-
 Layer = dict[str, Any]
 _SHADES = 24  # of the bar that shows a continuous scale
 

@@ -20,8 +20,8 @@ from ogm import plot
 from ogm.grid import GridSpec
 from ogm.io.images import open_image
 from ogm.plot.colours import colours
-from ogm.plot.drawing import font, plain
-from ogm.plot.points import dots_panel
+from ogm.plot.figures import font, plain
+from ogm.plot.panels import dots_panel
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Array, Bytes, Floats32
 from ogm.simulation.sample import SimulatedSample

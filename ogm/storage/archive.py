@@ -19,8 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.storage.files import OgmError, atomic_write, update_hint
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["UNREADABLE", "attributes_checksum", "open_archive", "stated_format", "write_archive"]
-
 UNREADABLE = (  # raised by zipfile, zlib and numpy on damaged archives, and by grids on their content
     zipfile.BadZipFile,
     zlib.error,

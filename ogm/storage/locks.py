@@ -17,7 +17,6 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["locked", "sweep", "try_lock"]
 
 OLD = 86400.0  # [s] after which a temporary file is swept where there are no locks
 _TEMPORARY = re.compile(r"\.ogm-[0-9a-f]{16}\.tmp")

@@ -12,8 +12,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ObjectPath", "as_path", "is_remote", "object_store"]
-
 CACHE = 128e6  # [byte] of objects that a process keeps of each place
 _NOT_KNOWN = object()
 

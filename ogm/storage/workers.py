@@ -11,8 +11,6 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any
 
-__all__ = ["DIED", "Submit", "Workers", "as_completed", "cluster", "deaths_explained", "processes", "work_off"]
-
 SCHEDULER_TIMEOUT = 20.0  # [s]
 TRIES = 3  # times that workers are started before their deaths are an error
 DIED = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")

@@ -25,13 +25,11 @@ The simulator's rays are counted by `ogm.truth.rays`, which is compiled and not 
 32
 """
 
-from ogm.truth.boxes import cells_in_boxes, truth_from_boxes
-from ogm.truth.combine import combine_truths
+from ogm.truth.boxes import cells_in_boxes, truth_from_boxes, truth_from_road
 from ogm.truth.motion import motion_of_boxes
 from ogm.truth.observe import HEIGHT_LIMITS, Kind
 from ogm.truth.points import TRUTH_SPEC, truth_from_points
-from ogm.truth.road import truth_from_road
-from ogm.truth.scans import truth_from_scans
+from ogm.truth.scans import combine_truths, truth_from_scans
 
 __all__ = [
     "HEIGHT_LIMITS", "TRUTH_SPEC", "Kind", "cells_in_boxes", "combine_truths", "motion_of_boxes", "truth_from_boxes",

@@ -17,8 +17,6 @@ from ogm.storage.files import OF_DISK, OgmError, atomic_write, error_text, tempo
 from ogm.storage.locks import locked
 from ogm.storage.workers import deaths_explained, work_off
 
-__all__ = ["FusedDrive", "drives_of", "fuse_drives"]
-
 _FORMAT = "ogm.fused/1"
 _NOTE = "drive.json"
 FuseDrive = Callable[[Sequence[Frame], Path], Mapping[str, Any]]

@@ -15,8 +15,6 @@ from ogm.models.named import default_model, load_model, with_radar
 from ogm.scan import InverseSensorModel
 from ogm.storage.files import error_text
 
-__all__ = ["FuseOptions", "Outputs"]
-
 OUTPUT_ENDINGS = {
     "map": MAP_ENDINGS,
     "picture": (".png",),

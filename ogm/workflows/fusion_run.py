@@ -23,8 +23,6 @@ from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Boxes, Frame
 from ogm.storage.files import OF_DISK, error_text
 
-__all__ = ["FusionRun"]
-
 ARROW_SECONDS = 1.0  # [s] of the way that an arrow shows
 
 

@@ -20,8 +20,6 @@ from ogm.plot.viewer import write_view
 from ogm.workflows.fuse_options import FuseOptions, Outputs
 from ogm.workflows.fusion_run import FusionRun
 
-__all__ = ["FuseInto", "fuse_drive", "posed"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -14,8 +14,6 @@ from ogm.plot import points_panel, save_picture
 from ogm.scan import Frame, InverseSensorModel, run_model
 from ogm.storage.files import error_text
 
-__all__ = ["ScanMap", "map_to_files"]
-
 
 class ScanMap(NamedTuple):
     """Grid of one scan, and the seconds that the model took; or the error that it failed with."""

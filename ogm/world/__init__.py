@@ -7,8 +7,7 @@
 
 from ogm.world.build import Progress, build_world, rebuild_world
 from ogm.world.layout import WorldLayout
-from ogm.world.lazy import world_to_xarray
-from ogm.world.pyramid import write_pyramid
+from ogm.world.pyramid import world_to_xarray, write_pyramid
 from ogm.world.world_map import WorldMap
 
 __all__ = ["WorldLayout", "Progress", "WorldMap", "build_world", "rebuild_world", "world_to_xarray", "write_pyramid"]

@@ -25,9 +25,8 @@ from ogm.world.drives import (
     submap_key,
 )
 from ogm.world.layout import TileIndex
-from ogm.world.render import Part, fingerprint, parts_of_tiles
 from ogm.world.rendered import Rendered
-from ogm.world.tasks import MapPlace, SubMapJob, make_submap, make_tile
+from ogm.world.tasks import MapPlace, Part, SubMapJob, fingerprint, make_submap, make_tile, parts_of_tiles
 from ogm.world.tiles import TileStore
 from ogm.world.world_map import WorldMap
 

@@ -15,8 +15,7 @@ from ogm.pose import Trajectory, check_pose
 from ogm.scan import Frame
 from ogm.storage.archive import attributes_checksum
 from ogm.storage.files import OgmError
-from ogm.world.layout import LAYERS, TILES, TileIndex
-from ogm.world.packing import checked_array, codecs
+from ogm.world.layout import LAYERS, TILES, TileIndex, checked_array, codecs
 from ogm.world.stores import children, keys, read_object, reading, writing
 from ogm.world.tiles import TileStore
 

@@ -5,14 +5,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.fusion.map_lock import MapLock, locked
+from ogm.fusion.mapper import MapLock, locked
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.pose import check_pose
 from ogm.storage.files import OgmError
 from ogm.world.cache import TileCache
-from ogm.world.layout import LAYERS, Box, TileIndex, corners
-from ogm.world.packing import mass_of
+from ogm.world.layout import LAYERS, Box, TileIndex, corners, mass_of
 from ogm.world.stores import reading, size
 from ogm.world.tiles import TileStore
 

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.world.layout import TILES, TileIndex
-from ogm.world.packing import checked_array, codecs
+from ogm.world.layout import TILES, TileIndex, checked_array, codecs
 from ogm.world.stores import read_object, reading, writing
 from ogm.world.tiles import TileStore
 
@@ -16,7 +15,7 @@ _MEND = f"remove {_NAME}/, and build again: all tiles are made anew"
 
 
 class Rendered:
-    """The numbers of all tiles, `ogm.world.render.fingerprint`; 0 where none was made.
+    """The numbers of all tiles, `ogm.world.tasks.fingerprint`; 0 where none was made.
 
     Numbers that are noted are written now and then, and at the end of a ``with`` block. A tile whose number was not
     written is made again, with the same result.

@@ -1,4 +1,7 @@
-"""Tiles of a world map on disk or in an object store: one Zarr array per level, one shard per tile."""
+"""Tiles of a world map on disk or in an object store: one Zarr array per level, one shard per tile.
+
+Levels of half the resolution each show a city on one screen, in which walls and poles stay visible.
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, fields
@@ -8,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.extras import import_extra
+from ogm.fusion.resample import coarsen
+from ogm.grid import EvidentialGrid, GridSpec
 from ogm.storage.archive import attributes_checksum
 from ogm.storage.files import OgmError, update_hint
 from ogm.storage.remote import is_remote
-from ogm.world.layout import LAYERS, TILES, Box, TileIndex, WorldLayout
-from ogm.world.packing import checked_array, checked_layers, codecs
+from ogm.world.kernels import MASS_STEPS
+from ogm.world.layout import LAYERS, TILES, Box, TileIndex, WorldLayout, checked_array, checked_layers, codecs, mass_of
 from ogm.world.stores import Mode, Url, erase, keys, local_path, open_store, reading, writing
 from ogm.world.writer import WRITER, check_writer
 
@@ -189,3 +194,37 @@ class TileStore:
         of_level = f" of level {level}" if level else ""
         several = f"tile {tiles[0]}" if len(tiles) == 1 else f"tiles {tiles[0]} to {tiles[-1]}"
         return f"{several}{of_level} of {self.url}"
+
+
+def make_overviews(store: TileStore) -> int:
+    """Make all levels above 0 anew, tile by tile, until four tiles hold all; return the number of levels."""
+    layout, level, tiles = store.layout, 0, store.tiles()
+    n = layout.tile
+    for above in reversed(range(1, store.levels)):
+        store.remove_level(above)
+    while level == 0 or (tiles and np.ptp(tiles, axis=0).max() > 1):
+        level += 1
+        there, tiles = set(tiles), sorted({(i >> 1, j >> 1) for i, j in tiles})
+        store.make_level(level)
+        for index in tiles:
+            made = layout.empty_tile(2)
+            for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                below = 2 * index[0] + di, 2 * index[1] + dj
+                if below in there:
+                    stored = store.read(layout.box_of(below), level - 1, slice(0, 2))
+                    rows, columns = slice(di * n // 2, (di + 1) * n // 2), slice(dj * n // 2, (dj + 1) * n // 2)
+                    made[:, rows, columns] = _halved(stored, layout)
+            store.write_tile(index, made, level)
+    return level + 1
+
+
+def _halved(stored: NDArray[Any], layout: WorldLayout) -> NDArray[Any]:
+    """Return stored masses (2, n, n) at half the resolution, stored again."""
+    n = stored.shape[1]
+    grid = EvidentialGrid.trusted(GridSpec(1.0, (n, n), (0.0, 0.0)), mass_of(stored, layout))
+    half: NDArray[Any] = coarsen(grid, 2, "occupied").mass
+    if layout.dtype == "float32":
+        return half.transpose(2, 0, 1)
+    steps: NDArray[Any] = np.rint(half * np.float32(MASS_STEPS)).astype(np.uint16)
+    steps[..., 0] = np.minimum(steps[..., 0], MASS_STEPS - steps[..., 1])
+    return steps.transpose(2, 0, 1)

@@ -8,17 +8,16 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from ogm.fusion.map_lock import locked
+from ogm.fusion.mapper import locked
 from ogm.grid import EvidentialGrid
 from ogm.storage.files import OgmError, atomic_write
+from ogm.world.cache import integrate_grid
 from ogm.world.drives import drive_names
-from ogm.world.integration import integrate_grid
 from ogm.world.kernels import merge
 from ogm.world.layout import WORLD_RULES, StoredType, WorldLayout, WorldRule
 from ogm.world.map_reading import MapReader
-from ogm.world.overviews import make_overviews
 from ogm.world.stores import Mode, Url, is_zip, keys, local_path, open_store, read_object, reading
-from ogm.world.tiles import TileStore
+from ogm.world.tiles import TileStore, make_overviews
 from ogm.world.writer import WRITER, one_writer
 
 MEMORY = 512e6  # [byte] of tiles that a map keeps

@@ -13,12 +13,12 @@ from networks import SPEC, trained
 
 from ogm.deep.export import export_onnx
 from ogm.deep.export_parts import _Masses
-from ogm.deep.folding import fused
 from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork
 from ogm.deep.onnx_engine import OnnxEngine
 from ogm.deep.onnx_file import FORMAT, OPERATIONS
 from ogm.deep.pillars import Pillars, pillarize
 from ogm.deep.points import SortedPoints, sort_points
+from ogm.deep.torch_engine import fused
 from ogm.grid import GridSpec
 
 needs("onnx", "onnxruntime", "onnxscript")

@@ -9,9 +9,9 @@ import torch
 from cases import each, refused
 from networks import SPEC, trained
 
-from ogm.deep.folding import fused
 from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork, copy_weights
 from ogm.deep.pillars import Pillars, collate, pillarize
+from ogm.deep.torch_engine import fused
 from ogm.grid import GridSpec
 
 CELLS = SPEC.shape[0] * SPEC.shape[1]

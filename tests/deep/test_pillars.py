@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ogm.deep import points as module
-from ogm.deep.folding import fused
 from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, pillarize_torch
+from ogm.deep.torch_engine import fused
 from ogm.grid import GridSpec
 
 SPEC = GridSpec.centered(length=10.24, width=5.12, resolution=0.16)  # 64 x 32 cells

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from ogm.evaluation import Evaluation, FusedMethod, evaluate, write_report
-from ogm.evaluation.motion_pictures import ARROWS, DOTS, draw_motion
+from ogm.evaluation.frame_pictures import ARROWS, DOTS, draw_motion
 from ogm.evidence.map_rules import DYNAMIC, NUSS
 from ogm.fusion import DynamicMapper, EvidentialMapper
 from ogm.grid import EvidentialGrid, GridSpec

@@ -9,8 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from ogm.fusion.dynamic.distance import LEVELS, capped_distance
-from ogm.fusion.dynamic.groups import find_groups
+from ogm.fusion.dynamic.groups import LEVELS, capped_distance, find_groups
 from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
 
 SHAPE, SIDE = (120, 100), 0.16

@@ -13,8 +13,8 @@ from ogm.pose import pose
 from ogm.scan import Boxes, Frame, LazyFrame, Mount, Scan
 from ogm.world import WorldMap, build_world
 from ogm.world.drives import drive_names, load_drive
-from ogm.world.render import parts_of_tiles, render_tile
 from ogm.world.rendered import Rendered
+from ogm.world.tasks import parts_of_tiles, render_tile
 
 SPEC = GridSpec(0.5, (10, 8), (-2.5, -2.0))
 

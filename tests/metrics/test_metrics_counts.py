@@ -11,11 +11,10 @@ from scipy import special
 
 from ogm.evidence import dirichlet_kl, evidence_to_mass
 from ogm.metrics import ConfusionSums, accumulate, divergence, free_space, score
+from ogm.metrics.areas import auroc, average_precision, false_positive_rate
 from ogm.metrics.counts import RANGES
 from ogm.metrics.evilog import evilog_kl
-from ogm.metrics.ranges import by_range
-from ogm.metrics.ranking import auroc, average_precision, false_positive_rate
-from ogm.metrics.scores import reasons
+from ogm.metrics.scores import by_range, reasons
 from ogm.state import predict_state
 
 

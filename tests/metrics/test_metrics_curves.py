@@ -20,7 +20,7 @@ from ogm.metrics import (
     score,
 )
 from ogm.metrics.counts import RANGES
-from ogm.metrics.ranges import by_range
+from ogm.metrics.scores import by_range
 
 SHAPE = (40, 30)
 CURVES = (

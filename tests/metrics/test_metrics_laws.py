@@ -13,8 +13,7 @@ from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, ConfusionSums, accumulate, distances, score
-from ogm.metrics.ranges import by_range
-from ogm.metrics.scores import reasons
+from ogm.metrics.scores import by_range, reasons
 
 SPEC = GridSpec.centered(length=70, width=70, resolution=10)
 SWAP = np.array([UNKNOWN, OCCUPIED, FREE, IGNORE], np.uint8)

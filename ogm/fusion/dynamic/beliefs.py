@@ -13,8 +13,6 @@ from ogm.fusion.resample import view_layers
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 
-__all__ = ["Beliefs", "beliefs", "empty_beliefs", "masses", "seen_from"]
-
 
 class Beliefs(NamedTuple):
     """Beliefs in the cells of a map.

@@ -12,8 +12,6 @@ from ogm.evidence.kernels import FLOAT32, RULES
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import kernel, vector
 
-__all__ = ["CellOutput", "DynamicCells", "Rates", "no_cells", "share_particles", "update_cells"]
-
 _dempster = RULES["dempster"].cell
 LEAST = np.float32(1e-12)  # mass of occupied that is taken for none
 FRACTION_BITS = 32  # of the fixed-point numbers in which particles are divided

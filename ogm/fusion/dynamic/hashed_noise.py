@@ -11,8 +11,6 @@ import numpy as np
 
 from ogm.jit import inline
 
-__all__ = ["NORMALS", "UNIT", "hashed", "index", "scan_key"]
-
 _BITS = 12  # of a hash that choose one number
 _SIZE = 1 << _BITS
 _QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / _SIZE) for k in range(_SIZE)])

@@ -33,13 +33,10 @@ from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.dynamic.threads import Threads, spans
 from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup
-from ogm.fusion.map_lock import locked
-from ogm.fusion.mapper import Mapper
+from ogm.fusion.mapper import Mapper, locked
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
-
-__all__ = ["DynamicFilter", "DynamicMapper"]
 
 DynamicFilter = Literal["hybrid", "nuss"]
 MAX_PARTICLES = 2**25  # 1.2 GB

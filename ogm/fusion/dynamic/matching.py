@@ -12,11 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.dynamic.distance import MAX_CAP, capped_distance
-from ogm.fusion.dynamic.groups import Groups, find_groups
+from ogm.fusion.dynamic.groups import MAX_CAP, Groups, capped_distance, find_groups
 from ogm.fusion.dynamic.matching_kernels import MAX_CELLS, MatchNumbers, match_groups
-
-__all__ = ["MatchSettings", "Matches", "match_velocities"]
 
 
 @dataclass(frozen=True)

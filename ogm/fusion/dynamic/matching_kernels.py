@@ -10,11 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.dynamic.distance import LEVELS
-from ogm.fusion.dynamic.groups import Groups
+from ogm.fusion.dynamic.groups import LEVELS, Groups
 from ogm.jit import kernel, vector
-
-__all__ = ["MAX_CELLS", "MatchNumbers", "match_groups"]
 
 MAX_CELLS = 655  # of one group, so that sums of levels fit 16 bits
 NEAR = 2  # nodes around the best that make the mean

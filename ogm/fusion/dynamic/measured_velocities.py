@@ -10,8 +10,6 @@ from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
 from ogm.fusion.dynamic.particles import Particles
 from ogm.fusion.dynamic.resampling import mean_velocities
 
-__all__ = ["SCAN_AGES", "MeasuredVelocities", "matched_velocities"]
-
 SCAN_AGES = 0.1, 0.2, 0.3  # [s] of the earlier scans with which cells are matched
 MIN_CONFLICT = 0.2  # of free -> occupied, at which a cell may hold something that moves
 

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from ogm.jit import kernel
 
-__all__ = ["join_cells", "moving_cells"]
-
 
 @kernel
 def moving_cells(

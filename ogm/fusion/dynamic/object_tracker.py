@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.extras import import_extra
-from ogm.fusion.dynamic.arcs import arc, integrated_noise
 from ogm.fusion.dynamic.objects import Objects
-
-__all__ = ["ObjectTracker", "TrackerSettings"]
 
 _TOLERANCE = 1e-3  # [s] by which a stamp may lie before the last one; it then counts as equal
 _MAX_TRACKS = 1000  # beyond it the lightest new objects get no track
@@ -239,3 +236,23 @@ def _with_tracks(objects: Objects, tracks: Sequence[_Track | None]) -> Objects:
             velocity[k], covariance[k], turn_rate[k] = track.motion.x[2:], track.motion.P[2:, 2:], track.turn_rate
     boxes = replace(objects.boxes, velocity=velocity, track=names)
     return replace(objects, boxes=boxes, covariance=covariance, turn_rate=turn_rate)
+
+
+def arc(turn_rate: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what takes a velocity to the shift within `dt` [s] at constant turn rate [rad/s], and to its end; (2, 2).
+
+    The chord of an arc of length l and turn a is ``l sin(a / 2) / (a / 2)``, in the direction half-way.
+    """
+    half = 0.5 * turn_rate * dt
+    chord = math.sin(half) / half if half else 1.0  # numpy's sinc takes ten times as long for one number
+    return dt * chord * _rotation(half), _rotation(2 * half)
+
+
+def _rotation(angle: float) -> NDArray[np.float64]:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def integrated_noise(dt: float) -> NDArray[np.float64]:
+    """Return the covariance, (2, 2), of a white noise integrated twice and once (Bar-Shalom et al. 2001, 6.2.2-12)."""
+    return np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])

@@ -10,8 +10,6 @@ from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion.dynamic.object_kernels import join_cells, moving_cells
 from ogm.scan import Boxes
 
-__all__ = ["ObjectSettings", "Objects", "find_objects"]
-
 _ANGLES = np.radians(np.arange(0, 90, 5))  # tried for the box of an object without a heading
 
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ogm.fusion.dynamic.hashed_noise import hashed, index
 from ogm.jit import inline, kernel
 
-__all__ = ["Particles", "Step", "cell_starts", "count_in_cells", "no_particles", "sort_into_cells"]
-
 
 class Particles(NamedTuple):
     """Particles of one common weight, sorted by cell.

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion.dynamic.arcs import arc
 from ogm.fusion.dynamic.beliefs import empty_beliefs
+from ogm.fusion.dynamic.object_tracker import arc
 from ogm.fusion.dynamic.objects import Objects, find_objects
 from ogm.fusion.dynamic.particles import Particles
 from ogm.fusion.dynamic.prediction_kernels import NORMALS, Arrivals, Bodies, Horizon, cells_later, move_mass
 from ogm.grid import GridSpec
-
-__all__ = ["PredictionSettings", "move_on", "predict_dynamic"]
 
 _PER_CELL = 16  # particles made of a dynamic cell where none are given
 

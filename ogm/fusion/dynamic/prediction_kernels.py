@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ogm.fusion.dynamic.particles import Particles
 from ogm.jit import kernel
 
-__all__ = ["NORMALS", "Arrivals", "Bodies", "Horizon", "cells_later", "move_mass"]
-
 NORMALS = 4096  # draws of four independent normals, used in turn
 
 

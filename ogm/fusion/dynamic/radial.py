@@ -14,8 +14,6 @@ from ogm.fusion.dynamic.radial_kernels import ellipses, mark_within, nearest_lab
 from ogm.geometric.doppler import RadialVelocities
 from ogm.grid import GridSpec
 
-__all__ = ["radial_evidence", "with_radial_velocities"]
-
 LEAST_DEVIATION = 0.3  # [m/s] of a radial velocity: parts of an object differ, as wheels and limbs do
 TURN_RATE = 0.5  # [rad/s] standard deviation of that at which objects turn
 SCATTER = 1.0  # [m/s] beside 3 standard deviations, by which a detection may differ from the median of its group

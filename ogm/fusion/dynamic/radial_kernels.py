@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from ogm.fusion.dynamic.cells import DynamicCells
 from ogm.jit import inline, kernel
 
-__all__ = ["ellipses", "mark_within", "nearest_labels", "sum_evidence"]
-
 WIDTH = 2.0  # standard deviations
 LEAST_MASS = np.float32(0.1)  # of occupied in a scan
 

@@ -15,8 +15,6 @@ from scipy.stats import multivariate_normal
 
 from ogm.fusion.dynamic.settings import DynamicSettings
 
-__all__ = ["MeasuredGroups", "NumpyFilter"]
-
 Array = NDArray[np.floating]
 TABLE = ndtri((np.arange(4096) + 0.5) / 4096)
 TABLE = (TABLE / TABLE.std()).astype(np.float32)

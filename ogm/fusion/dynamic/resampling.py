@@ -11,8 +11,6 @@ from ogm.fusion.dynamic.hashed_noise import UNIT, hashed, index
 from ogm.fusion.dynamic.particles import Particles, Step
 from ogm.jit import kernel
 
-__all__ = ["GroupVelocities", "Moments", "group_velocities", "mean_velocities", "resample", "weigh_motion"]
-
 HALF = np.float32(0.5)
 _CELL = np.uint64(0x5851F42D4C957F2D)  # other random numbers for cells than for particles
 

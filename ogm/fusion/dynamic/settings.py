@@ -8,8 +8,6 @@ import numpy as np
 
 from ogm.fusion.dynamic.cells import Rates
 
-__all__ = ["DynamicSettings"]
-
 
 @dataclass(frozen=True)
 class DynamicSettings:

@@ -5,8 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 from types import TracebackType
 from typing import Self
 
-__all__ = ["Threads", "spans"]
-
 
 def spans(size: int, parts: int) -> list[tuple[int, int]]:
     """Return [0, size) in parts, as first and last + 1."""

@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.jit import kernel
 from ogm.pose import Trajectory, inverse, matrix_to_vector, vector_to_matrix
 
-__all__ = ["deskew", "extrapolate"]
-
 _MAX_KNOTS = 100  # poses added to a trajectory at each end
 _SLACK = 1e-6  # [s] by which rounded stamps may lie outside the trajectory; the nearest pose is taken
 

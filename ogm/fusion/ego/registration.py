@@ -12,8 +12,6 @@ from ogm.extras import import_extra
 from ogm.fusion.ego.deskewing import deskew, extrapolate
 from ogm.pose import Trajectory, inverse
 
-__all__ = ["METHODS", "odometry"]
-
 log: logging.Logger = logging.getLogger(__name__)
 
 _MIN_POINTS = 100  # points within range, below which no scan is registered
