@@ -25,7 +25,7 @@ from ogm.storage.files import OgmError
 
 WAITS = """
 import sys, time
-import ogm.io.grids
+import ogm.io.grids.files
 
 def wait(*_, **__):
     from ogm.storage.files import atomic_write
@@ -35,7 +35,7 @@ def wait(*_, **__):
         print("now", flush=True)
         time.sleep(300)
 
-ogm.io.grids.write_grid = wait
+ogm.io.grids.files.write_grid = wait
 sys.argv = ["ogm", "convert", "map.npz", "map.tif"]
 from ogm.cli import main
 main()

@@ -40,7 +40,7 @@ class Known(NamedTuple):
     Attributes
     ----------
     boxes, returns
-        Traffic participants, and the points that the scan has on each, as in `ogm.truth.finalize_truth`.
+        Traffic participants, and the points that the scan has on each, as in `ogm.truth.points.finalize_truth`.
     ego : (nx, ny) bool
         Cells under the ego vehicle, which become `IGNORE`.
     """

@@ -40,7 +40,7 @@ def map_to_files(
     dataset : Dataset
     model : InverseSensorModel
     grids : Path, optional
-        File of the grid of a single scan, of any format of `ogm.io.grids.write_grid`, or a folder for ``.npz`` files
+        File of the grid of a single scan, of any format of `ogm.io.write_grid`, or a folder for ``.npz`` files
         with the names of the frames. Folders are made.
     pictures : Path, optional
         ``.png`` file, or folder.

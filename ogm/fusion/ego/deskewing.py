@@ -55,7 +55,7 @@ def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp:
         raise ValueError(
             f"the points were measured {first:+.4f} ... {last:+.4f} s about their stamp, {float(stamp)!r} s, but the "
             f"trajectory covers {knots[0]:+.4f} ... {knots[-1]:+.4f} s; give a longer one, or "
-            "ogm.fusion.extrapolate(trajectory, seconds)"
+            "ogm.fusion.ego.deskewing.extrapolate(trajectory, seconds)"
         )
     result = cloud.astype(np.float32)
     if len(knots) > 1:

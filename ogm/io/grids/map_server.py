@@ -89,7 +89,7 @@ def _rows(cells: NDArray[Any]) -> NDArray[Any]:
 
 
 def read_map_server(path: Path) -> PlacedGrid:
-    """Read a map of map_server. Values become masses as `ogm.io.messages.mass_from_occupancy` makes them."""
+    """Read a map of map_server. Values become masses as `ogm.io.messages.grids.mass_from_occupancy` makes them."""
     header = _header(path)
     mass = mass_from_occupancy(np.ascontiguousarray(_values(header)[::-1].T))
     return placed_at({"free": mass[..., 0], "occupied": mass[..., 1]}, header.resolution, header.corner)

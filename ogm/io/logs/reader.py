@@ -238,7 +238,7 @@ class LogReader:
 
 
 def _seconds(nanoseconds: int) -> float:
-    """Return a time as `ogm.io.messages.stamp_seconds` does: 0.3 s stay 0.3 s."""
+    """Return a time as `ogm.io.messages.plain.stamp_seconds` does: 0.3 s stay 0.3 s."""
     return nanoseconds // 10**9 + nanoseconds % 10**9 * 1e-9
 
 
