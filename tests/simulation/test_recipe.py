@@ -261,7 +261,7 @@ def test_a_sample_depends_on_plan_and_number_alone(recipe: DataRecipe) -> None:
 
 
 def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: DataRecipe, tmp_path: Path) -> None:
-    plan = DatasetPlan.of_recipe("gen2", seed=5, samples=3, validation=0)
+    plan = DatasetPlan.of_recipe("gen2", seed=5, samples=1, validation=0)
     store = dataset.simulate(tmp_path / "data", plan, workers=1)
     assert store.format == GAPS
     for i, one in enumerate(Store.open(tmp_path / "data")["training"]):
@@ -272,7 +272,7 @@ def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: DataRecipe, tmp
         assert one.weather == made.weather
     made = open_dataset(tmp_path / "data", split="training")
     assert made.facts["towns"] == 1
-    scan = made[2].scan
+    scan = made[0].scan
     np.testing.assert_array_equal(scan.no_returns, one.no_returns)
 
 
