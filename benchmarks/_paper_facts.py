@@ -4,8 +4,8 @@ The curves are the coordinates in the LaTeX source of van Kempen, Lampe, Woopen,
 End-to-End Learning Framework for Evidential Occupancy Grid Mapping", IEEE IV 2021: mean masses of unknown, free and
 occupied, and "KL", of the deep and of the geometric model in 100 test frames. How the released code (EviLOG) makes
 them: it takes the evidence of a label and of the geometric model as 1 per observed cell, so that such a cell has the
-mass 1/3; its "KL" is the clipped categorical divergence of evidence (`ogm.metrics.evilog.evilog_kl`); and it does not reset
-that metric between the two models, so that the second value is the mean of both.
+mass 1/3; its "KL" is the clipped categorical divergence of evidence (`ogm.metrics.evilog.evilog_kl`); and it does not
+reset that metric between the two models, so that the second value is the mean of both.
 """
 
 import math

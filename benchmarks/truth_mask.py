@@ -3,9 +3,9 @@
     python benchmarks/truth_mask.py [--quick]
 
 Where the evaluated scan shows the opposite of what the other scans of its drive agree on, something without a label has
-come or gone, and the cell is ignored (`ogm.truth.scans.contradicted`). Here every frame of two KITTI drives is evaluated with
-and without that rule: scans by the truth of all other scans, scans and maps by that of later ones. The drives cannot be
-shipped: see benchmarks/README.md. Writes benchmarks/results/truth_mask.json.
+come or gone, and the cell is ignored (`ogm.truth.scans.contradicted`). Here every frame of two KITTI drives is
+evaluated with and without that rule: scans by the truth of all other scans, scans and maps by that of later ones. The
+drives cannot be shipped: see benchmarks/README.md. Writes benchmarks/results/truth_mask.json.
 """
 
 import _run as run  # first: it sets the number of threads

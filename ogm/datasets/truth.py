@@ -222,8 +222,8 @@ class MotionReader:
     """Finds the motion of objects in the frames of a recording. Pickled, it goes without the motion that it found.
 
     Velocities are stated by the dataset, and yaw rates follow from the frames before and after; or else both are
-    slopes of the objects' tracks over 0.5 to 0.7 s (`ogm.truth.motion.track_motion`): the first and the last 0.3 s of a track
-    have none.
+    slopes of the objects' tracks over 0.5 to 0.7 s (`ogm.truth.motion.track_motion`): the first and the last 0.3 s
+    of a track have none.
 
     Parameters
     ----------
