@@ -306,6 +306,7 @@ def test_no_example_is_left_out_and_none_is_long() -> None:
         assert sum(bool(line.strip()) for line in path.read_text().splitlines()) <= 60, path.name
 
 
+@pytest.mark.slow
 def test_ego_motion_filters_and_smooths() -> None:
     module = example("ego_motion")
     errors = module.compare(3)

@@ -94,7 +94,8 @@ def test_public_classes_have_names_of_their_own() -> None:
 
 
 @pytest.mark.parametrize(
-    "page", [pytest.param(one, id=one.name, marks=IN_TOWNS if in_town(one) else []) for one in PAGES]
+    "page",
+    [pytest.param(one, id=one.name, marks=[IN_TOWNS, pytest.mark.slow] if in_town(one) else []) for one in PAGES],
 )
 def test_examples_of_the_documentation_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest

@@ -81,7 +81,8 @@ def methods(model: Random = Random(), fused: bool = False) -> dict[str, Any]:  #
     return found | ({"map": FusedMethod(model, partial(EvidentialMapper, SPEC))} if fused else {})
 
 
-@pytest.mark.parametrize("fused", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("fused", [False, True])
 def test_two_workers_give_the_files_of_one_though_one_is_killed(tmp_path: Path, fused: bool) -> None:
     (tmp_path / "one").mkdir()
     shown: list[int] = []

@@ -156,6 +156,7 @@ def test_a_dask_cluster_gives_the_same_map(tmp_path: Path, whole: WorldMap) -> N
         assert same(whole, many)
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, whole: WorldMap) -> None:
     marker = tmp_path / "was killed"
     with WorldMap.create(tmp_path / "many", **OPTIONS) as many:
