@@ -48,10 +48,7 @@ GROUPS = {  # modules, and the tests that are theirs
     "truth": ("ogm/truth", ["tests/test_truth.py", "tests/test_truth_labels.py"]),
     "fusion": (  # kernels of dynamic maps need the compiler's arithmetic
         "ogm/fusion/*.py",
-        [
-            f"tests/fusion/test_{name}.py"
-            for name in ("mapper", "mapper_bad_input", "bayes_mapper", "resample", "pipeline")
-        ],
+        [f"tests/fusion/test_{name}.py" for name in ("mapper", "bayes_mapper", "resample")],
     ),
     "geometric": ("ogm/geometric", ["tests/geometric", "--ignore=tests/geometric/test_scenes.py"]),
 }
