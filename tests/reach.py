@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 EXAMPLES = 15  # of a hypothesis test, at most
-SLOWEST = 5.0  # [s] a test that takes longer without the compiler is left out
+SLOWEST = 20.0  # [s] a test that takes longer without the compiler is left out
 
 
 class Reach(NamedTuple):
