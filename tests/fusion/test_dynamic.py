@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays as hypothesis_arrays
 
 from ogm import evidence
-from ogm.fusion import DynamicMapper, EvidentialMapper, fuse, make_mapper
+from ogm.fusion import DynamicMapper, EvidentialMapper, fuse, make_mapper, rolling_window
 from ogm.fusion.dynamic.cells import share_particles
 from ogm.fusion.dynamic.prediction import predict_dynamic
 from ogm.fusion.dynamic.resampling import group_velocities
@@ -360,3 +360,43 @@ def test_particles_never_exceed_the_space_for_them(masses, mass, offset):
     assert (np.diff(start) >= survivors).all()
     assert (survivors >= 0).all()
     assert start[-1] <= 50
+
+
+# What the border of the measurement grid cuts.
+
+
+def seen_on_the_way(k: int, speed: float, turn: float, *oncoming: float) -> tuple[EvidentialGrid, np.ndarray]:
+    """Scan k between two long walls and beside parked cars, and where it was; cars come towards it from a place [m]."""
+    yaw = turn * PERIOD * k
+    T = pose(speed * PERIOD * k, 0.0, 0.0, yaw=yaw)
+    x, y = centres(SPEC)
+    X, Y = T[0, 0] * x + T[0, 1] * y + T[0, 3], T[1, 0] * x + T[1, 1] * y + T[1, 3]
+    occupied = (abs(abs(Y) - 8) < 0.25) | ((abs(Y + 5) < 0.9) & (X % 6 < 4.2))
+    for place in oncoming:
+        occupied |= (abs(X - place + SPEED * PERIOD * k) < 2) & (abs(Y - 3) < 0.9)
+    mass = np.where(occupied[..., None], (0.05, 0.8), (0.6, 0.02)).astype(np.float32)
+    return EvidentialGrid(SPEC, mass), T
+
+
+@each("turn", [0.0, 0.1])
+def test_what_the_border_cuts_does_not_move(turn):
+    mapper = DynamicMapper(rolling_window(SPEC), 50_000)
+    tracked = 0
+    for k in range(30):
+        grid, T = seen_on_the_way(k, 10.0, turn)
+        mapper.update(grid, T, stamp=PERIOD * k)
+        tracked += len(mapper.objects().confirmed.boxes.center)
+    assert tracked == 0
+    grid = mapper.dynamic_grid
+    assert not (grid.dynamic > grid.static).any()
+
+
+def test_a_car_that_comes_over_the_border_is_tracked():
+    mapper = DynamicMapper(rolling_window(SPEC), 50_000)
+    for k in range(16):  # its front is at the border in the second scan, its rear in the sixth
+        grid, T = seen_on_the_way(k, 4.0, 0.0, 16.0)
+        mapper.update(grid, T, stamp=PERIOD * k)
+        confirmed = mapper.objects().confirmed
+    (center,), (velocity,) = confirmed.boxes.center, confirmed.velocity
+    assert np.hypot(*(center[:2] - [16.0 - SPEED * PERIOD * k, 3.0])) < 1.0
+    assert np.hypot(*(velocity - [-SPEED, 0.0])) < 1.0
