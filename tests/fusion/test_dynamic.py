@@ -216,7 +216,7 @@ def test_measured_velocities_steer_survivors_and_births():
     information = np.array([np.eye(2) / 0.2**2, np.diag([1 / 0.2**2, 0.0]), np.zeros((2, 2))])
     slot = group_velocities(label, np.array([[5.0, -3.0], [5.0, np.nan], [np.nan, np.nan]]), information, 6.0, 1.0)
     mapper = DynamicMapper(SPEC, 100_000, filter="nuss")
-    mapper._measured_velocities = lambda scan, cells: slot
+    mapper._measured_velocities = lambda scan, extent, cells: slot
     mass = np.full((*SPEC.shape, 2), (0.0, 0.6), np.float32)
     for k in range(3):
         mapper.update(EvidentialGrid(SPEC, mass), np.eye(4), stamp=0.1 * k)
@@ -318,7 +318,7 @@ def test_a_measured_velocity_is_evidence_of_motion_and_a_measured_rest_is_none()
     slot = group_velocities(label, np.array([[3.0, 0.0], [0.1, 0.0]]), information, 6.0, 0.95, 100.0)
     np.testing.assert_allclose(slot.rows[:, 10], [1, 100, 1], rtol=1e-5)
     maps = [DynamicMapper(SPEC, 20_000, matching=False) for _ in range(2)]
-    maps[1]._measured_velocities = lambda scan, cells: slot
+    maps[1]._measured_velocities = lambda scan, extent, cells: slot
     mass = np.full((*SPEC.shape, 2), (0.0, 0.6), np.float32)
     for mapper in maps:
         mapper.update(EvidentialGrid(SPEC, mass), np.eye(4), stamp=0.0)

@@ -232,8 +232,10 @@ class DynamicMapper(Mapper):
         self._groups = groups
         self._cells, self._next_cells = new.cells, self._cells
         self._window.move_to(scan.corner)
-        if scan.stamp is not None and _shows_shapes(scan):
-            self._history.add(scan.stamp, scan.corner, self._occupied, extent)
+        if scan.stamp is not None:
+            self._history.add_grid(scan.stamp, scan.corner, extent)
+            if self.matching and _shows_shapes(scan):
+                self._history.add(scan.stamp, scan.corner, self._occupied, extent)
         self._update_objects(scan.stamp)
 
     def _begin_anew_beyond_border(self, scan: CheckedScan, new: CellOutput) -> None:
@@ -242,11 +244,8 @@ class DynamicMapper(Mapper):
         What continues past the border of a measurement grid seems to end there, and the end moves with the vehicle:
         particles of its speed would find their cells occupied in every scan.
         """
-        cells, extents = new.cells, self._history.extents(scan.corner)
-        moved = np.nonzero(cells.surviving)
-        if not extents or not len(moved[0]):
-            return
-        reached = np.any([extent.holds(np.stack(moved), _BORDER) for extent in extents], axis=0)
+        cells, moved = new.cells, np.nonzero(new.cells.surviving)
+        reached = self._history.reached(scan.corner, np.stack(moved), _BORDER)
         rows, columns = (index[~reached] for index in moved)
         occupied = cells.static[rows, columns] + cells.surviving[rows, columns] + cells.born[rows, columns]
         cells.static[rows, columns] = self.settings.static_share * occupied

@@ -60,10 +60,12 @@ class ScanHistory:
     def __init__(self, seconds: float, spacing: float) -> None:
         self.seconds, self.spacing = seconds, spacing
         self._scans: deque[tuple[float, Corner, NDArray[np.bool_], tuple[Extent, ...]]] = deque()
+        self._grids: deque[tuple[float, Corner, Extent]] = deque()  # of all scans, also of those without shapes
 
     def clear(self) -> None:
         """Forget all scans."""
         self._scans.clear()
+        self._grids.clear()
 
     def add(self, stamp: float, corner: Corner, occupied: NDArray[np.bool_], extent: Extent) -> None:
         """Keep a scan's occupied cells (nx, ny), with the lattice index of the first; those of one stamp are merged."""
@@ -79,9 +81,18 @@ class ScanHistory:
                 return
         self._scans.append((stamp, corner, occupied, (extent,)))
 
-    def extents(self, corner: Corner) -> tuple[Extent, ...]:
-        """Return the measurement grids of all scans that are kept, as they lie in a window."""
-        return tuple(extent for _, where, _, extents in self._scans for extent in _moved(extents, where, corner))
+    def add_grid(self, stamp: float, corner: Corner, extent: Extent) -> None:
+        """Keep where a scan's measurement grid lies in the window."""
+        while self._grids and self._grids[0][0] < stamp - self.seconds:
+            self._grids.popleft()
+        self._grids.append((stamp, corner, extent))
+
+    def reached(self, corner: Corner, cells: NDArray[np.intp], margin: float) -> NDArray[np.bool_]:
+        """Return which cells (2, n) of a window lie in the grid of a kept scan, with a margin [cells] inside."""
+        found = np.zeros(cells.shape[1], bool)
+        for _, where, extent in self._grids:
+            found |= _moved([extent], where, corner)[0].holds(cells, margin)
+        return found
 
     def earlier(self, stamp: float, corner: Corner, ages: Sequence[float]) -> list[EarlierScan]:
         """Return the scans whose ages are closest to some ages, aligned with a window.
