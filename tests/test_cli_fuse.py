@@ -166,7 +166,8 @@ def test_the_first_scans_alone_can_be_mapped(scans: Path, tmp_path: Path, number
 def test_every_rule_maps_the_drive(scans: Path, poses: Path, tmp_path: Path, rule: str) -> None:
     movie = ("--movie", tmp_path / "m.png") if rule == "bayes" else ()  # it has other panels
     words = ("--rule", rule, "--half-life", 1, "--out", tmp_path / "m.npz", *movie)
-    completed("fuse", scans, "--poses", poses, *words, *SMALL)
+    result = completed("fuse", scans, "--poses", poses, *words, *SMALL)
+    assert (f"by the rule {rule} claims add up" in result.output) == (rule != "weighted")
     grid = EvidentialGrid.load(tmp_path / "m.npz")
     assert grid.at(WALL + 0.25, 1.0).occupied > 0.5
     assert grid.at(7.0, 1.0).free > 0.4

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ogm import evidence
-from ogm.evidence import check_mass
+from ogm.evidence import check_mass, map_rules
 from ogm.evidence.kernels import RULES
+from ogm.fusion import make_mapper
+from ogm.fusion.factory import adding_rule_warning
 from ogm.geometric import HeightBandISM, RayISM
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io import read_scan
 from ogm.models import named as models
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.named import COMBINATION, default_model, load_model
@@ -24,6 +28,7 @@ from ogm.scan import InverseSensorModel, Mount, Scan
 few = settings(max_examples=40, deadline=None)
 SPEC = GridSpec(1.0, (3, 4), (-1.5, -2.0))
 SCAN = Scan(np.zeros((1, 4), np.float32))
+ROAD = Path(models.__file__).parents[1] / "data" / "vls128_road.pcd.xz"
 COMPILED = [rule.arrays for rule in RULES.values()]
 COMMUTATIVE = [*COMPILED, evidence.pcr5, evidence.averaging]
 fractions = st.floats(0, 1, width=32)
@@ -254,3 +259,17 @@ def test_the_default_model_is_combined_where_the_network_runs(monkeypatch):
     name, reason = default_model(GridSpec.centered())
     assert name == "ray"
     assert 'pip install "ogm-toolkit[deep]"' in reason
+
+
+def test_what_equal_scans_leave_unknown_stays_so_or_the_rule_is_warned_of() -> None:
+    """A standing vehicle: what the default model guesses of a shadow, in every scan anew, is no evidence."""
+    spec = GridSpec.centered()
+    scan = read_scan(ROAD, axes=("+y", "-x", "+z"))
+    grid = load_model("combined", spec, Mount(1.98))(scan)
+    unknown = (grid.mass <= 0.5).all(axis=-1)
+    for rule in (*map_rules.RULES, map_rules.BAYES):
+        mapper = make_mapper(rule, spec)
+        for k in range(40):
+            mapper.update(grid, np.eye(4), stamp=0.1 * k)
+        became = (mapper.grid.mass[unknown] > 0.5).any()
+        assert became == (rule in map_rules.ADDING_RULES) == bool(adding_rule_warning(rule)), rule

@@ -75,6 +75,7 @@ def serve(
     """
     from ogm.datasets import open_dataset
     from ogm.fusion import make_mapper, rolling_window
+    from ogm.fusion.factory import adding_rule_warning
     from ogm.grid import GridSpec
     from ogm.live import FoxglovePublisher, receive_frames, warm_up
     from ogm.live import serve as served
@@ -88,6 +89,8 @@ def serve(
     spec, stop = GridSpec.centered(length, width, resolution), Event()
     model = load_model(with_radar(ism), spec)
     mapper = make_mapper(rule or "cautious", rolling_window(spec), half_life)
+    if warning := adding_rule_warning(rule or "cautious"):
+        _print(warning)
     frames: Iterable[Frame]
     with ExitStack() as stack:
         if scans is not None:

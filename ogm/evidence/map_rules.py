@@ -9,7 +9,7 @@ from ogm.evidence.proportional import pcr6
 from ogm.evidence.rules import dempster, normalized_cautious, yager
 from ogm.evidence.subjective import averaging, cumulative, weighted
 
-__all__ = ["BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "RULES"]
+__all__ = ["ADDING_RULES", "BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "RULES"]
 
 RULES = {  # name: combination rule of two masses
     "cautious": normalized_cautious,
@@ -18,3 +18,4 @@ RULES = {  # name: combination rule of two masses
 }
 BAYES, DYNAMIC, NUSS = "bayes", "dynamic", "nuss"  # filters with a state of their own
 MAP_RULES = (*RULES, BAYES, DYNAMIC, NUSS)
+ADDING_RULES = ("dempster", "yager", "cumulative", "pcr6", BAYES)  # a claim that every scan repeats grows

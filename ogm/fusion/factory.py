@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.evidence.map_rules import BAYES, DYNAMIC, MAP_RULES, NUSS, RULES
+from ogm.evidence.map_rules import ADDING_RULES, BAYES, DYNAMIC, MAP_RULES, NUSS, RULES
 from ogm.fusion.bayes import BinaryBayesMapper
 from ogm.fusion.dynamic.mapper import DynamicFilter, DynamicMapper
 from ogm.fusion.dynamic.settings import DynamicSettings
@@ -49,6 +49,22 @@ def make_mapper(
     if rule not in RULES:
         raise ValueError(f"there is no rule {rule!r}; there are {', '.join(MAP_RULES)}")
     return EvidentialMapper(spec, RULES[rule], 2.0 if half_life is None else half_life, window=window)
+
+
+def adding_rule_warning(rule: str) -> str:
+    """Return what to know of a rule that takes scans for independent, or "" if it does not.
+
+    Parameters
+    ----------
+    rule : str
+        A name in `MAP_RULES`.
+    """
+    if rule not in ADDING_RULES:
+        return ""
+    return (
+        f"by the rule {rule} claims add up that every scan repeats: cells become free, or occupied, that no scan calls "
+        "so, as in the shadow of a standing car; cautious, the default, leaves them unknown (docs/fusion.md)"
+    )
 
 
 def rolling_window(spec: GridSpec) -> GridSpec:

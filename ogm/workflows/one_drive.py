@@ -11,6 +11,7 @@ import numpy as np
 
 from ogm.datasets import Dataset, with_odometry
 from ogm.fusion import DynamicMapper, FusionStep, covering_window, fuse, make_mapper, rolling_window
+from ogm.fusion.factory import adding_rule_warning
 from ogm.io.grids.files import write_grid
 from ogm.io.grids.logged import GridLog
 from ogm.io.logs import LOG_ENDINGS
@@ -44,7 +45,7 @@ def fuse_drive(
         Files to write; their folders are made.
     options : FuseOptions, optional
     tell : function
-        Called with messages about scans and about an early end; by default they are logged.
+        Called with messages about the rule, about scans, and about an early end; by default they are logged.
     progress : function
         Iterates over the steps, and may draw a progress bar.
 
@@ -65,6 +66,8 @@ def fuse_drive(
     dataset = posed(dataset, o.odometry, o.rate, o.first)[0]
     if o.deskew and not dataset.motion_distorted:
         raise ValueError("leave out --deskew: the points of this dataset are not (or not all) distorted by motion")
+    if warning := adding_rule_warning(o.rule):
+        tell(warning)
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
     cells = rolling_window(o.spec) if o.window == "rolling" else covering_window(o.spec, np.array(known))
     mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles)  # type: ignore[arg-type]

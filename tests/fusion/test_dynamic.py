@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays as hypothesis_arrays
 
 from ogm import evidence
-from ogm.fusion import DynamicMapper, EvidentialMapper, fuse, make_mapper
+from ogm.fusion import DynamicMapper, EvidentialMapper, fuse, make_mapper, rolling_window
 from ogm.fusion.dynamic.cells import share_particles
 from ogm.fusion.dynamic.prediction import predict_dynamic
 from ogm.fusion.dynamic.resampling import group_velocities
@@ -216,7 +216,7 @@ def test_measured_velocities_steer_survivors_and_births():
     information = np.array([np.eye(2) / 0.2**2, np.diag([1 / 0.2**2, 0.0]), np.zeros((2, 2))])
     slot = group_velocities(label, np.array([[5.0, -3.0], [5.0, np.nan], [np.nan, np.nan]]), information, 6.0, 1.0)
     mapper = DynamicMapper(SPEC, 100_000, filter="nuss")
-    mapper._measured_velocities = lambda scan, cells: slot
+    mapper._measured_velocities = lambda scan, extent, cells: slot
     mass = np.full((*SPEC.shape, 2), (0.0, 0.6), np.float32)
     for k in range(3):
         mapper.update(EvidentialGrid(SPEC, mass), np.eye(4), stamp=0.1 * k)
@@ -318,7 +318,7 @@ def test_a_measured_velocity_is_evidence_of_motion_and_a_measured_rest_is_none()
     slot = group_velocities(label, np.array([[3.0, 0.0], [0.1, 0.0]]), information, 6.0, 0.95, 100.0)
     np.testing.assert_allclose(slot.rows[:, 10], [1, 100, 1], rtol=1e-5)
     maps = [DynamicMapper(SPEC, 20_000, matching=False) for _ in range(2)]
-    maps[1]._measured_velocities = lambda scan, cells: slot
+    maps[1]._measured_velocities = lambda scan, extent, cells: slot
     mass = np.full((*SPEC.shape, 2), (0.0, 0.6), np.float32)
     for mapper in maps:
         mapper.update(EvidentialGrid(SPEC, mass), np.eye(4), stamp=0.0)
@@ -360,3 +360,43 @@ def test_particles_never_exceed_the_space_for_them(masses, mass, offset):
     assert (np.diff(start) >= survivors).all()
     assert (survivors >= 0).all()
     assert start[-1] <= 50
+
+
+# What the border of the measurement grid cuts.
+
+
+def seen_on_the_way(k: int, speed: float, turn: float, *oncoming: float) -> tuple[EvidentialGrid, np.ndarray]:
+    """Scan k between two long walls and beside parked cars, and where it was; cars come towards it from a place [m]."""
+    yaw = turn * PERIOD * k
+    T = pose(speed * PERIOD * k, 0.0, 0.0, yaw=yaw)
+    x, y = centres(SPEC)
+    X, Y = T[0, 0] * x + T[0, 1] * y + T[0, 3], T[1, 0] * x + T[1, 1] * y + T[1, 3]
+    occupied = (abs(abs(Y) - 8) < 0.25) | ((abs(Y + 5) < 0.9) & (X % 6 < 4.2))
+    for place in oncoming:
+        occupied |= (abs(X - place + SPEED * PERIOD * k) < 2) & (abs(Y - 3) < 0.9)
+    mass = np.where(occupied[..., None], (0.05, 0.8), (0.6, 0.02)).astype(np.float32)
+    return EvidentialGrid(SPEC, mass), T
+
+
+@each("turn", [0.0, 0.1])
+def test_what_the_border_cuts_does_not_move(turn):
+    mapper = DynamicMapper(rolling_window(SPEC), 50_000)
+    tracked = 0
+    for k in range(30):
+        grid, T = seen_on_the_way(k, 10.0, turn)
+        mapper.update(grid, T, stamp=PERIOD * k)
+        tracked += len(mapper.objects().confirmed.boxes.center)
+    assert tracked == 0
+    grid = mapper.dynamic_grid
+    assert not (grid.dynamic > grid.static).any()
+
+
+def test_a_car_that_comes_over_the_border_is_tracked():
+    mapper = DynamicMapper(rolling_window(SPEC), 50_000)
+    for k in range(16):  # its front is at the border in the second scan, its rear in the sixth
+        grid, T = seen_on_the_way(k, 4.0, 0.0, 16.0)
+        mapper.update(grid, T, stamp=PERIOD * k)
+        confirmed = mapper.objects().confirmed
+    (center,), (velocity,) = confirmed.boxes.center, confirmed.velocity
+    assert np.hypot(*(center[:2] - [16.0 - SPEED * PERIOD * k, 3.0])) < 1.0
+    assert np.hypot(*(velocity - [-SPEED, 0.0])) < 1.0

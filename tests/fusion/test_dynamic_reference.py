@@ -53,6 +53,15 @@ def check_step(mapper: DynamicMapper, plain: NumpyFilter) -> None:
     assert same.sum() >= 0.99 * n  # rounding moves some particles over the edges of cells and of copies
 
 
+def reached_from(places: list[np.ndarray], window: GridSpec) -> np.ndarray:
+    """Return which cells of a window are at least a cell inside the grid of a scan at one of some places."""
+    x, y = np.broadcast_arrays(*window.cell_centers)
+    half = np.array([SPEC.length, SPEC.width]) / 2 - SPEC.resolution
+    return np.any(
+        [(abs(x - at[0]) < half[0]) & (abs(y - at[1]) < half[1]) for at in [np.full(2, np.inf), *places]], axis=0
+    )
+
+
 @settings(max_examples=12, deadline=None)
 @given(
     seed=st.integers(0, 2**31),
@@ -69,8 +78,8 @@ def test_map_equals_its_slow_reference(seed, filter, particles, speed, measured)
         slot = group_velocities(
             GROUPS.label, GROUPS.velocity, GROUPS.information, 6.0, 0.95, mapper.settings.motion_odds
         )
-        mapper._measured_velocities = lambda scan, cells: slot
-    corner = np.zeros(2, int)
+        mapper._measured_velocities = lambda scan, extent, cells: slot
+    corner, places = np.zeros(2, int), []
     for k, seconds in enumerate([0.0, 0.1, 0.25, 0.0, 0.1]):
         copy_state(mapper, plain)
         stamp = seconds + (mapper.stamp or 0.0)
@@ -78,8 +87,10 @@ def test_map_equals_its_slow_reference(seed, filter, particles, speed, measured)
         mapper.update(random_scan(rng), T, stamp=stamp)
         new = np.round((np.array(mapper.spec.origin) - SPEC.origin) / SPEC.resolution).astype(int)
         z = mapper._measured.reshape(*SPEC.shape, 2)
-        plain.update(z, seconds, scan_key(seed, k), tuple(new - corner), GROUPS if measured else None)
+        groups = GROUPS if measured else None
+        plain.update(z, seconds, scan_key(seed, k), tuple(new - corner), groups, reached_from(places, mapper.spec))
         corner = new
+        places.append(T[:2, 3])
         check_step(mapper, plain)
 
 

@@ -276,7 +276,7 @@ def test_sparse_scans_are_not_matched_and_dense_ones_are():
             mapper.update(block(k), np.eye(4), stamp=0.1 * k, radial=radial)
         between.update(EvidentialGrid(SPEC, specks), np.eye(4), stamp=0.1 * k + 0.05, radial=NOTHING)
         assert len(between._groups.rows) == 1
-    histories = [[(stamp, mask.sum()) for stamp, _, mask in mapper._history._scans] for mapper in (alone, between)]
+    histories = [[(stamp, mask.sum()) for stamp, _, mask, _ in mapper._history._scans] for mapper in (alone, between)]
     assert histories[0] == histories[1]
     np.testing.assert_array_equal(alone.dynamic_grid.mass, dense.dynamic_grid.mass)
     np.testing.assert_array_equal(alone.dynamic_grid.velocity, dense.dynamic_grid.velocity)

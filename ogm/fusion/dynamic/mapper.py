@@ -28,7 +28,7 @@ from ogm.fusion.dynamic.particles import Step, cell_starts, count_in_cells, no_p
 from ogm.fusion.dynamic.prediction import move_on, predict_dynamic
 from ogm.fusion.dynamic.radial import with_radial_velocities
 from ogm.fusion.dynamic.resampling import GroupVelocities, Moments, group_velocities, resample, weigh_motion
-from ogm.fusion.dynamic.scan_history import ScanHistory
+from ogm.fusion.dynamic.scan_history import Extent, ScanHistory
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.dynamic.threads import Threads, spans
 from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
@@ -40,6 +40,8 @@ from ogm.grid import EvidentialGrid, GridSpec
 
 DynamicFilter = Literal["hybrid", "nuss"]
 MAX_PARTICLES = 2**25  # 1.2 GB
+
+_BORDER = 1.0  # [cells] inside the border of a measurement grid from which on cells are wholly measured
 
 
 class DynamicMapper(Mapper):
@@ -219,7 +221,9 @@ class DynamicMapper(Mapper):
                 update_cells(self._cells, shift, start, lookup, rates, rows[k], new)
 
             threads.run(sort_and_update)
-            groups = self._measured_velocities(scan, new.cells)
+            self._begin_anew_beyond_border(scan, new)
+            extent = Extent(scan.affine, grid.spec.shape)
+            groups = self._measured_velocities(scan, extent, new.cells)
             if len(groups.rows) > 1:
                 threads.run(lambda k: weigh_motion(new.cells, groups, rows[k], new.dynamic))
             # From here on nothing can fail: until now the map is as it was.
@@ -228,9 +232,27 @@ class DynamicMapper(Mapper):
         self._groups = groups
         self._cells, self._next_cells = new.cells, self._cells
         self._window.move_to(scan.corner)
-        if self.matching and scan.stamp is not None and _shows_shapes(scan):
-            self._history.add(scan.stamp, scan.corner, self._occupied)
+        if scan.stamp is not None:
+            self._history.add_grid(scan.stamp, scan.corner, extent)
+            if self.matching and _shows_shapes(scan):
+                self._history.add(scan.stamp, scan.corner, self._occupied, extent)
         self._update_objects(scan.stamp)
+
+    def _begin_anew_beyond_border(self, scan: CheckedScan, new: CellOutput) -> None:
+        """Divide what is occupied in cells that no earlier scan reached as if it had appeared there.
+
+        What continues past the border of a measurement grid seems to end there, and the end moves with the vehicle:
+        particles of its speed would find their cells occupied in every scan.
+        """
+        cells, moved = new.cells, np.nonzero(new.cells.surviving)
+        reached = self._history.reached(scan.corner, np.stack(moved), _BORDER)
+        rows, columns = (index[~reached] for index in moved)
+        occupied = cells.static[rows, columns] + cells.surviving[rows, columns] + cells.born[rows, columns]
+        cells.static[rows, columns] = self.settings.static_share * occupied
+        cells.born[rows, columns] = (1 - self.settings.static_share) * occupied
+        cells.surviving[rows, columns] = 0
+        changed = np.unique(rows)
+        new.dynamic[changed] = (cells.surviving[changed] + cells.born[changed]).sum(axis=1, dtype=np.float64)
 
     @property
     def _occupied(self) -> NDArray[np.bool_]:
@@ -259,14 +281,14 @@ class DynamicMapper(Mapper):
             len(survivors), lambda part: resample(old, part, survivors, groups, step, NORMALS, new, self._moments)
         )
 
-    def _measured_velocities(self, scan: CheckedScan, cells: DynamicCells) -> GroupVelocities:
+    def _measured_velocities(self, scan: CheckedScan, extent: Extent, cells: DynamicCells) -> GroupVelocities:
         """Return the velocities that are measured of groups of cells: the slot for matching, Doppler and others."""
         settings, resolution = self.settings, self._window.spec0.resolution
         found = MeasuredVelocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)))
         if self.matching and scan.stamp is not None and _shows_shapes(scan):
             earlier = self._history.earlier(scan.stamp, scan.corner, SCAN_AGES)
             if earlier:
-                found = matched_velocities(self._occupied, cells, self._predicted, earlier, resolution)
+                found = matched_velocities(self._occupied, cells, self._predicted, earlier, extent, resolution)
         if scan.radial is not None and len(scan.radial.speed):
             window = self._window.spec_at(scan.corner)
             found = with_radial_velocities(found, scan.radial, self._measured, cells, window)

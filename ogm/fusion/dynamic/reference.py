@@ -74,12 +74,18 @@ class NumpyFilter:
         key: np.uint64,
         shift: tuple[int, int] = (0, 0),
         groups: MeasuredGroups | None = None,
+        reached: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Make one step with the masses (nx, ny, 2) of a scan on the cells of the window."""
+        """Make one step with the masses (nx, ny, 2) of a scan; in cells that no scan `reached` all is new."""
         for name in ("free", "static", "to_occupied", "to_free"):
             setattr(self, name, self._scrolled(getattr(self, name), shift))
         cell = self._predict(seconds, key, shift)
         surviving, born = self._update_cells(measured.astype(np.float64), seconds, cell)
+        if reached is not None:
+            new, occupied = ~reached & (surviving > 0), self.static + surviving + born
+            self.static = np.where(new, self.settings.static_share * occupied, self.static)
+            born = np.where(new, (1 - self.settings.static_share) * occupied, born)
+            surviving = np.where(new, 0, surviving)
         surviving, born = self._weigh_motion(surviving, born, groups)
         self.dynamic = surviving + born
         self._draw(surviving.reshape(-1), born.reshape(-1), cell, key, groups)
