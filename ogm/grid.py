@@ -10,7 +10,7 @@ Opinion(free=0.60, occupied=0.10, unknown=0.30)
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self, overload
@@ -22,7 +22,7 @@ from ogm.evidence import Opinion, check_mass, mass_to_evidence, mass_to_probabil
 from ogm.storage.archive import open_archive, write_archive
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["LAYERED_FORMAT", "EvidentialGrid", "GridSpec", "LayeredGrid"]
+__all__ = ["LAYERED_FORMAT", "CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid"]
 
 _FORMAT, LAYERED_FORMAT = "ogm.EvidentialGrid/1", "ogm.LayeredGrid/1"
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
@@ -355,6 +355,35 @@ class EvidentialGrid(ShownInNotebooks):
         with open_archive(path, _FORMAT) as data:
             spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
             return cls(spec, data["mass"])
+
+
+Combine = Callable[[Sequence[NDArray[np.float32]]], NDArray[np.float32]]
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedGrid(EvidentialGrid):
+    """A grid whose masses are combined from those of several models, which it keeps: maps fuse each by itself.
+
+    Parameters
+    ----------
+    spec, mass
+        See `EvidentialGrid`.
+    parts : tuple of (nx, ny, 2) float32
+        Masses of each model.
+    combine : function
+        Takes masses of each model, (..., 2), to combined ones: ``combine(parts)`` is `mass`.
+    """
+
+    parts: tuple[NDArray[np.float32], ...]
+    combine: Combine
+
+    @classmethod
+    def of_parts(cls, spec: GridSpec, parts: Sequence[NDArray[np.float32]], combine: Combine) -> Self:
+        """Return the grid of some masses, which are not checked."""
+        grid = cls.trusted(spec, combine(parts))
+        object.__setattr__(grid, "parts", tuple(parts))
+        object.__setattr__(grid, "combine", combine)
+        return grid
 
 
 @dataclass(frozen=True, eq=False)

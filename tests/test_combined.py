@@ -162,7 +162,7 @@ def test_the_kernels_are_the_arrays(a, b, rule, reliability, first, second, kept
     fast = ism(SCAN).mass
     check_mass(fast)
     assert fast.dtype == np.float32
-    slow = ism._by_arrays([a, b])
+    slow = ism.combination._by_arrays([a, b])
     certain = np.minimum(1 - a.sum(-1), 1 - b.sum(-1)) < 1e-3  # rounding decides how total a conflict is
     np.testing.assert_allclose(fast[~certain], slow[~certain], atol=2e-5)
 

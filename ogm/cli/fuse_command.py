@@ -11,7 +11,7 @@ from ogm.cli import options
 from ogm.cli.console import chosen_model, out, print_facts, report_errors, stderr
 from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
 from ogm.cli.options import File
-from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS
+from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS, REVISE
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -41,7 +41,7 @@ RadarReliability = Annotated[
         help="Of radars beside a lidar, 0 to 1: their masses are discounted by it, their Doppler is not.", min=0, max=1
     ),
 ]
-Rule = Annotated[str | None, Option(help=f"Combine by: {', '.join(MAP_RULES)}. [default: cautious]")]
+Rule = Annotated[str | None, Option(help=f"Combine by: {', '.join(MAP_RULES)}. [default: {REVISE}]")]
 Dynamic = Annotated[bool, Option("--dynamic", help="Separate moving from static, with velocities: --rule dynamic.")]
 Particles = Annotated[int | None, Option(help="Of a dynamic map: how many carry what moves. [default: 200000]")]
 HalfLife = Annotated[
@@ -193,7 +193,7 @@ def fuse(
 
 def _checked_rule(rule: str | None, dynamic: bool, particles: int | None) -> str:
     """Return the rule by the options; refuse options that exclude each other."""
-    chosen = rule or (DYNAMIC if dynamic else "cautious")
+    chosen = rule or (DYNAMIC if dynamic else REVISE)
     if dynamic and chosen not in (DYNAMIC, NUSS):
         raise ValueError(f"--dynamic has a filter of its own, {DYNAMIC} or {NUSS}: leave out --rule {rule}")
     if particles is not None and chosen not in (DYNAMIC, NUSS):

@@ -15,6 +15,7 @@ from ogm.cli import options
 from ogm.cli.console import first_call, out, report_errors, stderr
 from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
 from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Model, Odometry, Poses, Rule
+from ogm.evidence.map_rules import REVISE
 from ogm.storage.files import error_text
 
 if TYPE_CHECKING:
@@ -88,8 +89,8 @@ def serve(
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
     model = load_model(with_radar(ism), spec)
-    mapper = make_mapper(rule or "cautious", rolling_window(spec), half_life)
-    if warning := adding_rule_warning(rule or "cautious"):
+    mapper = make_mapper(rule or REVISE, rolling_window(spec), half_life)
+    if warning := adding_rule_warning(rule or REVISE):
         _print(warning)
     frames: Iterable[Frame]
     with ExitStack() as stack:

@@ -141,27 +141,40 @@ class DeepISM:
         options: dict[str, Any] = {"precision": precision, "threads": threads, "device": device, "compile": compile}
         return cls(load_engine(source, engine=engine, **options), spec, mount)
 
-    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
+    def __call__(self, scan: Scan | NDArray[np.float32], rays: NDArray[np.float32] | None = None) -> EvidentialGrid:
         """Map one scan to its evidential grid.
 
         Parameters
         ----------
         scan : Scan, or (N, 4) or (N, 3) float array
             Points that are NaN or infinite are left out.
+        rays : (nx, ny, 2) float32, optional
+            Masses of the scan by a model that `takes_rays_of` accepts; by default they are computed.
         """
-        return self.batch([scan])[0]
+        return self.batch([scan], None if rays is None else [rays])[0]
 
-    def batch(self, scans: Sequence[Scan | NDArray[np.float32]]) -> list[EvidentialGrid]:
-        """Map some scans at once, which is faster on an accelerator."""
+    def takes_rays_of(self, model: "InverseSensorModel") -> bool:
+        """Return whether another model computes the same masses of rays that the network takes as input."""
+        from ogm.geometric import RayISM
+
+        return bool(self.engine.rays) and type(model) is RayISM and vars(model) == vars(RayISM(self.spec, self.mount))
+
+    def batch(
+        self, scans: Sequence[Scan | NDArray[np.float32]], rays: Sequence[NDArray[np.float32]] | None = None
+    ) -> list[EvidentialGrid]:
+        """Map some scans at once, which is faster on an accelerator; `rays` holds masses of each, as of a call."""
         if not scans:
             return []
         given = [as_scan(scan) for scan in scans]
         mounts = [self.mount or scan.mount or DEFAULT_MOUNT for scan in given]
         if len(set(mounts)) > 1:  # one engine has one place of the sensor in the grid
-            return [self(scan) for scan in given]
+            return [self(scan, None if rays is None else rays[k]) for k, scan in enumerate(given)]
         placed = self._at(mounts[0])
         pillars = [self._pillars(scan.points, placed) for scan in given]
-        rays = None if placed.rays is None else [placed.rays(scan).mass for scan in given]
+        if placed.rays is None:
+            rays = None
+        elif rays is None:
+            rays = [placed.rays(scan).mass for scan in given]
         mass = placed.engine.masses(pillars, rays)
         # The network was not trained on cells under the ego vehicle, nor on scans without points: unknown
         mass[:, *placed.ego_cells] = 0

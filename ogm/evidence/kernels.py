@@ -86,9 +86,19 @@ def _normalized_cautious(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
     return free, occupied, free + occupied + u * v
 
 
+@inline
+def _revise(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
+    zero, half = c.one - c.one, c.one / (c.one + c.one)
+    most = c.one - half * half
+    occupied = max(o * (c.one - most * max(g - f, zero)), p * (c.one - half * max(f - g, zero)))
+    free = max(f * (c.one - max(p - o, zero)), g * (c.one - max(o - p, zero)))
+    return min(free, c.one - occupied), occupied, c.one
+
+
 RULES = {
     "dempster": Rule(rules.dempster, _dempster),
     "yager": Rule(rules.yager, _yager),
     "cumulative": Rule(subjective.cumulative, _cumulative),
     "normalized_cautious": Rule(rules.normalized_cautious, _normalized_cautious),
 }
+REVISE = Rule(rules.revise, _revise)  # not symmetric: not for two sources, but for a map and a scan

@@ -5,13 +5,18 @@
 ('normalized_cautious', ('bayes', 'dynamic', 'nuss'))
 """
 
+from collections.abc import Callable
+from typing import Any
+
 from ogm.evidence.proportional import pcr6
-from ogm.evidence.rules import dempster, normalized_cautious, yager
+from ogm.evidence.rules import dempster, normalized_cautious, revise, yager
 from ogm.evidence.subjective import averaging, cumulative, weighted
 
-__all__ = ["ADDING_RULES", "BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "RULES"]
+__all__ = ["ADDING_RULES", "BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "REVISE", "RULES"]
 
-RULES = {  # name: combination rule of two masses
+REVISE = "revise"
+RULES: dict[str, Callable[..., Any]] = {  # name: rule of two masses, of the map and of a scan
+    REVISE: revise,
     "cautious": normalized_cautious,
     **{"dempster": dempster, "yager": yager, "cumulative": cumulative, "pcr6": pcr6},
     **{"averaging": averaging, "weighted": weighted},

@@ -5,23 +5,36 @@ returns it in the vehicle's axes, resampled once.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, yager
-from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, Aging, evidential_update
+from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, revise, yager
+from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, REVISION, YAGER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup, gather
 from ogm.fusion.mapper import Forget, Mapper, locked
+from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import Combine, CombinedGrid, EvidentialGrid, GridSpec
 
 Rule = Callable[[Any, Any], Any]
-DYNAMIC_DECAY_RATIO = 50.0  # how many times faster dynamic cells are forgotten by default
-_COMPILED: dict[Rule, int] = {dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE, normalized_cautious: CAUTIOUS}
+DYNAMIC_DECAY_RATIO = 100.0  # how many times faster dynamic cells are forgotten by default
+PLAIN = 0  # key of the part that grids of one model are fused into; those of several models have 1, 2, ...
+_COMPILED: dict[Rule, int] = {
+    **{dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE, normalized_cautious: CAUTIOUS, revise: REVISION}
+}
+_NOTHING = np.zeros((1, 1, 2), np.float32)
+_NOWHERE = np.array([[1.0, 0.0, 1e9], [0.0, 1.0, 1e9]])  # affine map to cells that `_NOTHING` does not have
+
+
+class PartLayers(NamedTuple):
+    """A map by itself: masses and conflict, (nx, ny, 2)."""
+
+    mass: NDArray[np.float32]
+    conflict: NDArray[np.float32]
 
 
 class EvidentialMapper(Mapper):
@@ -46,7 +59,7 @@ class EvidentialMapper(Mapper):
     moving_half_life : float
         The same [s] for occupied in cells that were free and became occupied: the belief halves this fast where the
         conflict free -> occupied exceeds occupied -> free by 1, and in proportion to the excess else. It removes the
-        trails that moving objects leave where no ray measures any more; infinity keeps them. By default a fiftieth of
+        trails that moving objects leave where no ray measures any more; infinity keeps them. By default a hundredth of
         the half-life of occupied, so that a map with infinite half-life forgets nothing.
     conflict_half_life : float
         Time in which the conflict layers fade by half [s]; 0 keeps the last scan's conflict alone.
@@ -92,7 +105,7 @@ class EvidentialMapper(Mapper):
     def __init__(
         self,
         spec: GridSpec,
-        rule: Rule = normalized_cautious,
+        rule: Rule = revise,
         half_life: float | Sequence[float] = 2.0,
         *,
         moving_half_life: float | None = None,
@@ -122,7 +135,8 @@ class EvidentialMapper(Mapper):
         self.conflict_half_life = float(conflict_half_life)
         forgets = not math.inf == self.moving_half_life == min(self.half_life)
         super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=forgets))
-        self._mass, self._conflict = np.zeros((2, *spec.shape, 2), np.float32)
+        self._parts: dict[int, PartLayers] = {}
+        self._combine: Combine | None = None  # of the parts beyond `PLAIN`
 
     def __repr__(self) -> str:
         rule = getattr(self.rule, "__name__", repr(self.rule))
@@ -134,58 +148,130 @@ class EvidentialMapper(Mapper):
     @locked
     def grid(self) -> EvidentialGrid:
         """The map (a copy), in map coordinates, as of the last scan."""
-        return EvidentialGrid.trusted(self.spec, self._window.unrolled(self._mass))
+        masses = {part: self._window.unrolled(layers.mass) for part, layers in self._parts.items()}
+        return EvidentialGrid.trusted(self.spec, self._combined(masses, self._window.spec0.shape))
+
+    @locked
+    def view(
+        self,
+        spec: GridSpec | None = None,
+        T_map_vehicle: ArrayLike | None = None,  # noqa: N803
+        *,
+        method: ResampleMethod = "nearest",
+    ) -> EvidentialGrid:
+        """Return the map in the vehicle's axes: see `Mapper.view`. Maps of several models are combined after it."""
+        cells, T = self._around(spec, T_map_vehicle)
+        masses = {
+            part: view_layers(self._window.unrolled(layers.mass), self.spec, cells, T, method)
+            for part, layers in self._parts.items()
+        }
+        return EvidentialGrid.trusted(cells, self._combined(masses, cells.shape))
+
+    @locked
+    def reset(self) -> None:
+        """Forget everything: the next scan begins a new map, and may be one of another model."""
+        super().reset()
+        self._parts, self._combine = {}, None
 
     @property
     def _layers(self) -> Sequence[NDArray[np.float32]]:
-        return self._mass, self._conflict
+        return [array for layers in self._parts.values() for array in layers]
 
     def _conflict_layers(self) -> NDArray[np.float32]:
-        return self._window.unrolled(self._conflict)
+        conflict = np.zeros((*self._window.spec0.shape, 2), np.float32)
+        for layers in self._parts.values():
+            np.maximum(conflict, layers.conflict, out=conflict)
+        return self._window.unrolled(conflict)
+
+    def _combined(self, masses: Mapping[int, NDArray[np.float32]], shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Return the masses of the map from those of its parts."""
+        plain = masses.get(PLAIN)
+        if self._combine is None:
+            return np.zeros((*shape, 2), np.float32) if plain is None else plain
+        combined = self._combine([mass for part, mass in sorted(masses.items()) if part != PLAIN])
+        return combined if plain is None else normalized_cautious(combined, plain)
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
-        mass = np.ascontiguousarray(grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed))
-        if self.rule not in _COMPILED:
-            self._fuse_by_any_rule(mass, scan, reliability)
-            return
-        self._window.move_to(scan.corner, self._mass, self._conflict)
+        measured = self._measured(grid)
+        shape = (*self._window.spec0.shape, 2)
+        added = {part: PartLayers(*np.zeros((2, *shape), np.float32)) for part in measured.keys() - self._parts.keys()}
+        if self.rule in _COMPILED:
+            self._parts |= added
+            self._window.move_to(scan.corner, *self._layers)
+            for part, layers in self._parts.items():
+                self._update(layers, measured.get(part), scan, reliability)
+        else:
+            before, parts = self._window.corner, self._parts
+            copies = {part: PartLayers(*(array.copy() for array in layers)) for part, layers in (parts | added).items()}
+            try:
+                self._parts = copies
+                self._window.move_to(scan.corner, *self._layers)
+                for part, layers in copies.items():
+                    self._update_by_any_rule(layers, measured.get(part), scan, reliability)
+            except BaseException:
+                self._window.corner, self._parts = before, parts
+                raise
+        if isinstance(grid, CombinedGrid):
+            self._combine = grid.combine
+
+    def _measured(self, grid: EvidentialGrid) -> dict[int, NDArray[np.float32]]:
+        """Return the masses of a scan by the part of the map that they belong to."""
+        if not isinstance(grid, CombinedGrid):
+            return {PLAIN: grid.mass}
+        known = sum(part != PLAIN for part in self._parts)
+        if known and known != len(grid.parts):
+            raise ValueError(
+                f"the map holds {known} models, each by itself, but the grid is combined of {len(grid.parts)}; "
+                "call reset() before another model"
+            )
+        return dict(enumerate(grid.parts, PLAIN + 1))
+
+    def _update(
+        self, layers: PartLayers, mass: NDArray[np.float32] | None, scan: CheckedScan, reliability: float
+    ) -> None:
+        """Age a part, and fuse the masses of a scan into it, if it has any."""
         nx, ny = self._window.spec0.shape
-        conflict = self._conflict if scan.elapsed >= 0 else self._conflict.copy()
+        late = scan.elapsed < 0
+        conflict = layers.conflict.copy() if late else layers.conflict
         evidential_update(
-            self._mass.reshape(nx, 2 * ny),
+            layers.mass.reshape(nx, 2 * ny),
             conflict.reshape(nx, 2 * ny),
             self._window.ring,
-            ScanLookup(mass, scan.affine, scan.samples),
+            self._lookup(mass, scan),
             float(reliability),
             self._aging(max(scan.elapsed, 0.0)),
             _COMPILED[self.rule],
             1.0 - self.min_unknown,
         )
 
-    def _fuse_by_any_rule(self, mass: NDArray[np.float32], scan: CheckedScan, reliability: float) -> None:
-        """Fuse in numpy, with a rule that is only a function of two masses: the slow reference of the compiled pass."""
-        before = self._window.corner, self._mass.copy(), self._conflict.copy()
-        try:
-            self._window.move_to(scan.corner, self._mass, self._conflict)
-            measured = np.empty_like(self._mass)
-            lookup = ScanLookup(mass, scan.affine, scan.samples)
-            gather(lookup, self._window.ring, measured.reshape(len(measured), -1))
-            measured *= np.float32(reliability)
-            aging = self._aging(max(scan.elapsed, 0.0))
-            excess = self._conflict[..., 0] - self._conflict[..., 1]
-            decayed = self._mass.copy()
-            decayed[..., 1] *= np.exp(-aging.dynamic_decay * np.maximum(excess, 0))
-            aged = self._aged(decayed, max(scan.elapsed, 0.0))
-            if self.forget == "observed":
-                aged = np.where(measured.sum(axis=-1, keepdims=True) > 0, aged, decayed)
-            self._mass[:] = _bounded(self._combined(aged, measured), self.min_unknown)
-            if scan.elapsed < 0:
-                return
-            contradicted = aged * measured[..., ::-1]  # free then and occupied now, occupied then and free now
-            np.maximum(self._conflict * np.float32(aging.keep_conflict), contradicted, out=self._conflict)
-        except BaseException:
-            self._window.corner, self._mass[:], self._conflict[:] = before
-            raise
+    def _update_by_any_rule(
+        self, layers: PartLayers, mass: NDArray[np.float32] | None, scan: CheckedScan, reliability: float
+    ) -> None:
+        """Do the same in numpy, by a rule that is only a function of two masses: the reference of the compiled pass."""
+        measured = np.empty_like(layers.mass)
+        gather(self._lookup(mass, scan), self._window.ring, measured.reshape(len(measured), -1))
+        measured *= np.float32(reliability)
+        aging = self._aging(max(scan.elapsed, 0.0))
+        excess = layers.conflict[..., 0] - layers.conflict[..., 1]
+        decayed = layers.mass.copy()
+        decayed[..., 1] *= np.exp(-aging.dynamic_decay * np.maximum(excess, 0))
+        aged = self._aged(decayed, max(scan.elapsed, 0.0))
+        if self.forget == "observed":
+            aged = np.where(measured.sum(axis=-1, keepdims=True) > 0, aged, decayed)
+        fused = aged if mass is None else _bounded(self._by_rule(aged, measured), self.min_unknown)
+        layers.mass[:] = fused
+        if scan.elapsed < 0:
+            return
+        contradicted = aged * measured[..., ::-1]  # free then and occupied now, occupied then and free now
+        np.maximum(layers.conflict * np.float32(aging.keep_conflict), contradicted, out=layers.conflict)
+
+    def _lookup(self, mass: NDArray[np.float32] | None, scan: CheckedScan) -> ScanLookup:
+        """Return the masses of a scan, of which what is late has aged, at the cells of the window."""
+        if mass is None:
+            return ScanLookup(_NOTHING, _NOWHERE, 1)
+        if scan.elapsed < 0:
+            mass = self._aged(mass, -scan.elapsed)
+        return ScanLookup(np.ascontiguousarray(mass), scan.affine, scan.samples)
 
     def _aging(self, seconds: float) -> Aging:
         """Return the shares of the map that are left after some time, and its dynamic decay."""
@@ -206,7 +292,7 @@ class EvidentialMapper(Mapper):
         """Return the shares of free and of occupied that are left after some time."""
         return 0.5 ** (seconds / self.half_life[0]), 0.5 ** (seconds / self.half_life[1])
 
-    def _combined(self, aged: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _by_rule(self, aged: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply a rule that has no kernel, and check that it gives masses."""
         new = np.asarray(self.rule(aged, measured))
         if new.shape != aged.shape or new.dtype.kind != "f":

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.evidence.kernels import FLOAT32, RULES
+from ogm.evidence.kernels import FLOAT32, REVISE, RULES, Rule
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import vector
 
-DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
+DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS, REVISION = 0, 1, 2, 3, 4
 # Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
 TINY = np.float32(1e-18)
 A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the series of exp
@@ -43,9 +43,9 @@ class Aging(NamedTuple):
     observed: bool
 
 
-def _combiner(rule: str) -> Any:
-    """Return the loop that combines rows of a map with those of a scan by a rule of `RULES`."""
-    cell = RULES[rule].cell
+def _combiner(rule: Rule) -> Any:
+    """Return the loop that combines rows of a map with those of a scan by a rule."""
+    cell = rule.cell
 
     @vector
     def combine(m: Any, c: Any, z: Any, limit: Any) -> None:
@@ -61,7 +61,7 @@ def _combiner(rule: str) -> Any:
     return combine
 
 
-_dempster, _yager, _cumulative, _cautious = map(_combiner, RULES)
+_dempster, _yager, _cumulative, _cautious, _revision = map(_combiner, (*RULES.values(), REVISE))
 
 
 @vector
@@ -71,7 +71,7 @@ def combine_cells(rule: int, m: Any, c: Any, z: Any, limit: Any) -> None:
     Parameters
     ----------
     rule : int
-        `DEMPSTER`, `YAGER`, `CUMULATIVE` or `CAUTIOUS`.
+        `DEMPSTER`, `YAGER`, `CUMULATIVE`, `CAUTIOUS` or `REVISION`.
     m, c : (2 n,) float32
         Masses (free, occupied) and conflict (free -> occupied, occupied -> free) of n cells, changed in place.
     z : (2 n,) float32
@@ -85,8 +85,10 @@ def combine_cells(rule: int, m: Any, c: Any, z: Any, limit: Any) -> None:
         _yager(m, c, z, limit)
     elif rule == CUMULATIVE:
         _cumulative(m, c, z, limit)
-    else:
+    elif rule == CAUTIOUS:
         _cautious(m, c, z, limit)
+    else:
+        _revision(m, c, z, limit)
 
 
 @vector
@@ -114,7 +116,7 @@ def evidential_update(
         Shafer's discount of the scan, [0, 1].
     aging : Aging
     rule : int
-        `DEMPSTER`, `YAGER`, `CUMULATIVE` or `CAUTIOUS`.
+        `DEMPSTER`, `YAGER`, `CUMULATIVE`, `CAUTIOUS` or `REVISION`.
     max_known : float
         The most that free + occupied may be, [0, 1].
     """

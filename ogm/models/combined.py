@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ogm.evidence import check_mass, dempster
 from ogm.evidence.kernels import FLOAT32
 from ogm.evidence.kernels import RULES as COMPILED
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import CombinedGrid, GridSpec
 from ogm.jit import log_compilation, vector
 from ogm.scan import InverseSensorModel, Scan, as_scan
 
@@ -60,6 +60,73 @@ class FreeGate(NamedTuple):
 OPEN = FreeGate(1.0)
 
 
+@dataclass(frozen=True)
+class Combination:
+    """How the masses of several models are combined: a function of one mass array per model.
+
+    Attributes
+    ----------
+    rule : function
+    weights : tuple of (StateReliability, FreeGate)
+        One pair for each model.
+    keep_hits : int or None
+        See `CombinedISM`.
+    """
+
+    rule: Rule
+    weights: tuple[tuple[StateReliability, FreeGate], ...]
+    keep_hits: int | None
+
+    def __call__(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Combine one mass array per model.
+
+        Parameters
+        ----------
+        masses : sequence of (..., 2) float32
+            Of the same shape, in the order of the models. They are not checked to be masses.
+
+        Returns
+        -------
+        (..., 2) float32
+
+        Raises
+        ------
+        ValueError
+            If their number or shapes do not fit, or an own rule returns no masses.
+        """
+        if len(masses) != len(self.weights) or len({mass.shape for mass in masses}) > 1:
+            got = ", ".join(str(mass.shape) for mass in masses)
+            raise ValueError(f"there must be {len(self.weights)} mass arrays of one shape, got {got or 'none'}")
+        rule = next((k for k, one in enumerate(COMPILED.values()) if one.arrays is self.rule), None)
+        if rule is None or len(masses) != 2:
+            return self._by_arrays(masses)
+        log_compilation(_COMBINERS[rule])
+        a, b = (np.ascontiguousarray(mass, np.float32) for mass in masses)
+        out = np.empty_like(a)
+        numbers = [_numbers(*self.weights[k], self.keep_hits == 1 - k) for k in (0, 1)]
+        _COMBINERS[rule](a.reshape(-1), b.reshape(-1), out.reshape(-1), numbers[0], numbers[1])
+        return out
+
+    def _by_arrays(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Combine any number of masses by any rule, in plain arrays: what the kernels must agree with."""
+        left = np.stack(masses).astype(np.float32, copy=True)
+        for k, (reliability, gate) in enumerate(self.weights):
+            others = [mass[..., 0] for n, mass in enumerate(masses) if n != k]
+            if others:
+                support = np.max(others, axis=0)
+                part = np.clip((support - gate.low) / (gate.high - gate.low), 0, 1)
+                left[k, ..., 0] *= gate.share + (1 - gate.share) * part
+            if self.keep_hits is not None and self.keep_hits != k:
+                left[k, ..., 0][masses[self.keep_hits][..., 1] > HIT] = 0
+            left[k] *= np.array(reliability, np.float32)
+        if len(left) == 1:
+            alone: NDArray[np.float32] = left[0]
+            return alone
+        combined = np.asarray(self.rule(left, axis=0), np.float32)
+        check_mass(combined, name="the combined mass")
+        return combined
+
+
 @dataclass(frozen=True, eq=False)
 class CombinedISM:
     """Inverse sensor models on one grid, combined cell by cell.
@@ -79,6 +146,11 @@ class CombinedISM:
         Number of the model whose occupied cells stay: where its mass of occupied exceeds 1/2, the free of all others
         is dropped, so that none can clear the cell. By default there is no such model.
 
+    Attributes
+    ----------
+    combination : Combination
+        Combines one mass array per model.
+
     Raises
     ------
     TypeError
@@ -97,7 +169,8 @@ class CombinedISM:
     reliability: float | Sequence[float | tuple[float, float]] = 1.0
     free_gates: Sequence[FreeGate | None] | None = None
     keep_hits: int | None = None
-    _weights: tuple[tuple[StateReliability, FreeGate], ...] = field(init=False, repr=False)
+    combination: Combination = field(init=False, repr=False)
+    _shared: tuple[int | None, ...] = field(init=False, repr=False)  # for each model: of which it takes the masses
 
     def __post_init__(self) -> None:
         models = tuple(self.models)
@@ -119,72 +192,48 @@ class CombinedISM:
         reliability = _checked_reliability(self.reliability, len(models))
         gates = _checked_gates(self.free_gates, len(models))
         object.__setattr__(self, "models", models)
-        object.__setattr__(self, "_weights", tuple(zip(reliability, gates, strict=True)))
+        shared = (
+            next((k for k, other in enumerate(models[:n]) if _takes(model, other)), None)
+            for n, model in enumerate(models)
+        )
+        object.__setattr__(self, "_shared", tuple(shared))
+        weights = tuple(zip(reliability, gates, strict=True))
+        object.__setattr__(self, "combination", Combination(self.rule, weights, self.keep_hits))
 
     @property
     def spec(self) -> GridSpec:
         """The grid that every model fills."""
         return self.models[0].spec
 
-    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> CombinedGrid:
         """Map one scan by every model, and combine their grids.
 
         Parameters
         ----------
         scan : Scan or (N, 4) float32
             As the models take it.
-        """
-        scan = as_scan(scan)
-        return EvidentialGrid.trusted(self.spec, self.combine([model(scan).mass for model in self.models]))
-
-    def combine(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Combine one mass array per model.
-
-        Parameters
-        ----------
-        masses : sequence of (..., 2) float32
-            Of the same shape, in the order of the models. They are not checked to be masses.
 
         Returns
         -------
-        (..., 2) float32
-
-        Raises
-        ------
-        ValueError
-            If their number or shapes do not fit, or an own rule returns no masses.
+        CombinedGrid
+            With the masses of each model: an `ogm.fusion.EvidentialMapper` fuses each of them in a map of its own,
+            and combines them when it is read.
         """
-        if len(masses) != len(self.models) or len({mass.shape for mass in masses}) > 1:
-            got = ", ".join(str(mass.shape) for mass in masses)
-            raise ValueError(f"there must be {len(self.models)} mass arrays of one shape, got {got or 'none'}")
-        rule = next((k for k, one in enumerate(COMPILED.values()) if one.arrays is self.rule), None)
-        if rule is None or len(masses) != 2:
-            return self._by_arrays(masses)
-        log_compilation(_COMBINERS[rule])
-        a, b = (np.ascontiguousarray(mass, np.float32) for mass in masses)
-        out = np.empty_like(a)
-        numbers = [_numbers(*self._weights[k], self.keep_hits == 1 - k) for k in (0, 1)]
-        _COMBINERS[rule](a.reshape(-1), b.reshape(-1), out.reshape(-1), numbers[0], numbers[1])
-        return out
+        scan = as_scan(scan)
+        masses: list[NDArray[np.float32]] = []
+        for model, shared in zip(self.models, self._shared, strict=True):
+            grid = model(scan) if shared is None else model(scan, masses[shared])  # type: ignore[call-arg]
+            masses.append(grid.mass)
+        return CombinedGrid.of_parts(self.spec, masses, self.combination)
 
-    def _by_arrays(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Combine any number of masses by any rule, in plain arrays: what the kernels must agree with."""
-        left = np.stack(masses).astype(np.float32, copy=True)
-        for k, (reliability, gate) in enumerate(self._weights):
-            others = [mass[..., 0] for n, mass in enumerate(masses) if n != k]
-            if others:
-                support = np.max(others, axis=0)
-                part = np.clip((support - gate.low) / (gate.high - gate.low), 0, 1)
-                left[k, ..., 0] *= gate.share + (1 - gate.share) * part
-            if self.keep_hits is not None and self.keep_hits != k:
-                left[k, ..., 0][masses[self.keep_hits][..., 1] > HIT] = 0
-            left[k] *= np.array(reliability, np.float32)
-        if len(left) == 1:
-            alone: NDArray[np.float32] = left[0]
-            return alone
-        combined = np.asarray(self.rule(left, axis=0), np.float32)
-        check_mass(combined, name="the combined mass")
-        return combined
+    def combine(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Combine one mass array per model; see `Combination`."""
+        return self.combination(masses)
+
+
+def _takes(model: InverseSensorModel, other: InverseSensorModel) -> bool:
+    """Return whether a model, a network, takes the masses of rays of another."""
+    return hasattr(model, "takes_rays_of") and bool(model.takes_rays_of(other))
 
 
 def _checked_reliability(given: Any, count: int) -> tuple[StateReliability, ...]:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from ogm.evidence.map_rules import DYNAMIC, NUSS
+from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
 from ogm.extras import import_extra
 from ogm.fusion import make_mapper
 from ogm.grid import GridSpec
@@ -138,7 +138,7 @@ class FuseOptions:
 
     ism: str | None = None
     spec: GridSpec = field(default_factory=GridSpec.centered)
-    rule: str = "cautious"
+    rule: str = REVISE
     half_life: float | None = None
     window: str = "rolling"
     particles: int = 200_000

@@ -316,7 +316,7 @@ def test_maps_by_name_and_their_representation() -> None:
     bayes = make_mapper("bayes", SPEC, window="fixed")
     assert math.isinf(bayes.half_life)
     assert make_mapper("yager", SPEC, 3.0).half_life == (3.0, 3.0)
-    refused("there is no rule 'magic'; there are cautious, dempster", make_mapper, "magic", SPEC)
+    refused("there is no rule 'magic'; there are revise, cautious, dempster", make_mapper, "magic", SPEC)
     for mapper in (bayes, make_mapper("yager", SPEC, 3.0)):
         assert "\n" not in repr(mapper)
         assert "0 scans, 16 x 12 cells of 0.5 m" in repr(mapper)
