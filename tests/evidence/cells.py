@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ogm.evidence.kernels import FLOAT32, FLOAT64, RULES
+from ogm.evidence.kernels import FLOAT32, FLOAT64, REVISE, RULES
+
+CELL_RULES = RULES | {"revise": REVISE}
 
 
 @cache
 def _loop(name: str) -> Any:
-    cell = RULES[name].cell
+    cell = CELL_RULES[name].cell
 
     @njit
     def loop(constants: Any, a: Any, b: Any, out: Any) -> None:
@@ -24,7 +26,7 @@ def _loop(name: str) -> Any:
 
 
 def combine_cells(name: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Combine two arrays of masses by a rule of `RULES`, (..., 2); total conflict gives (0.5, 0.5)."""
+    """Combine two arrays of masses by a rule of `CELL_RULES`, (..., 2); total conflict gives (0.5, 0.5)."""
     out = np.empty_like(a)
     constants = FLOAT32 if a.dtype == np.float32 else FLOAT64
     _loop(name)(constants, a.reshape(-1, 2), b.reshape(-1, 2), out.reshape(-1, 2))

@@ -372,3 +372,23 @@ def test_the_normalized_cautious_rule_takes_the_greatest_evidence(masses: Any) -
     np.testing.assert_allclose(found, evidence.evidence_to_mass(expected), atol=tolerance(found))
     chain = evidence.normalized_cautious(evidence.normalized_cautious(masses[0], masses[1]), masses[2])
     np.testing.assert_allclose(chain, found, atol=20 * tolerance(found))
+
+
+@laws
+@given(masses=arrays_of_masses(2))
+def test_a_revision_discounts_what_is_contradicted_and_keeps_the_greatest(masses: Any) -> None:
+    prior, new = masses
+    excess = new - prior  # of the scan over the map, for each state
+    against_map, against_scan = excess.clip(0), (-excess).clip(0)
+    kept = evidence.contextual_discount(prior, 1 - 0.75 * against_map[..., 0], 1 - against_map[..., 1])
+    taken = evidence.contextual_discount(new, 1 - 0.5 * against_scan[..., 0], 1 - against_scan[..., 1])
+    greatest = np.maximum(kept, taken)
+    greatest[..., 0] = np.minimum(greatest[..., 0], 1 - greatest[..., 1])
+    found = evidence.revise(prior, new)
+    same(found, greatest)
+    evidence.check_mass(found)
+    same(evidence.revise(prior, prior), prior)
+    same(evidence.revise(prior, 0 * prior), prior)
+    same(evidence.revise(0 * prior, prior), prior)
+    again = evidence.revise(found, new)
+    assert (again <= np.maximum(found, new) + tolerance(found)).all()  # claims do not add up

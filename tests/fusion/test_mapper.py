@@ -2,6 +2,7 @@
 
 import math
 import os
+import pickle
 import subprocess
 import sys
 import tracemalloc
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import each
+from cases import each, refused
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from random_grids import layers, noise, uniform
@@ -26,16 +27,23 @@ from ogm.evidence import (
     discount_evidence,
     normalized_cautious,
     pcr5,
+    revise,
     weighted,
     yager,
 )
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import CombinedGrid, EvidentialGrid, GridSpec
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=12.8, width=9.6, resolution=0.2)  # 64 x 48
 FOREVER = math.inf
-COMPILED = {"dempster": dempster, "yager": yager, "cumulative": cumulative, "cautious": normalized_cautious}
+COMPILED = {
+    "dempster": dempster,
+    "yager": yager,
+    "cumulative": cumulative,
+    "cautious": normalized_cautious,
+    "revise": revise,
+}
 
 
 def cut(grid: EvidentialGrid, spec: GridSpec) -> np.ndarray:
@@ -456,3 +464,50 @@ def test_the_kernels_do_the_same_without_the_compiler():
     tests += [f"{Path(__file__).parent / 'test_bayes_mapper.py'}::test_kernel_equals_its_slow_reference"]
     words = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
     subprocess.run(words, check=True, env=os.environ | {"NUMBA_DISABLE_JIT": "1"})
+
+
+# --- Several models ---------------------------------------------------------------------------------
+
+
+def half_of_both(masses):
+    return 0.5 * masses[0] + 0.5 * masses[1]
+
+
+def parted(seed: int) -> CombinedGrid:
+    a, b = (noise(SPEC, seed + k).mass for k in (0, 100))
+    return CombinedGrid.of_parts(SPEC, [a, b], half_of_both)
+
+
+def test_each_model_has_a_map_of_its_own_and_reading_combines_them():
+    mapper, first, second = (EvidentialMapper(SPEC) for _ in range(3))
+    for k in range(5):
+        grid, T, stamp = parted(k), pose(0.3 * k, 0.1 * k, 0, yaw=0.1 * k), 0.1 * k
+        mapper.update(grid, T, stamp=stamp)
+        for one, part in ((first, grid.parts[0]), (second, grid.parts[1])):
+            one.update(EvidentialGrid(SPEC, part), T, stamp=stamp)
+    np.testing.assert_array_equal(mapper.grid.mass, half_of_both([first.grid.mass, second.grid.mass]))
+    np.testing.assert_array_equal(mapper.view().mass, half_of_both([first.view().mass, second.view().mass]))
+    for name in ("free_to_occupied", "occupied_to_free"):
+        np.testing.assert_array_equal(mapper.conflict[name], np.maximum(first.conflict[name], second.conflict[name]))
+    same = pickle.loads(pickle.dumps(mapper))
+    assert same.grid == mapper.grid
+
+
+def test_grids_of_one_model_are_a_part_beside_several():
+    """A radar beside a lidar: each ages while the other measures, and both are in the map."""
+    plain = noise(SPEC, 9)
+    for rule in (revise, lambda a, b: revise(a, b)):
+        mapper, lidar, radar = (EvidentialMapper(SPEC, rule) for _ in range(3))
+        mapper.update(plain, np.eye(4), stamp=0.0, reliability=0.5)
+        radar.update(plain, np.eye(4), stamp=0.0, reliability=0.5)
+        mapper.update(parted(1), np.eye(4), stamp=1.0)
+        lidar.update(parted(1), np.eye(4), stamp=1.0)
+        radar.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=1.0)
+        np.testing.assert_allclose(mapper.grid.mass, normalized_cautious(lidar.grid.mass, radar.grid.mass), atol=1e-6)
+        before = mapper.grid
+        three = CombinedGrid.of_parts(SPEC, [plain.mass] * 3, lambda masses: masses[0])
+        refused("holds 2 models.*combined of 3; call reset", mapper.update, three, np.eye(4), stamp=1.1)
+        assert mapper.grid == before
+        mapper.reset()
+        mapper.update(three, np.eye(4), stamp=0.0)
+        assert mapper.scans == 1
