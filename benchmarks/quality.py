@@ -7,9 +7,9 @@ towns that no training has seen, those of an older and smaller test, and drives 
 
 * in the test towns, single frames, against the whole truth: the models of `deep_quality`, and paper if given; the
   same on OLD, so that figures of earlier versions can be read on;
-* on the drives, against what each frame itself can observe: each of these alone and fused over time by every rule of
-  `ogm evaluate --fused`, with the mappers' defaults, and by plain Dempster (half-life 2 s for everything). All frames
-  are fused, every fifth is evaluated. The rules that run in numpy are left to ray and the networks;
+* on the drives, against what each frame itself can observe: each of these alone and, but for the baselines, fused over
+  time by every rule of `ogm evaluate --fused`, with the mappers' defaults, and by plain Dempster (half-life 2 s for
+  everything). All frames are fused, every fifth is evaluated;
 * on real recordings, labelled cells only: each alone, and fused where there are poses, against truth of later scans.
 
 All by `ogm.metrics`; means over frames with 95 % intervals over drives (`ogm.evaluation.statistics`), none where there
@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 
 from _charts import caption
 from _evaluation_record import beliefs, brief, earlier, published, record_of
-from _quality_methods import all_maps, every, single_scan
+from _quality_methods import MODELS, all_maps, every, single_scan
 from _quality_pictures import by_distance, chosen, maps, papers_figures, recordings, reliability
 from _recordings import real
 from rich.progress import track
@@ -44,11 +44,13 @@ from ogm.evaluation import Evaluation, SingleScanMethod, evaluate, write_report
 from ogm.evaluation.figures import draw_frames, frame_panels
 from ogm.evaluation.frame_pictures import draw_frame
 from ogm.evaluation.text import as_json
+from ogm.evidence.map_rules import BAYES, RULES
 from ogm.metrics import METRICS, ConfusionSums
 
 PAPER = GridSpec.centered()
 DEEP = "lite"  # the shipped network, which is drawn
-DRAWN = ("ray", "lite", "ray + bayes", "ray + cautious", "lite + cautious")  # of the maps
+DEFAULT = "combined + cautious"  # the map of `ogm fuse`
+DRAWN = ("ray", "combined", "combined + bayes", "ray + cautious", DEFAULT)  # of the maps
 QUICK_FRAMES, QUICK_SCANS, QUICK_REAL = 4, 10, ("KITTI, single scans", "SUSTechPOINTS")
 
 
@@ -92,7 +94,7 @@ def pool(job: Job, place: str, folder: Path, result: Evaluation) -> None:
     if job.options.before and (job.options.before / folder.name / "report.json").exists():
         found["ray, before"] = earlier(job.options.before / folder.name, "ray")
     there = job.beliefs.setdefault(place, {})
-    for name in ("height-band", "ray", "ray, before", DEEP):
+    for name in ("height-band", "ray", "ray, before", DEEP, "combined"):
         if name in found:
             there[name] = there[name].plus(found[name]) if name in there else found[name]
 
@@ -153,8 +155,8 @@ def evaluate_drives(job: Job) -> dict[str, Any]:
     result = run_part(job.folder / "drives", dataset, numbers, methods, draw)
     record = record_of(result)
     maps(job.pictures / "quality_maps.png", record, caption(job.facts))
-    title = "Simulated test drives: best, middling and worst frame of lite + cautious"
-    draw_three(job.pictures / "quality_maps_frames.png", title, result, DRAWN, ("lite + cautious", "brier"))
+    title = f"Simulated test drives: best, middling and worst frame of {DEFAULT}"
+    draw_three(job.pictures / "quality_maps_frames.png", title, result, DRAWN, (DEFAULT, "brier"))
     return record
 
 
@@ -197,7 +199,7 @@ def main() -> None:
     folder = run.RUNS / ("quality-quick" if options.quick else "quality")
     pictures = folder if options.quick else run.PICTURES
 
-    record = run.environment(DEEP, *([str(options.paper)] if options.paper else []))
+    record = run.environment(*MODELS, *RULES, BAYES, **({"paper": options.paper} if options.paper else {}))
     record |= {"split": options.split, "metrics": {m: METRICS[m]._asdict() for m in METRICS}}
     job = Job(options, single_scan(PAPER, options.paper), folder, pictures, dict(record), {})
     parts = {

@@ -118,7 +118,12 @@ def main() -> None:
         for what in drives[0][key]:
             scores = [score(one[key][what]) for one in drives]
             means.setdefault(key, {})[what] = {m: round(float(np.nanmean([s[m] for s in scores])), 4) for m in METRICS}
-    record = {"environment": run.environment(), "drives": given.drives, "scans": given.scans, "seed": given.seed}
+    record = {
+        "environment": run.environment("ray", "dynamic"),
+        "drives": given.drives,
+        "scans": given.scans,
+        "seed": given.seed,
+    }
     if given.before:
         record["before"] = json.loads(given.before.read_text())["means over drives"]
     run.write_record(given.out, record | {"means over drives": means})
