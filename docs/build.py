@@ -192,7 +192,8 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/dynamic.md": lambda: {"dynamic": with_source("dynamic", *dynamic_tables(record("dynamic")))},
     "docs/evidence.md": lambda: evidence_tables(record("evidence")),
     "docs/fusion.md": lambda: {
-        "simulated": with_source("fusion_quality", maps.fusion(maps.MAIN_MAPS, maps.MAIN_COLUMNS))
+        "simulated": with_source("fusion_quality", maps.fusion(maps.MAIN_MAPS, maps.MAIN_COLUMNS)),
+        "speed": maps.fusion_speed_sentences(),
     },
     "docs/geometric.md": lambda: {
         "calibration": geometric.calibration(),
@@ -209,7 +210,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     },
     "docs/reliability.md": reliability_tables,
     "docs/reproduction.md": lambda: (
-        sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed")))
+        sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed", "objects")))
         | {"losses": deep.losses_of_the_paper(), "divergence": deep.divergences()}
     ),
     "docs/simulation.md": lambda: {"data_store": with_source("data_store", *data_store_tables(record("data_store")))},

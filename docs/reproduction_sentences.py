@@ -12,18 +12,19 @@ CLASSICAL, DEFAULTS, DEMPSTER = "classical Bayes", "EvidentialMapper, default", 
 MEAN, RATIO = "mean and 95 % interval", "ratio to the classical filter"
 
 
-def sentences(quality: Record, deep: Record, fusion: Record, speed: Record) -> dict[str, str]:
+def sentences(quality: Record, deep: Record, fusion: Record, speed: Record, objects: Record) -> dict[str, str]:
     """Return all sentences by the names of their markers.
 
     Parameters
     ----------
-    quality, deep, fusion, speed : dict
-        Records of `quality`, `deep_quality`, `fusion_quality` and `deep_speed`.
+    quality, deep, fusion, speed, objects : dict
+        Records of `quality`, `deep_quality`, `fusion_quality`, `deep_speed` and `objects`.
     """
     found = {
         "deep_quality": _sentences_of_models(deep),
         "fusion_quality": {"ghosts": _sentence_of_ghosts(fusion)},
         "deep_speed": {"speed": _sentence_of_speed(speed)},
+        "objects": {"objects": _sentence_of_objects(objects["all"]["all"])},
         "quality": _sentences_of_town(quality["town"]) | {"quality: real": _sentence_of_real(quality["real"])},
     }
     return {key: text + mark(name) for name, texts in found.items() for key, text in texts.items()}
@@ -75,6 +76,19 @@ def _sentence_of_ghosts(record: Record) -> str:
         f"{area[DEMPSTER]:.2f}, default rule {area[DEFAULTS]:.2f},\n{_ratio(maps[DEFAULTS][RATIO]['ghost_area'])} the "
         f"filter's. The default rule has {100 * (1 - free[DEFAULTS] / free[CLASSICAL]):.0f} %\nfewer occupied cells at "
         "P < 1/4."
+    )
+
+
+def _sentence_of_objects(record: Record) -> str:
+    names = {"lite": "`lite`", "combined": "`combined`", "ray": "`RayISM`", "height-band": "the baseline"}
+    shares = (
+        f"{title} {100 * one['occupied']:.1f} and {100 * one['free']:.1f} %"
+        for name, title in names.items()
+        for one in [record["models"][name]]
+    )
+    return (
+        f"Of the cells under {record['objects']} annotated objects, hidden sides included, predicted occupied and "
+        f"free\n([by set](results.md#objects-in-real-scans)): {', '.join(shares)}."
     )
 
 
