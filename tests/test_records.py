@@ -13,9 +13,8 @@ from ogm.geometric import RayISM
 from ogm.models import named
 from ogm.models.combined import StateReliability
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "docs"))
-sys.path.insert(0, str(ROOT / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import _fingerprints as fingerprints
 import record_tables
 
