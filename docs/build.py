@@ -23,7 +23,7 @@ from dynamic_tables import dynamic_tables
 from evidence_tables import evidence_tables
 from quality_tables import quality_tables
 from radar_tables import far_tables, fusion_tables, radar_tables
-from record_tables import RESULTS, link, mark, marked, outdated, record, table, with_source
+from record_tables import RESULTS, link, mark, marked, outdated, record, table, verdicts, with_source
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
 from world_tables import build_tables, cost_tables, rule_tables, world_tables
@@ -159,7 +159,7 @@ def results() -> str:
         section("Maps over time, 12 simulated test drives", "fusion_quality", maps.fusion()),
         section("Time of a map update", "fusion_speed", maps.fusion_speed()),
         section("Time of logs", "logs", maps.logs()),
-        section("Live, 10 minutes at 10 Hz", "live", maps.live()),
+        section("Live, 10 minutes at 10 Hz", "live", verdicts("live", "`ogm serve`, a viewer receives all")),
         section("Truth of the simulator", "truth_modes", truth_modes()),
         section("Cost of simulated samples", "simulation", simulation()),
     ]
@@ -189,7 +189,10 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": deep.headline()},
     "docs/lite.md": lambda: {"results": deep.headline()},
     "docs/deep.md": lambda: {"heads": deep.deep_heads(), "training": deep.deep_training(), "combined": deep.combined()},
-    "docs/dynamic.md": lambda: {"dynamic": with_source("dynamic", *dynamic_tables(record("dynamic")))},
+    "docs/dynamic.md": lambda: {
+        "dynamic": with_source("dynamic", *dynamic_tables(record("dynamic"))),
+        "speed": with_source("dynamic_speed", verdicts("dynamic_speed", "one core, 512 x 352 cells")),
+    },
     "docs/evidence.md": lambda: evidence_tables(record("evidence")),
     "docs/fusion.md": lambda: {
         "simulated": with_source("fusion_quality", maps.fusion(maps.MAIN_MAPS, maps.MAIN_COLUMNS)),

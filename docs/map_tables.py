@@ -96,18 +96,3 @@ def logs() -> str:
         for way, title in ways.items()
     ]
     return table([f"one core, {found['points']:,} points; [ms] per scan", *formats], rows)
-
-
-def live() -> str:
-    """Return whether `ogm serve` keeps up."""
-    found = record("live")["verdicts"]
-    rows = [
-        [
-            one["what"],
-            f"{one['got']:.3g} {one['unit']}".strip(),
-            f"{one['wanted']:g}",
-            "" if one["met"] else "**missed**",
-        ]
-        for one in found
-    ]
-    return table(["`ogm serve`, a viewer receives all", "measured", "at most", ""], rows)

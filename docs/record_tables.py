@@ -76,6 +76,20 @@ def _row(cells: Sequence[object]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
+def verdicts(name: str, head: str) -> str:
+    """Return the table of the limits of a record, reached or missed."""
+    rows = [
+        [
+            one["what"],
+            f"{one['got']:.3g} {one['unit']}".strip(),
+            f"{one['wanted']:g}",
+            "" if one["met"] else "**missed**",
+        ]
+        for one in record(name)["verdicts"]
+    ]
+    return table([head, "measured", "limit", ""], rows)
+
+
 def with_source(name: str, *parts: str) -> str:
     """Return tables and texts with the source of the record below them."""
     return "\n\n".join([*parts, source(name)])
