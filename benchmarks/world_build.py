@@ -36,8 +36,7 @@ from ogm.plot import conflict_panel, layer_panel, mass_panel, save_picture
 from ogm.pose import pose
 from ogm.world import Progress, WorldMap, build_world
 
-MODEL_NAMES = ("ray", "radar")
-MODEL = load_model("+".join(MODEL_NAMES), GridSpec.centered())
+MODEL = load_model("ray+radar", GridSpec.centered())
 PARTS = ("town", "workers", "cells")
 PATCH = 256  # [cells] along the side of the part of the town that synthetic tiles repeat
 MEMORY = 200e6  # [byte] of tiles that the large map keeps in memory
@@ -66,19 +65,17 @@ def main() -> None:
         base = options.folder or Path(temporary)
         for name in options.only:
             if name == "town":
-                record[name] = run.environment(*MODEL_NAMES) | town(drives, base, Path(temporary))
+                record[name] = run.environment("ray") | town(drives, base, Path(temporary))
                 with WorldMap.open(base / "town") as world:
                     picture(world, record, options.picture)
             elif name == "workers":
                 chosen = dict(list(drives.items())[: options.workers_drives])
-                record[name] = run.environment(*MODEL_NAMES) | one_and_two(chosen, Path(temporary))
+                record[name] = run.environment("ray") | one_and_two(chosen, Path(temporary))
             else:
                 with WorldMap.open(base / "town") as world:
                     patch = seen_patch(world)
-                record[name] = run.environment(*MODEL_NAMES) | many_cells(
-                    patch, Path(temporary) / "cells", options.cells
-                )
-            record |= run.environment(*MODEL_NAMES)
+                record[name] = run.environment("ray") | many_cells(patch, Path(temporary) / "cells", options.cells)
+            record |= run.environment("ray")
             run.write_record(options.out, record)
 
 
