@@ -109,7 +109,7 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=30, help="of each drive, 10 in a second")
     parser.add_argument("--seed", type=int, default=radar_far.PLAN.seed)
     parser.add_argument("--keep", type=Path, default=run.RUNS / "silence")
-    parser.add_argument("--before", type=Path, help="record of an earlier version, to be kept beside")
+    parser.add_argument("--before", type=Path, help="record of an earlier version (default: the one before stays)")
     given = parser.parse_args()
     radar_far.PLAN = replace(radar_far.PLAN, seed=given.seed, radars=())
     drives = [compared(drive(k, given.scans, given.keep)) for k in range(given.drives)]
@@ -126,6 +126,8 @@ def main() -> None:
     }
     if given.before:
         record["before"] = json.loads(given.before.read_text())["means over drives"]
+    elif given.out.is_file():
+        record["before"] = json.loads(given.out.read_text())["before"]
     run.write_record(given.out, record | {"means over drives": means})
 
 
