@@ -14,20 +14,22 @@ towns that no training has seen, those of an older and smaller test, and drives 
 
 All by `ogm.metrics`; means over frames with 95 % intervals over drives (`ogm.evaluation.statistics`), none where there
 are fewer than four; every method is compared with height-band and ray frame by frame. Beliefs are compared with how
-often they are right; FOLDER, the runs/quality of an earlier version, adds its `ray` to that picture. Finished frames
-are kept in runs/quality: an interrupted run resumes when it is repeated. Writes benchmarks/results/quality.json and
-docs/pictures/quality*.png (docs/build.py makes tables of the record), and reports in runs/quality, also of the real
-recordings, whose scans may not be passed on. Nothing was chosen by the test data.
+often they are right; FOLDER, the finished frames of an earlier version, adds its `ray` to that picture. Frames are kept
+in runs/quality-DIGEST, that of the models' checksums: an interrupted run resumes when it is repeated. Writes
+benchmarks/results/quality.json and docs/pictures/quality*.png (docs/build.py makes tables of the record), and reports
+beside the frames, also of the real recordings, whose scans may not be passed on. Nothing was chosen by the test data.
 """
 
 import _run as run  # first: it sets the number of threads
 
 # isort: split
 import argparse
+import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -190,17 +192,17 @@ def main() -> None:
     parser = run.Parser(__doc__, quick=True, real=True)
     parser.add_argument("--single", type=Path, help="data set of single frames")
     parser.add_argument("--single-old", type=Path, help="data set of single frames of an older test")
-    parser.add_argument("--before", type=Path, help="runs/quality of an earlier version, for the reliability of ray")
+    parser.add_argument("--before", type=Path, help="finished frames of an earlier version, for the reliability of ray")
     parser.add_argument("--split", default="test", help="part of it (default test, for the final figure only)")
     parser.add_argument("--sequences", type=Path, help="data set of drives")
     parser.add_argument("--paper", type=Path, help="weights of a network of the paper's size")
     parser.add_argument("--every", type=int, default=5, help="evaluate every N-th frame of a drive")
     options = parser.parse_args()
-    folder = run.RUNS / ("quality-quick" if options.quick else "quality")
-    pictures = folder if options.quick else run.PICTURES
-
     record = run.environment(*MODELS, *RULES, BAYES, **({"paper": options.paper} if options.paper else {}))
     record |= {"split": options.split, "metrics": {m: METRICS[m]._asdict() for m in METRICS}}
+    digest = sha256(json.dumps(record["checksums"]).encode()).hexdigest()[:8]
+    folder = run.RUNS / ("quality-quick" if options.quick else f"quality-{digest}")
+    pictures = folder if options.quick else run.PICTURES
     job = Job(options, single_scan(PAPER, options.paper), folder, pictures, dict(record), {})
     parts = {
         "town": evaluate_town if options.single else None,
