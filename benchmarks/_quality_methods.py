@@ -12,9 +12,8 @@ from ogm.fusion import EvidentialMapper, rolling_window
 
 BASELINE = "height-band"
 AGAINST = (BASELINE, "ray")  # what every method is compared with, frame by frame
-MODELS = (BASELINE, "height-band-released", "ray", "lite")
+MODELS = (BASELINE, "height-band-released", "ray", "lite", "combined")
 PLAIN = "dempster-plain"
-SLOW = ("pcr6", "averaging", "weighted")  # run in numpy, ten times slower
 Methods = dict[str, SingleScanMethod | FusedMethod]
 
 
@@ -28,16 +27,17 @@ def single_scan(spec: GridSpec, paper: Path | None = None) -> dict[str, SingleSc
 
 
 def all_maps(models: dict[str, SingleScanMethod], spec: GridSpec, quick: bool = False) -> Methods:
-    """Return the models, and each of them fused by every rule and by plain Dempster.
+    """Return the models, and each but the baselines fused by every rule and by plain Dempster.
 
-    The rules that run in numpy are left to `ray` and the networks; `quick` takes fewer rules.
+    `quick` takes fewer rules.
     """
     result: Methods = dict(models)
     window = rolling_window(spec)
     for name, one in models.items():
+        if name.startswith(BASELINE):
+            continue
         for rule in ("cautious", "dempster", BAYES) if quick else (*RULES, BAYES):
-            if rule not in SLOW or not name.startswith(BASELINE):
-                result[f"{name} + {rule}"] = FusedMethod.by_rule(name, one.model, rule, spec)
+            result[f"{name} + {rule}"] = FusedMethod.by_rule(name, one.model, rule, spec)
         result[f"{name} + {PLAIN}"] = FusedMethod(
             one.model,
             lambda: EvidentialMapper(window, dempster, 2.0, moving_half_life=float("inf")),

@@ -16,7 +16,7 @@ from ogm.plot.colours import colours
 
 COLOURS = {
     "height-band": "#2c5f9e", "height-band-released": "#7fa8d6", "ray": "#d55e00", "lite": "#009e73",
-    "paper": "#000000",
+    "combined": "#cc79a7", "paper": "#000000",
 }  # fmt: skip
 MARKERS = {
     "": "*", "cautious": "o", "dempster": "s", "dempster-plain": "D", "yager": "^", "cumulative": "v", "pcr6": "P",

@@ -83,13 +83,16 @@ class Parser(argparse.ArgumentParser):
         return options
 
 
-def environment(*models: str) -> dict[str, Any]:
-    """Return command, date, commit, machine and versions of a record, and the checksums of the weights of models.
+def environment(*models: str, **others: str | Path) -> dict[str, Any]:
+    """Return command, date, commit, machine and versions of a record, and the checksums of its models.
 
     Parameters
     ----------
     *models : str
-        Names or paths as in `ogm.models.load_model`. Models without weights are left out.
+        All sensor models of the benchmark, by name as in `ogm.models.load_model`, and the rules of its maps, as in
+        `ogm.fusion.make_mapper`. docs/build.py marks the tables of a record as outdated when one gives other results.
+    **others : str or Path
+        Models that are not shipped: paths by their titles in the record.
     """
     load = [round(value, 2) for value in os.getloadavg()] if hasattr(os, "getloadavg") else None
     if load and load[0] > BUSY:
@@ -111,7 +114,9 @@ def environment(*models: str) -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "versions": versions,
-        **({"weights": weights_of(dict(zip(models, models, strict=True)))} if models else {}),
+        "checksums": {
+            title: describe(str(name)) for title, name in (dict(zip(models, models, strict=True)) | others).items()
+        },
     }
 
 
@@ -126,11 +131,15 @@ def commit(folder: Path) -> str | None:
     return None
 
 
-def weights_of(models: Mapping[str, str | Path]) -> dict[str, dict[str, str]]:
-    """Return file name and SHA-256 of the weights of models, given as names or paths by their title in the record."""
+def describe(name: str) -> dict[str, Any]:
+    """Return the fingerprint of a model or of a map, and file name and SHA-256 of its weights, if it has any."""
+    from _fingerprints import fingerprint  # only now: processes whose memory is measured stay small
+
+    from ogm.evidence.map_rules import MAP_RULES
     from ogm.models import describe_model
 
-    return {title: facts for title, name in models.items() if (facts := describe_model(str(name))[1])}
+    weights = None if name in MAP_RULES else describe_model(name)[1]
+    return {**(weights or {}), "fingerprint": list(fingerprint(name))}
 
 
 def _cpu() -> str:

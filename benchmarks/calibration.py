@@ -160,7 +160,11 @@ def main() -> None:
     else:
         fitted = Calibration.load(given.fitted)
     print("fitted:", ", ".join(f"{name} {value:g}" for name, value in fitted.parameters.items()))
-    record: dict[str, Any] = {"environment": run.environment(), "fitted": asdict(fitted), "default": defaults(fitted)}
+    record: dict[str, Any] = {
+        "environment": run.environment("ray"),
+        "fitted": asdict(fitted),
+        "default": defaults(fitted),
+    }
     record["likelihood"] = around(fitted, Likelihood("ray", training, SPEC, base_rate=fitted.data["base_rate"]), points)
     test = compared(open_dataset(given.test, split="test"), fitted, every)
     step = every if given.quick else 1

@@ -95,7 +95,7 @@ def main() -> None:
     parser.add_argument("data", nargs="+", metavar="DATA=DRIVES")
     given = parser.parse_args()
     most = 3 if given.quick else None
-    record: dict[str, Any] = {"environment": run.environment(LITE), "validation": {}, "real": {}}
+    record: dict[str, Any] = {"environment": run.environment(RAY, LITE, COMBINED), "validation": {}, "real": {}}
     record["parameters"] = {key: [one._asdict() for one in value] for key, value in COMBINATION.items()}
     for words in given.data:
         dataset, drives, numbers = validation_frames(words)

@@ -140,7 +140,7 @@ def main() -> None:
     models = [load_model(name, SPEC, Mount(1.9)) for name in (RAY, LITE)]
     ways = {"fitted": CombinedISM(models, **found), "COMBINATION": CombinedISM(models, **COMBINATION)}
     record = {
-        "environment": run.environment(LITE),
+        "environment": run.environment(RAY, LITE),
         "fitted": {key: [one._asdict() for one in value] for key, value in found.items()},
         "ratio to the better part": {
             way: {name: ratios(cells, ism) for name, cells in data.items()} for way, ism in ways.items()

@@ -225,7 +225,11 @@ def main() -> None:
     parser.add_argument("--members", type=int, default=5, help="last layers of the way several")
     parser.add_argument("--validation", type=int, help="evaluate the first N validation frames only")
     given = parser.parse_args()
-    record: dict[str, Any] = {"environment": run.environment("lite"), "frames": given.frames, "steps": given.steps}
+    record: dict[str, Any] = {
+        "environment": run.environment("ray", "lite"),
+        "frames": given.frames,
+        "steps": given.steps,
+    }
     record |= {"members": given.members, "sets": {}}
 
     network, description = load_network(run.ROOT / "ogm" / "data" / "lite.safetensors")

@@ -79,7 +79,7 @@ def main() -> None:
         models[name] = str(folder / "best.safetensors")
     result = evaluate(models, validation, SPEC, frames=frames)
     record |= {
-        "weights": run.weights_of(models),
+        "checksums": {name: run.describe(path) for name, path in models.items()},
         "note": NOTE,
         "samples": options.samples,
         "epochs": options.epochs,

@@ -14,7 +14,8 @@ The models:
   0.16 m, nothing is interpolated. Its evidence ends at 1, so that it predicts all cells unknown; its IoU on known
   cells, by P(occupied) alone, is the one to compare;
 * ray: `RayISM`;
-* lite: the weights in the package, or those given.
+* lite: the weights in the package, or those given;
+* combined: the default model, `ray` and the weights in the package.
 
 All get the sensor's height and tilt, except height-band-released, whose mount is built in.
 """
@@ -39,7 +40,7 @@ from ogm.evaluation.figures import draw_metrics
 from ogm.evidence import evidence_to_mass
 from ogm.fusion import resample_to
 from ogm.metrics import ConfusionSums, accumulate, score
-from ogm.models.named import short_names
+from ogm.models.named import COMBINED, short_names
 from ogm.scan import run_model
 from ogm.simulation.store import Store
 from ogm.state import CellState, predict_state
@@ -140,13 +141,13 @@ def main() -> None:
     parser.add_argument("--samples", type=int, help="evaluate the first N only")
     options = parser.parse_args()
 
-    record = run.environment()
+    names = short_names([*MODELS, options.lite, COMBINED])
+    deep = list(names)[-2]
+    record = run.environment(*MODELS, COMBINED, **{deep: options.lite})
     dataset = open_dataset(options.data, split=options.split)[: options.samples]
     part = Store.open(options.data)[dataset.facts["split"]]
     samples = [part[k] for k in dataset.facts["samples"][: options.samples]]
-    names = short_names([*MODELS, options.lite])
     methods = {short: SingleScanMethod.named(name, PAPER) for short, name in names.items()}
-    deep = list(methods)[-1]
     result = evaluate(methods, dataset, PAPER, progress=lambda numbers: track(numbers, "evaluating"))
     found = evaluation_record(result)
     found["models"] = found.pop("methods")
@@ -155,7 +156,6 @@ def main() -> None:
     facts = {key: dataset.facts[key] for key in ("plan", "versions", "split", "towns")}
     record |= {
         "data": {**facts, "frames": len(dataset), "drives": [frame.sequence for frame in result.frames]},
-        "weights": methods[deep].weights,
         "note": NOTE,
         "wanted": wanted(result, found, deep),
         "occupied cells by what stands there, pooled": missed_by_kind(methods, dataset, samples),

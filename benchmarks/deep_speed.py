@@ -3,8 +3,9 @@
     python benchmarks/deep_speed.py [--data FOLDER] [--rounds N] [--quick]
 
 One scan of 57,600 points (as many rays as a VLP-32C turn of 0.2 degrees has), drawn at random from the shipped road
-scan, goes through both networks, by torch and against their bare convolutions, and through the shipped one by every
-engine that is installed. New processes time loading: from the first import to the first grid. Writes
+scan, goes through both networks, by torch and against their bare convolutions, through the shipped one by every
+engine that is installed, and through the default model `combined`. `lite` takes the masses of `RayISM`, whose time is
+part of its own. New processes time loading: from the first import to the first grid. Writes
 benchmarks/results/deep_speed.json and docs/pictures/deep_speed.png. With a data set it also counts the augmented frames
 that one process prepares per second.
 """
@@ -35,11 +36,13 @@ from torch import nn
 
 from ogm import GridSpec, Mount, read_scan
 from ogm.datasets import open_dataset
-from ogm.deep import LITE, PAPER, DeepISM, PillarNetwork
+from ogm.deep import PAPER, DeepISM, PillarNetwork
 from ogm.deep.data import Augmentation, PillarDataset
 from ogm.deep.pillars import pillarize, pillarize_torch
+from ogm.deep.recipe import LITE_RECIPE
 from ogm.deep.torch_engine import ConvReLU
 from ogm.geometric import HeightBandISM, RayISM
+from ogm.models import load_model
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 POINTS, MOUNT = 57_600, Mount(1.98)
@@ -102,10 +105,11 @@ def contenders(points: np.ndarray) -> tuple[dict[str, Contender], dict[str, floa
         "pillars": lambda: pillarize(raised, SPEC),
         "pillars, torch reference": lambda: pillarize_torch(tensor, SPEC),
     }
-    operations = {}
-    for name, config in (("lite", LITE), ("paper", PAPER)):
+    operations, ray = {}, RayISM(SPEC, MOUNT)
+    rays = torch.from_numpy(ray(points).mass[None])
+    for name, config in (("lite", LITE_RECIPE.network), ("paper", PAPER)):
         ism = DeepISM(PillarNetwork(config, SPEC), mount=MOUNT)
-        network, pillars = ism.engine.network, pillarize(raised, SPEC, config.z_range)
+        network, pillars = ism.engine.network, pillarize(raised, SPEC, config.z_range)._replace(rays=rays)
         feature_map = network.feature_map(pillars)
         bare, operations[name] = convolutions(network, feature_map)
         runs |= {
@@ -115,7 +119,7 @@ def contenders(points: np.ndarray) -> tuple[dict[str, Contender], dict[str, floa
             f"{name}, convolutions": bare,
         }
     runs |= {name: lambda ism=ism: ism(points) for name, ism in engines().items()}
-    for model in (RayISM(SPEC, MOUNT), HeightBandISM(SPEC, MOUNT)):
+    for model in (ray, HeightBandISM(SPEC, MOUNT), load_model("combined", SPEC, MOUNT)):
         runs[type(model).__name__] = lambda model=model: model(points)
     return {name: Contender(lambda _, call=call: call()) for name, call in runs.items()}, operations
 
@@ -204,7 +208,7 @@ def main() -> None:
     parser = run.Parser(__doc__, picture=True, quick=True, rounds=15)
     parser.add_argument("--data", type=Path, help="data set of `ogm simulate`, to time its reading")
     options = parser.parse_args()
-    record = run.environment("lite")
+    record = run.environment("ray", "height-band", "lite", "combined")
     torch.set_num_threads(run.CORES)
     with torch.inference_mode():
         timed, operations = contenders(scan())

@@ -84,7 +84,7 @@ def main() -> None:
     data = make_data(given.folder, given.samples, given.validation)
     weights = {name: trained(name, data, given.folder, given.samples, given.epochs) for name in ARMS}
     models = {name: SingleScanMethod.named(str(path), SPEC) for name, path in weights.items()}
-    environment = run.environment() | {"weights": run.weights_of(weights)}
+    environment = run.environment("ray", **weights)
     record: dict[str, Any] = {"environment": environment, "samples": given.samples, "epochs": given.epochs}
     record["truth of validation"] = {}
     for name, path in data.items():

@@ -1,12 +1,12 @@
 """What a dynamic map knows of motion: cells that move, their velocities, predictions, against Nuss' filter.
 
-    python benchmarks/dynamic.py DRIVES [--ism ray lite] [--first N] [--out FILE]
+    python benchmarks/dynamic.py DRIVES [--ism ray combined] [--first N] [--out FILE]
     python benchmarks/dynamic.py --kitti [FOLDER] [--out FILE]
 
 DRIVES holds drives of 10 s at 10 Hz that `ogm simulate --sequences N` made; FOLDER is KITTI raw drive 0005, by default
 that of OGM_DATA, with all of its 64 layers, 32 and 16 of them. All maps fuse the grids of the same sensor model, on the
 same cells. Intervals are 95 % intervals over drives. Writes benchmarks/results/dynamic.json and
-docs/pictures/dynamic.png; --keep keeps the rest of the record.
+docs/pictures/dynamic.png.
 
 Definitions, see `ogm.metrics.MOTION_METRICS`, `PREDICTION_METRICS` and `fusion_quality.py`:
 
@@ -26,9 +26,9 @@ Definitions, see `ogm.metrics.MOTION_METRICS`, `PREDICTION_METRICS` and `fusion_
 import _run as run  # first: it sets the number of threads
 
 # isort: split
-import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -71,16 +71,16 @@ def simulated(path: Path, ism: str, first: int | None, maps: Mapping[str, Callab
     return found
 
 
-def kitti(path: Path, share: int, maps: Mapping[str, Callable[[], Any]]) -> Results:
+def kitti(path: Path, ism: str, share: int, maps: Mapping[str, Callable[[], Any]]) -> Results:
     """Run all maps over the recorded drive, with a share of its layers."""
     frames = list(with_layers(list(open_dataset(path)), share))
-    model = load_model("ray", PAPER)
+    model = load_model(ism, PAPER)
     poses = np.array([frame.T_map_sensor @ frame.mount.T_sensor_level for frame in frames])
     grids = [grid for _, grid in map_scans(frames, model)]
     truth = snapshots(frames, poses, grids, WITHIN)
     found: Results = {}
     for method, make in maps.items():
-        print(f"KITTI, 1 of {share} layers, {method}", file=sys.stderr, flush=True)
+        print(f"KITTI, {ism}, 1 of {share} layers, {method}", file=sys.stderr, flush=True)
         sums = over_drive(make(), truth, grids, READINGS.get(method, {method: Reading()}))
         found |= {reading: [(one, {})] for reading, one in sums.items()}
     return found
@@ -133,36 +133,25 @@ def summarize(results: Results) -> dict[str, dict[str, Any]]:
     return record
 
 
-def earlier(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the runs of a record, as `summarize` makes them."""
-    runs = json.loads(path.read_bytes())["runs"]
-    for one in (one for maps in runs.values() for one in maps.values()):
-        one["pooled"] = {key: np.nan if value is None else value for key, value in one["pooled"].items()}
-        for part in ("drives", "mean and 95 % interval", "curve"):
-            one[part] = {key: np.array(values, float) for key, values in one[part].items()}
-    return runs
-
-
 def main() -> None:
     parser = run.Parser(__doc__, picture=True)
     parser.add_argument("drives", type=Path, nargs="?")
     parser.add_argument("--kitti", type=Path, nargs="?", const=run.DATA / "kitti_raw_0005")
-    parser.add_argument("--ism", nargs="+", default=["ray", "lite"])
+    parser.add_argument("--ism", nargs="+", default=["ray", "combined"])
     parser.add_argument("--layers", nargs="+", type=int, default=[64, 32, 16], help="of KITTI's 64")
     parser.add_argument("--maps", nargs="+", choices=list(FILTERS), default=list(FILTERS))
     parser.add_argument("--first", type=int, help="take the first N drives")
-    parser.add_argument("--keep", action="store_true", help="keep the other runs of the record")
     given = parser.parse_args()
     if not given.drives and not given.kitti:
         parser.error("give DRIVES, --kitti, or both")
     maps = {name: FILTERS[name] for name in given.maps}
-    runs = earlier(given.out) if given.keep else {}
+    runs: dict[str, dict[str, Any]] = {}
     for ism in given.ism if given.drives else ():
-        runs[ism] = runs.get(ism, {}) | summarize(simulated(given.drives, ism, given.first, maps))
-    for n in given.layers if given.kitti else ():
-        name = f"KITTI, {n} layers"
-        runs[name] = runs.get(name, {}) | summarize(kitti(given.kitti, 64 // n, maps))
-    record: dict[str, Any] = {"environment": run.environment(*given.ism), "definitions": __doc__}
+        runs[ism] = summarize(simulated(given.drives, ism, given.first, maps))
+    for n, ism in product(given.layers, given.ism) if given.kitti else ():
+        runs[f"KITTI, {n} layers, {ism}"] = summarize(kitti(given.kitti, ism, 64 // n, maps))
+    environment = run.environment(*given.ism, "dynamic", "cautious", "bayes")
+    record: dict[str, Any] = {"environment": environment, "definitions": __doc__}
     record |= {"drives": open_dataset(given.drives, split="sequences").facts if given.drives else None}
     run.write_record(given.out, record | {"runs": runs, "targets": targets(runs)})
     draw(given.picture, runs, caption(record["environment"]))

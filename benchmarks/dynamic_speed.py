@@ -185,7 +185,7 @@ def main() -> None:
     given = parser.parse_args()
     rounds, count = (2, 300) if given.quick else (given.rounds, given.scans)
     scans = scene()
-    found = run.environment()
+    found = run.environment("ray", "dynamic")
     times = measure(contenders(scans), rounds)
     threads, far = on_two_cores(rounds), long_drive(scans, count)
     record = {

@@ -117,7 +117,7 @@ def main() -> None:
     parser = run.Parser(__doc__, quick=True, rounds=20)
     parser.add_argument("data", type=Path)
     given = parser.parse_args()
-    found = run.environment("lite")
+    found = run.environment(*MODELS, RULE)
     frame = open_dataset(given.data, split="sequences")[50]
     state = frame.truth.crop(SPEC).state
     runner = MethodRunner({name: SingleScanMethod.named(name, SPEC) for name in MODELS}, SPEC)

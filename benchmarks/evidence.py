@@ -43,13 +43,11 @@ def main() -> None:
     parser = run.Parser(__doc__)
     parser.add_argument("--rounds", type=int, default=41, help="repetitions of each measurement (median is quoted)")
     given = parser.parse_args()
-    machine = run.environment()
+    environment = run.environment()
     times = measure({name: Contender(lambda _, task=task: task()) for name, task in tasks().items()}, given.rounds)
     figures = {name: one.median for name, one in times.items()}
     report = {
-        "date": machine["date"].split()[0],
-        "command": "python benchmarks/evidence.py",
-        "machine": machine,
+        "environment": environment,
         "grid": {
             "shape": SHAPE,
             "dtype": "float32",

@@ -25,10 +25,13 @@ from ogm import EvidentialGrid, GridSpec, Mount
 from ogm.evidence import cumulative, dempster, discount, normalized_cautious, yager
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, warp
 from ogm.geometric import RayISM
+from ogm.models import load_model
 from ogm.pose import inverse, pose
+from ogm.scan import InverseSensorModel
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 HEIGHT, POINTS = 1.9, 120_000
+MODELS = ("ray", "combined")
 STEP, TURN, PERIOD = 0.8, 0.01, 0.1  # [m], [rad], [s] from scan to scan: 8 m/s at 10 Hz
 NOTE = (
     "'copy' copies the map, the conflict layers and the scan once each: the bytes that an update reads, and more than "
@@ -56,6 +59,15 @@ def updating(mapper: Any, grid: EvidentialGrid) -> Contender:
     return Contender(step, drive())
 
 
+def mapping(ism: InverseSensorModel, points: NDArray[np.float32]) -> Contender:
+    mapper = EvidentialMapper(SPEC)
+
+    def step(at: tuple[NDArray[np.float64], float]) -> None:
+        mapper.update(ism(points), at[0], stamp=at[1])
+
+    return Contender(step, drive())
+
+
 def by_scipy(grid: EvidentialGrid) -> Contender:
     """Return the common way: a map in the vehicle's frame, interpolated from scan to scan."""
     ahead = drive()
@@ -76,19 +88,15 @@ def by_scipy(grid: EvidentialGrid) -> Contender:
 
 
 def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
-    ism = RayISM(SPEC, Mount(HEIGHT))
-    grid = ism(points)
+    ray, combined = (load_model(name, SPEC, Mount(HEIGHT)) for name in MODELS)
+    grid = ray(points)
     arrays = [(np.zeros_like(grid.mass), np.empty_like(grid.mass)) for _ in range(3)]
 
     def copy(_: None) -> None:
         for source, target in arrays:
             np.copyto(target, source)
 
-    mapper, whole = EvidentialMapper(SPEC), EvidentialMapper(SPEC)
-
-    def stream(at: tuple[NDArray[np.float64], float]) -> None:
-        whole.update(ism(points), at[0], stamp=at[1])
-
+    mapper = EvidentialMapper(SPEC)
     mapper.update(grid, pose(yaw=0.3), stamp=0.0)
     fixed = mapper.grid
     return {
@@ -104,8 +112,9 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
         "view, nearest": Contender(lambda _: mapper.view(SPEC)),
         "view, area": Contender(lambda _: mapper.view(SPEC, method="area")),
         "warp of the map, nearest": Contender(lambda _: warp(fixed, SPEC, pose(1, 2, yaw=0.4), "nearest")),
-        "RayISM": Contender(lambda _: ism(points)),
-        "RayISM + update": Contender(stream, drive()),
+        "RayISM": Contender(lambda _: ray(points)),
+        "RayISM + update": mapping(ray, points),
+        "combined + update": mapping(combined, points),
     }
 
 
@@ -143,7 +152,7 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=10_000, help="of the long drive")
     given = parser.parse_args()
     rounds, scans = (2, 400) if given.quick else (given.rounds, given.scans)
-    found = run.environment()
+    found = run.environment(*MODELS, "cautious", "bayes")
     points = street(POINTS)
     rivals = contenders(points)
     alone = measure({name: rivals[name] for name in ("copy", "update, default")}, rounds)  # with warm caches

@@ -188,7 +188,7 @@ def main() -> None:
     with_patchwork = importlib.util.find_spec("pypatchworkpp") is not None
     if not with_patchwork:
         print(f"left out: {PATCHWORK}: pypatchworkpp is not installed")
-    record = run.environment()
+    record = run.environment("ray")
     record["obstacle_height [m]"] = OBSTACLE_HEIGHT
     record["labelled"], record["boxes"], record["time"] = {}, {}, {}
     for name, (folder, *_) in LABELS.items():

@@ -209,7 +209,7 @@ def main() -> None:
     parser.add_argument("--mcap", action="store_true", help="play it from one MCAP; needs 1.2 GB a minute on disk")
     parser.add_argument("--drive", type=Path, help="a data set or a log with poses in it, at least as long")
     given = parser.parse_args()
-    record, seconds = {"environment": run.environment()}, 60 * given.minutes
+    record, seconds = {"environment": run.environment("combined", "cautious")}, 60 * given.minutes
     with tempfile.TemporaryDirectory(prefix="ogm-live-") as folder:
         drive = given.drive
         if drive is None:

@@ -166,7 +166,7 @@ def main() -> None:
     parser = run.Parser(__doc__, picture=True, quick=True, rounds=5)
     parser.add_argument("--scans", type=int, default=80)
     given = parser.parse_args()
-    found = run.environment()
+    found = run.environment("ray", "cautious")
     with tempfile.TemporaryDirectory() as folder:
         figures = measured(Path(folder), *((5, 1) if given.quick else (given.scans, given.rounds)))
     record = {"environment": found, **figures}

@@ -53,7 +53,7 @@ def scene(rng: np.random.Generator) -> tuple[list[NDArray[np.bool_]], NDArray[np
 def main() -> None:
     parser = run.Parser(__doc__, rounds=30)
     given = parser.parse_args()
-    record: dict[str, Any] = run.environment()
+    record: dict[str, Any] = run.environment("dynamic")
     (now, *before), moving = scene(np.random.default_rng(0))
     earlier = list(zip(before, AGES, strict=True))
     out, copies = np.empty(SHAPE, np.uint8), [mask.copy() for mask in before]

@@ -1,6 +1,6 @@
 """How much of annotated objects in real scans do the models show? Shares predicted occupied, and free, per object.
 
-    python benchmarks/objects.py [--first WEIGHTS] [--real FOLDER]
+    python benchmarks/objects.py [--real FOLDER]
 
 Objects are the boxes of the recordings of `quality` that have 50 returns or more in the scan (van Kempen et al. 2021,
 Sec. IV-B) and lie in the grid as a whole. All cells of a box count, those of the side that no beam met too. Per box and
@@ -9,8 +9,7 @@ scans of a recording (the same track) counts once, with the mean of them. Withou
 
 No weights were chosen by these recordings; one rule of `DeepISM`, on intensities of another calibration, was added
 after a look at KITTI's. There are too few for intervals over drives: numbers of objects and boxes stand beside the
-means. --first compares a network of earlier weights too ("first lite" in the record: lite.safetensors and lite.json
-of ogm/data at commit 6d90c29). Writes benchmarks/results/objects.json; docs/build.py makes a table of it.
+means. Writes benchmarks/results/objects.json; docs/build.py makes a table of it.
 """
 
 import _run as run  # first: it sets the number of threads
@@ -18,7 +17,6 @@ from _recordings import recordings
 
 # isort: split
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -103,13 +101,9 @@ def means(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = run.Parser(__doc__, real=True)
-    parser.add_argument("--first", type=Path, help="weights of another network")
-    given = parser.parse_args()
-    names = {name: name for name in MODELS} | ({} if given.first is None else {"first lite": str(given.first)})
-    methods = {title: SingleScanMethod.named(name, SPEC) for title, name in names.items()}
-    environment = run.environment() | {"weights": run.weights_of(names)}
-    record: dict[str, Any] = {"environment": environment, "sets": {}, "all": {}, "boxes": {}}
+    given = run.Parser(__doc__, real=True).parse_args()
+    methods = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
+    record: dict[str, Any] = {"environment": run.environment(*MODELS), "sets": {}, "all": {}, "boxes": {}}
     every: list[dict[str, Any]] = []
     for name, frames in recordings(given.real):
         if rows := list(boxes_of(frames, methods)):

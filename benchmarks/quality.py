@@ -7,33 +7,35 @@ towns that no training has seen, those of an older and smaller test, and drives 
 
 * in the test towns, single frames, against the whole truth: the models of `deep_quality`, and paper if given; the
   same on OLD, so that figures of earlier versions can be read on;
-* on the drives, against what each frame itself can observe: each of these alone and fused over time by every rule of
-  `ogm evaluate --fused`, with the mappers' defaults, and by plain Dempster (half-life 2 s for everything). All frames
-  are fused, every fifth is evaluated. The rules that run in numpy are left to ray and the networks;
+* on the drives, against what each frame itself can observe: each of these alone and, but for the baselines, fused over
+  time by every rule of `ogm evaluate --fused`, with the mappers' defaults, and by plain Dempster (half-life 2 s for
+  everything). All frames are fused, every fifth is evaluated;
 * on real recordings, labelled cells only: each alone, and fused where there are poses, against truth of later scans.
 
 All by `ogm.metrics`; means over frames with 95 % intervals over drives (`ogm.evaluation.statistics`), none where there
 are fewer than four; every method is compared with height-band and ray frame by frame. Beliefs are compared with how
-often they are right; FOLDER, the runs/quality of an earlier version, adds its `ray` to that picture. Finished frames
-are kept in runs/quality: an interrupted run resumes when it is repeated. Writes benchmarks/results/quality.json and
-docs/pictures/quality*.png (docs/build.py makes tables of the record), and reports in runs/quality, also of the real
-recordings, whose scans may not be passed on. Nothing was chosen by the test data.
+often they are right; FOLDER, the finished frames of an earlier version, adds its `ray` to that picture. Frames are kept
+in runs/quality-DIGEST, that of the models' checksums: an interrupted run resumes when it is repeated. Writes
+benchmarks/results/quality.json and docs/pictures/quality*.png (docs/build.py makes tables of the record), and reports
+beside the frames, also of the real recordings, whose scans may not be passed on. Nothing was chosen by the test data.
 """
 
 import _run as run  # first: it sets the number of threads
 
 # isort: split
 import argparse
+import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from _charts import caption
 from _evaluation_record import beliefs, brief, earlier, published, record_of
-from _quality_methods import all_maps, every, single_scan
+from _quality_methods import MODELS, all_maps, every, single_scan
 from _quality_pictures import by_distance, chosen, maps, papers_figures, recordings, reliability
 from _recordings import real
 from rich.progress import track
@@ -44,11 +46,13 @@ from ogm.evaluation import Evaluation, SingleScanMethod, evaluate, write_report
 from ogm.evaluation.figures import draw_frames, frame_panels
 from ogm.evaluation.frame_pictures import draw_frame
 from ogm.evaluation.text import as_json
+from ogm.evidence.map_rules import BAYES, RULES
 from ogm.metrics import METRICS, ConfusionSums
 
 PAPER = GridSpec.centered()
 DEEP = "lite"  # the shipped network, which is drawn
-DRAWN = ("ray", "lite", "ray + bayes", "ray + cautious", "lite + cautious")  # of the maps
+DEFAULT = "combined + cautious"  # the map of `ogm fuse`
+DRAWN = ("ray", "combined", "combined + bayes", "ray + cautious", DEFAULT)  # of the maps
 QUICK_FRAMES, QUICK_SCANS, QUICK_REAL = 4, 10, ("KITTI, single scans", "SUSTechPOINTS")
 
 
@@ -92,7 +96,7 @@ def pool(job: Job, place: str, folder: Path, result: Evaluation) -> None:
     if job.options.before and (job.options.before / folder.name / "report.json").exists():
         found["ray, before"] = earlier(job.options.before / folder.name, "ray")
     there = job.beliefs.setdefault(place, {})
-    for name in ("height-band", "ray", "ray, before", DEEP):
+    for name in ("height-band", "ray", "ray, before", DEEP, "combined"):
         if name in found:
             there[name] = there[name].plus(found[name]) if name in there else found[name]
 
@@ -153,8 +157,8 @@ def evaluate_drives(job: Job) -> dict[str, Any]:
     result = run_part(job.folder / "drives", dataset, numbers, methods, draw)
     record = record_of(result)
     maps(job.pictures / "quality_maps.png", record, caption(job.facts))
-    title = "Simulated test drives: best, middling and worst frame of lite + cautious"
-    draw_three(job.pictures / "quality_maps_frames.png", title, result, DRAWN, ("lite + cautious", "brier"))
+    title = f"Simulated test drives: best, middling and worst frame of {DEFAULT}"
+    draw_three(job.pictures / "quality_maps_frames.png", title, result, DRAWN, (DEFAULT, "brier"))
     return record
 
 
@@ -188,17 +192,17 @@ def main() -> None:
     parser = run.Parser(__doc__, quick=True, real=True)
     parser.add_argument("--single", type=Path, help="data set of single frames")
     parser.add_argument("--single-old", type=Path, help="data set of single frames of an older test")
-    parser.add_argument("--before", type=Path, help="runs/quality of an earlier version, for the reliability of ray")
+    parser.add_argument("--before", type=Path, help="finished frames of an earlier version, for the reliability of ray")
     parser.add_argument("--split", default="test", help="part of it (default test, for the final figure only)")
     parser.add_argument("--sequences", type=Path, help="data set of drives")
     parser.add_argument("--paper", type=Path, help="weights of a network of the paper's size")
     parser.add_argument("--every", type=int, default=5, help="evaluate every N-th frame of a drive")
     options = parser.parse_args()
-    folder = run.RUNS / ("quality-quick" if options.quick else "quality")
-    pictures = folder if options.quick else run.PICTURES
-
-    record = run.environment(DEEP, *([str(options.paper)] if options.paper else []))
+    record = run.environment(*MODELS, *RULES, BAYES, **({"paper": options.paper} if options.paper else {}))
     record |= {"split": options.split, "metrics": {m: METRICS[m]._asdict() for m in METRICS}}
+    digest = sha256(json.dumps(record["checksums"]).encode()).hexdigest()[:8]
+    folder = run.RUNS / ("quality-quick" if options.quick else f"quality-{digest}")
+    pictures = folder if options.quick else run.PICTURES
     job = Job(options, single_scan(PAPER, options.paper), folder, pictures, dict(record), {})
     parts = {
         "town": evaluate_town if options.single else None,

@@ -281,7 +281,7 @@ def main() -> None:
     parser.add_argument("--fit", action="store_true")
     given = parser.parse_args()
     count = 4 if given.quick else given.frames
-    record: dict[str, Any] = {"environment": run.environment("deep-radar"), "fit": {}, "radars": {}}
+    record: dict[str, Any] = {"environment": run.environment("radar", "deep-radar", "ray"), "fit": {}, "radars": {}}
     if given.out.exists():
         record["fit"] = json.loads(given.out.read_text())["fit"]
     if given.fit:

@@ -193,7 +193,7 @@ def main() -> None:
         drives.append(over_drive(k, given.scans, skies))
         print(k, drives[-1], flush=True)
     record = {
-        "environment": run.environment(),
+        "environment": run.environment("ray", "radar", "dynamic"),
         "visibility in fog [m]": given.visibility,
         "scans of a drive": given.scans,
         "reliability of radar": RELIABILITY,

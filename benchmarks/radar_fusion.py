@@ -186,7 +186,7 @@ def main() -> None:
     columns = {method: {key: [one[key] for one in found] for key in keys} for method, found in rows.items()}
     lidar = columns["lidar"]
     record = {
-        "environment": run.environment(),
+        "environment": run.environment("ray", "radar", "dynamic"),
         "reliability of radar": RELIABILITY,
         "drives": rows,
         "mean": {method: {key: np.nanmean(found[key]) for key in keys} for method, found in columns.items()},

@@ -33,7 +33,7 @@ def main() -> None:
     _quality_pictures.by_distance(PICTURES / "quality_range.png", quality["town"], note)
     _quality_pictures.recordings(PICTURES / "quality_real.png", quality["real"], note)
     _quality_pictures.reliability(PICTURES / "quality_reliability.png", quality["reliability"], note)
-    _quality_pictures.maps(PICTURES / "quality_maps.png", quality["drives"], quality.get("outdated", note))
+    _quality_pictures.maps(PICTURES / "quality_maps.png", quality["drives"], note)
 
 
 if __name__ == "__main__":

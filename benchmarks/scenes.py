@@ -75,7 +75,7 @@ def main() -> None:
     scenes = {name: hand_built_scene(name, options.seed) for name in SCENES}
     ism = RayISM(SPEC)
     masses = {name: ism(scene.scan).mass for name, scene in scenes.items()}
-    record = run.environment() | {"seed": options.seed}
+    record = run.environment("ray") | {"seed": options.seed}
     record["share"] = "of a region's cells with a mass of free, or of occupied, of more than 1/2"
     record["scenes"] = shares(masses, scenes)
     if options.before:

@@ -109,7 +109,7 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=30, help="of each drive, 10 in a second")
     parser.add_argument("--seed", type=int, default=radar_far.PLAN.seed)
     parser.add_argument("--keep", type=Path, default=run.RUNS / "silence")
-    parser.add_argument("--before", type=Path, help="record of an earlier version, to be kept beside")
+    parser.add_argument("--before", type=Path, help="record of an earlier version (default: the one before stays)")
     given = parser.parse_args()
     radar_far.PLAN = replace(radar_far.PLAN, seed=given.seed, radars=())
     drives = [compared(drive(k, given.scans, given.keep)) for k in range(given.drives)]
@@ -118,9 +118,16 @@ def main() -> None:
         for what in drives[0][key]:
             scores = [score(one[key][what]) for one in drives]
             means.setdefault(key, {})[what] = {m: round(float(np.nanmean([s[m] for s in scores])), 4) for m in METRICS}
-    record = {"environment": run.environment(), "drives": given.drives, "scans": given.scans, "seed": given.seed}
+    record = {
+        "environment": run.environment("ray", "dynamic"),
+        "drives": given.drives,
+        "scans": given.scans,
+        "seed": given.seed,
+    }
     if given.before:
         record["before"] = json.loads(given.before.read_text())["means over drives"]
+    elif given.out.is_file():
+        record["before"] = json.loads(given.out.read_text())["before"]
     run.write_record(given.out, record | {"means over drives": means})
 
 

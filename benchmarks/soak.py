@@ -33,6 +33,10 @@ TITLES = {
     "network": "DeepISM lite",
     "serve": "ogm serve",
 }
+MODELS = {  # and maps
+    "ray": ("ray",), "evidential": ("ray", "cautious"), "dynamic": ("ray", "dynamic"), "network": ("lite",),
+    "points": ("ray", "lite"), "streams": ("ray", "cautious", "dynamic", "lite"), "serve": ("combined", "cautious"),
+}  # fmt: skip
 COLOURS = {"ray": "#0072b2", "evidential": "#56b4e9", "dynamic": "#009e73", "network": "#d55e00", "serve": "black"}
 
 
@@ -98,11 +102,15 @@ def merged(path: Path, name: str, part: Mapping[str, Any], environment: Mapping[
         old = json.loads(path.read_text())["parts"]
     except (OSError, ValueError, KeyError):
         old = {}
-    kept = ("command", "date", "commit", "cpu", "cores", "load at start", "weights")
+    kept = ("command", "date", "commit", "cpu", "cores", "load at start", "checksums")
     where = {key: environment[key] for key in kept if key in environment}
     new = {**old, name: {**where, **part}}
     return {
-        "environment": {**environment, "command": "python benchmarks/soak.py"},
+        "environment": {
+            **environment,
+            "command": "python benchmarks/soak.py",
+            "checksums": {},
+        },  # each part has its own
         "parts": {one: new[one] for one in NAMES if one in new},
     }
 
@@ -119,7 +127,7 @@ def main() -> None:
         if failed:
             raise SystemExit(f"did not run to the end: {', '.join(failed)}")
         return
-    environment = run.environment(*(["lite"] if given.only in ("network", "points", "streams") else []))
+    environment = run.environment(*MODELS[given.only])
     found = measured(given.only, given)
     found["verdicts"] = verdicts(given.only, found)
     run.print_verdicts(found["verdicts"])

@@ -250,7 +250,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=9, help="rounds; at least 3 for what takes seconds")
     options = parser.parse_args()
     rounds = 1 if options.quick else options.repeats
-    record = run.environment()
+    record = run.environment("ray", "height-band")
     real = make.real_scans(options.scan) if options.scan or not options.quick else []
     synthetic = {
         size: NamedScan("synthetic street", make.street(*of), STREET_HEIGHT, "made by this benchmark: street()")

@@ -28,7 +28,7 @@ from ogm.state import CellState
 
 SPEC = GridSpec.centered()
 DRIVES = {"KITTI, drive 0005": "kitti_raw_0005", "KITTI, odometry 00": "kitti_odometry_00"}
-MODELS, RULE = ("height-band", "ray", "lite"), "cautious"
+MODELS, RULE = ("height-band", "ray", "lite", "combined"), "cautious"
 KEPT = ("iou_free", "iou_occupied", "false_free", "missed_occupied", "brier")
 
 
@@ -90,7 +90,7 @@ def compared(place: str, frames: int | None) -> dict[str, Any]:
 
 def main() -> None:
     given = run.Parser(__doc__, quick=True).parse_args()
-    record: dict[str, Any] = {"environment": run.environment("lite"), "drives": {}}
+    record: dict[str, Any] = {"environment": run.environment(*MODELS, RULE), "drives": {}}
     for name, place in DRIVES.items():
         if not (run.DATA / place).is_dir():
             print(f"{name} is left out: there is no {place}", file=sys.stderr)

@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     parser.add_argument("--kilometres", type=float, default=20.0, help="length of the long drive (20)")
     options = parser.parse_args()
-    record: dict[str, Any] = run.environment() | {"cells": "512 x 352 of 0.16 m, tiles of 512 x 512"}
+    record: dict[str, Any] = run.environment("ray") | {"cells": "512 x 352 of 0.16 m, tiles of 512 x 512"}
     dataset = open_dataset(options.drives, split="sequences")
     parts = {f"drive-{n}": dataset.select(numbers) for n, numbers in enumerate(dataset.sequences.values())}
     if options.quick:

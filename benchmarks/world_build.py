@@ -65,17 +65,17 @@ def main() -> None:
         base = options.folder or Path(temporary)
         for name in options.only:
             if name == "town":
-                record[name] = run.environment() | town(drives, base, Path(temporary))
+                record[name] = run.environment("ray") | town(drives, base, Path(temporary))
                 with WorldMap.open(base / "town") as world:
                     picture(world, record, options.picture)
             elif name == "workers":
                 chosen = dict(list(drives.items())[: options.workers_drives])
-                record[name] = run.environment() | one_and_two(chosen, Path(temporary))
+                record[name] = run.environment("ray") | one_and_two(chosen, Path(temporary))
             else:
                 with WorldMap.open(base / "town") as world:
                     patch = seen_patch(world)
-                record[name] = run.environment() | many_cells(patch, Path(temporary) / "cells", options.cells)
-            record |= run.environment()
+                record[name] = run.environment("ray") | many_cells(patch, Path(temporary) / "cells", options.cells)
+            record |= run.environment("ray")
             run.write_record(options.out, record)
 
 

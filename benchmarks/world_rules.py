@@ -100,7 +100,7 @@ def main() -> None:
     parser.add_argument("report", type=Path)
     parser.add_argument("--every", type=int, default=1, help="take every N-th scan of FIT (1)")
     options = parser.parse_args()
-    record: dict[str, Any] = run.environment() | {"chosen": CHOSEN}
+    record: dict[str, Any] = run.environment("ray") | {"chosen": CHOSEN}
     with tempfile.TemporaryDirectory() as folder:
         for part, path, every in (("fit", options.fit, options.every), ("report", options.report, 1)):
             found = [prepare(*one, Path(folder)) for one in towns_of(path, every)]

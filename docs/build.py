@@ -3,6 +3,8 @@
     python docs/build.py            # writes docs/results.md and fills the marked tables of other pages
     python docs/build.py --check    # writes nothing; exit code 1 if a page differs from its record
 
+Both list the records that are outdated, with the commands that measure them again (`record_tables.outdated`).
+
 A marked table stands between ``<!-- name -->`` and ``<!-- /name -->``. Every number comes from
 ``benchmarks/results/*.json``, which the command named beside the table writes.
 """
@@ -21,7 +23,7 @@ from dynamic_tables import dynamic_tables
 from evidence_tables import evidence_tables
 from quality_tables import quality_tables
 from radar_tables import far_tables, fusion_tables, radar_tables
-from record_tables import link, record, table, with_source
+from record_tables import RESULTS, link, mark, marked, outdated, record, table, verdicts, with_source
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
 from world_tables import build_tables, cost_tables, rule_tables, world_tables
@@ -35,9 +37,8 @@ def section(title: str, name: str, *parts: str) -> str:
     facts = found.get("environment", found)
     cpu = re.sub(r"\((R|TM)\)| Processor| @.*", "", facts["cpu"])
     cores = "1 core" if facts["cores used"] == 1 else f"{facts['cores used']} cores"
-    made = f"*`{facts['command']}`, {facts['date'].split()[0]}, {cpu}, {cores}; {link(name)}.*"
-    outdated = [f"**Outdated:** {found['outdated']}"] if "outdated" in found else []
-    return "\n\n".join([f"## {title}", *parts, made, *outdated])
+    made = f"*`{facts['command']}`, {facts['date'].split()[0]}, {cpu}, {cores}; {link(name)}.*{mark(name)}"
+    return "\n\n".join([f"## {title}", *parts, made])
 
 
 # --- One table each -------------------------------------------------------------------------------------
@@ -129,14 +130,14 @@ def coverage() -> str:
             found = [one[what] for one in column if one["shape"] in of]
             cells.append(f"{100 * min(found):.1f}–{100 * max(found):.1f}")
         rows.append([title, *cells])
-    return table(["[%]", *heads], rows)
+    return marked("interval_coverage", table(["[%]", *heads], rows))
 
 
 def results() -> str:
     """Return the page of results."""
     boxes = (
         "Cells of an annotated object with a mass above 1/2, means over objects with 50 returns or more. The hidden "
-        "side counts. `first lite`: the weights up to commit 6d90c29. No weights were chosen by these recordings."
+        "side counts. No weights were chosen by these recordings."
     )
     parts = [
         "# Results",
@@ -155,16 +156,10 @@ def results() -> str:
         section(
             "Ground estimates, labelled returns not used while parameters were chosen", "ground", geometric.ground()
         ),
-        section(
-            "Maps over time, 12 simulated test drives",
-            "fusion_quality",
-            *("Behind `RayISM`:", maps.fusion("maps")),
-            *("Behind the first generation of `lite`:", maps.fusion("maps behind lite")),
-        ),
-        section("Maps over time, a real drive", "fusion_real", "First generation of `lite`.", maps.fusion_real()),
+        section("Maps over time, 12 simulated test drives", "fusion_quality", maps.fusion()),
         section("Time of a map update", "fusion_speed", maps.fusion_speed()),
         section("Time of logs", "logs", maps.logs()),
-        section("Live, 10 minutes at 10 Hz", "live", maps.live()),
+        section("Live, 10 minutes at 10 Hz", "live", verdicts("live", "`ogm serve`, a viewer receives all")),
         section("Truth of the simulator", "truth_modes", truth_modes()),
         section("Cost of simulated samples", "simulation", simulation()),
     ]
@@ -194,19 +189,19 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": deep.headline()},
     "docs/lite.md": lambda: {"results": deep.headline()},
     "docs/deep.md": lambda: {"heads": deep.deep_heads(), "training": deep.deep_training(), "combined": deep.combined()},
-    "docs/dynamic.md": lambda: {"dynamic": with_source("dynamic", *dynamic_tables(record("dynamic")))},
+    "docs/dynamic.md": lambda: {
+        "dynamic": with_source("dynamic", *dynamic_tables(record("dynamic"))),
+        "speed": with_source("dynamic_speed", verdicts("dynamic_speed", "one core, 512 x 352 cells")),
+    },
     "docs/evidence.md": lambda: evidence_tables(record("evidence")),
     "docs/fusion.md": lambda: {
-        "simulated": "\n\n".join(
-            f"Behind {model}:\n\n{maps.fusion(part, maps.MAIN_MAPS, maps.MAIN_COLUMNS)}"
-            for model, part in (("`RayISM`", "maps"), ("`lite`", "maps behind lite"))
-        ),
-        "real": maps.fusion_real(("Yager", "cumulative", "matched", "Brier")),
+        "simulated": with_source("fusion_quality", maps.fusion(maps.MAIN_MAPS, maps.MAIN_COLUMNS)),
+        "speed": maps.fusion_speed_sentences(),
     },
     "docs/geometric.md": lambda: {
         "calibration": geometric.calibration(),
         "silence": geometric.silence(),
-        "steps": geometric.steps(),
+        "steps": marked("scenes", geometric.steps()),
         "time": geometric.speed_steps(),
     },
     "docs/project.md": lambda: {"pythons": pythons()},
@@ -218,7 +213,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     },
     "docs/reliability.md": reliability_tables,
     "docs/reproduction.md": lambda: (
-        sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed")))
+        sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed", "objects")))
         | {"losses": deep.losses_of_the_paper(), "divergence": deep.divergences()}
     ),
     "docs/simulation.md": lambda: {"data_store": with_source("data_store", *data_store_tables(record("data_store")))},
@@ -226,7 +221,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "world": with_source("world", *world_tables(record("world"))),
         "rules": with_source("world_rules", *rule_tables(record("world_rules"))),
         "build": with_source("world_build", *build_tables(record("world_build"))),
-        "cost": "\n\n".join(cost_tables(record("world"), record("world_build"))),
+        "cost": marked("world", "\n\n".join(cost_tables(record("world"), record("world_build")))),
     },
     "docs/evaluation.md": lambda: {"metrics": metrics(), "coverage": coverage()},
 }
@@ -246,6 +241,10 @@ def main() -> int:
             differing.append(name)
             if not check:
                 path.write_text(text, encoding="utf-8")
+    for place in sorted(RESULTS.glob("*.json")):
+        if why := outdated(place.stem):
+            found = record(place.stem)
+            print(f"outdated: {place.stem}: {why} `{found.get('environment', found)['command']}`")
     print(f"{'differing' if check else 'written'}: {', '.join(differing) or 'none'}")
     return int(check and bool(differing))
 

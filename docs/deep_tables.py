@@ -1,10 +1,13 @@
 """Tables of the learned models: quality, losses, heads, training, combination, time."""
 
 from collections.abc import Mapping
+from typing import Any
 
-from record_tables import change, record, table, with_source
+from record_tables import change, marked, record, table, with_source
 
-MODELS = ("height-band", "ray", "lite")  # the released baseline predicts no cell: docs/quality.md
+MODELS = {  # and titles in the README; the released baseline predicts no cell: docs/quality.md
+    "height-band": "paper's baseline", "ray": "`RayISM`", "lite": "`lite`", "combined": "**`combined`, the default**",
+}  # fmt: skip
 QUALITY = (
     *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
     *("ece", "ece_relative", "auroc_unknown", "mean_unknown", "kl_e10"),
@@ -17,18 +20,23 @@ OLD_EXTENT = "100 frames of 10 drives in 1 town"  # of records that do not say i
 
 
 def headline() -> str:
-    """Return the table of the README: three models on the simulated test drives."""
+    """Return the table of the README: the models on the simulated test drives."""
     means = record("deep_quality")["models"]
     titles = {
         "brier": "Brier score ↓", "iou_free": "IoU free ↑", "iou_occupied": "IoU occupied ↑",
         "false_free": "occupied cells predicted free ↓", "auroc_unknown": "finding unknown cells (AUROC) ↑",
     }  # fmt: skip
-    models = ("height-band", "ray", "lite")
+    models = _models(means)
     rows = [
         [title, *(f"{means[model]['macro'][metric]['value']:.3f}" for model in models)]
         for metric, title in titles.items()
     ]
-    return table([extent(), "paper's baseline", "`RayISM`", "`lite`"], rows)
+    return marked("deep_quality", table([extent(), *(MODELS[model] for model in models)], rows))
+
+
+def _models(recorded: Mapping[str, Any]) -> list[str]:
+    """Return the models that a record has, in the order of the tables."""
+    return [model for model in MODELS if model in recorded]
 
 
 def extent() -> str:
@@ -71,17 +79,17 @@ def combined() -> str:
 def deep_quality() -> str:
     """Return means over frames of all models on the test frames."""
     found = record("deep_quality")
-    rows = []
+    models, rows = _models(found["models"]), []
     for metric in QUALITY:
         facts = found["metrics"][metric]
         arrow = {"lower": " ↓", "higher": " ↑"}.get(facts["better"] or "", "")
         cells = []
-        for model in MODELS:
+        for model in models:
             one = found["models"][model]["macro"][metric]
             ends = "" if one["low"] is None else f"\xa0({one['low']:.3f}–{one['high']:.3f})"
             cells.append(f"{one['value']:.3f}{ends}")
         rows.append([f"{facts['title']}{arrow}", *cells])
-    return table(["mean (95 %)", *(f"`{model}`" for model in MODELS)], rows)
+    return table(["mean (95 %)", *(f"`{model}`" for model in models)], rows)
 
 
 def deep_targets() -> str:
@@ -100,13 +108,13 @@ def deep_occupied() -> str:
         "participants": "traffic participants with 50 returns or more",
         "thick": "all else, where 3 x 3 cells fit", "thin": "all else, thinner (kerbs, fences, poles, edges)",
     }  # fmt: skip
-    rows = []
+    models, rows = _models(found), []
     for kind, title in kinds.items():
         for state in ("free", "occupied"):
-            key = next(name for name in found[MODELS[0]][kind] if name.endswith(state))
-            shares = (100 * found[model][kind][key] for model in MODELS)
+            key = next(name for name in found[models[0]][kind] if name.endswith(state))
+            shares = (100 * found[model][kind][key] for model in models)
             rows.append([f"{title}: {state}", *(f"{share:.1f} %" for share in shares)])
-    return table(["occupied cells, predicted", *(f"`{model}`" for model in MODELS)], rows)
+    return table(["occupied cells, predicted", *(f"`{model}`" for model in models)], rows)
 
 
 def deep_losses() -> str:
@@ -131,7 +139,7 @@ def losses_of_the_paper() -> str:
         "auroc_unknown": "AUROC unknown", "ece": "ECE", "kl_e10": "KL, E = 10",
     }  # fmt: skip
     rows = [[title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)] for name, title in names.items()]
-    return table(["", *metrics.values()], rows)
+    return marked("deep_losses", table(["", *metrics.values()], rows))
 
 
 def divergences() -> str:
@@ -149,15 +157,14 @@ def divergences() -> str:
             cells.append(f"{found['models'][other]['macro'][metric]['value']:.3f}")
             cells.append(f"{found['paired'][f'lite against {other}'][metric]['wins']:.0f}")
         rows.append([title, *cells])
-    return table(
-        ["mean, and frames that `lite` wins", "`lite`", "baseline, evidence 10", "", "baseline as released", ""], rows
-    )
+    heads = ["mean, and frames that `lite` wins", "`lite`", "baseline, evidence 10", "", "baseline as released", ""]
+    return marked("deep_quality", table(heads, rows))
 
 
 def objects() -> str:
     """Return the shares of annotated real objects that the models predict occupied, and free."""
     found = record("objects")
-    models = ("height-band", "ray", "first lite", "lite", "combined")
+    models = _models(found["all"]["all"]["models"])
     sets = found["sets"] | {name if name == "all" else f"all, {name}": one for name, one in found["all"].items()}
     rows = []
     for name, one in sets.items():
@@ -216,8 +223,9 @@ def deep_speed() -> str:
     rows += [
         ["scans per second", *(f"{one['scans per second']:.3g}" for one in networks)],
         ["share of the time outside convolutions", *(f"{one['share outside convolutions']:.0%}" for one in networks)],
-        ["`RayISM`, `HeightBandISM` in the same run", f"{ms('RayISM')}, {ms('HeightBandISM')}", ""],
     ]
+    models = {"RayISM": "`RayISM`", "HeightBandISM": "`HeightBandISM`", "CombinedISM": "**`combined`, the default**"}
+    rows += [[f"{title} in the same run", ms(name), ""] for name, title in models.items() if name in times]
     networks_table = table(["57,600 points, two cores", "`lite`", "`paper`"], rows)
     return f"{networks_table}\n\n{deep_engines(found)}" if "differences in mass" in found else networks_table
 

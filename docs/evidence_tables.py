@@ -11,7 +11,7 @@ __all__ = ["evidence_tables", "of_other_library", "times_per_grid"]
 
 def evidence_tables(record: Mapping[str, Any]) -> dict[str, str]:
     """Return the tables of times, and of times in multiples of copies, by the names of their markers."""
-    times, machine = times_per_grid(record), record["machine"]
+    times, machine = times_per_grid(record), record["environment"]
     rules = [name.removeprefix("numpy ") for name in times if name.startswith("numpy") and name.count(" ") == 1]
     rows = []
     for name in rules:
@@ -22,7 +22,7 @@ def evidence_tables(record: Mapping[str, Any]) -> dict[str, str]:
         fastest = "{:,.0f} ({})".format(*min(others)) if others else ""
         rows.append([f"`{name}`", f"{times[f'numpy {name}']:.1f}", f"{numba:.2f}" if numba else "", fastest])
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
-    note = f"{machine['cpu']}, one core, {record['date']}; {versions}; `{record['command']}`."
+    note = f"{machine['cpu']}, one core, {machine['date'].split()[0]}; {versions}; `{machine['command']}`."
     copies = [times[name] for name in ("copy", "copy of half")]
     multiples = [
         [task.replace(" with discount", ""), f"{ms:.2f}", *(f"{ms / copy:.2f}" for copy in copies)]

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from record_tables import percent, table, value
+from record_tables import marked, percent, table, value
 
 __all__ = ["quality_tables"]
 
@@ -20,7 +20,9 @@ HEIGHTS = {"": "0.05 m", "from10_": "0.10 m", "from50_": "0.50 m"}
 RANGE = {"iou_occupied": 3, "false_free": 3, "missed_occupied": 3, "free_recall_1": 3}
 DRIVES = ("brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "free_recall_1", "mean_unknown")
 MEMORY = ("brier", "iou_occupied", "false_free")
-FUSED = tuple(f"{model}{rule}" for model in ("ray", "lite") for rule in ("", " + cautious", " + dempster", " + bayes"))
+FUSED = tuple(
+    f"{model}{rule}" for model in ("ray", "lite", "combined") for rule in ("", " + cautious", " + dempster", " + bayes")
+)
 REAL = ("brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "mean_unknown")
 
 
@@ -43,12 +45,11 @@ def quality_tables(record: Record) -> dict[str, str]:
         )
     if drives := record.get("drives"):
         shown = _maps(drives)
-        note = f" **Outdated:** {record['outdated']}" if "outdated" in record else ""
-        found["drives"] = f"{_extent(drives)}{note}\n\n{_list(shown, DRIVES, titles)}"
+        found["drives"] = f"{_extent(drives)}\n\n{_list(shown, DRIVES, titles)}"
         found["memory"] = _memory(drives, shown, titles)
     if real := record.get("real"):
         found |= {"real": _real(real, "alone", titles), "real-fused": _real(real, "fused", titles)}
-    return found
+    return {name: marked("quality", text) for name, text in found.items()}
 
 
 def _extent(part: Record) -> str:
@@ -89,7 +90,7 @@ def _list(models: Record, metrics: Sequence[str], titles: Titles) -> str:
 def _reversed(models: Record) -> list[str]:
     """Return pairs, the best models first."""
     names = list(models)
-    order = [name for name in ("paper", "lite", "ray") if name in names]
+    order = [name for name in ("paper", "combined", "lite", "ray") if name in names]
     return [f"{name} against {other}" for name in order for other in ("ray", "height-band") if name != other]
 
 

@@ -1,12 +1,14 @@
-"""Records of the benchmarks, and tables and figures of them in Markdown."""
+"""Records of the benchmarks, whether they are outdated, and tables and figures of them in Markdown."""
 
 import json
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+RESULTS = BENCHMARKS / "results"
 LINKS = "../benchmarks/results"  # of the pages in docs/
 
 
@@ -25,6 +27,45 @@ def find_record(name: str) -> Any:
     return record(name) if (RESULTS / f"{name}.json").is_file() else None
 
 
+def outdated(name: str) -> str:
+    """Return why a record does not describe the shipped models, or "" if it does.
+
+    A record is outdated if one of its models, or the map of one of its rules, has another fingerprint today, or if it
+    has none: see `environment` in benchmarks/_run.py. Models with weights of their own are not compared.
+    """
+    found = list(_environments(record(name)))
+    if any("checksums" not in one for one in found):
+        return "measured before records held checksums of models."
+    recorded = {(model, tuple(facts["fingerprint"])) for one in found for model, facts in one["checksums"].items()}
+    if not recorded:
+        return ""
+    sys.path.append(str(BENCHMARKS))
+    from _fingerprints import SHIPPED, same
+
+    changed = sorted({f"`{model}`" for model, numbers in recorded if model in SHIPPED and not same(model, numbers)})
+    return f"since then the results of {', '.join(changed)} have changed." if changed else ""
+
+
+def _environments(part: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Yield the environments of a record of benchmarks/: its own, and those of its parts."""
+    if str(part.get("command")).startswith("python benchmarks/"):
+        yield part
+    for one in part.values():
+        if isinstance(one, Mapping):
+            yield from _environments(one)
+
+
+def mark(name: str) -> str:
+    """Return the mark of an outdated record, for the end of a line; "" if it is not."""
+    why = outdated(name)
+    return f" **Outdated:** {why}" if why else ""
+
+
+def marked(name: str, text: str) -> str:
+    """Return a table with the mark of its record below it."""
+    return f"{text}\n\n{mark(name).strip()}".strip()
+
+
 def table(head: Sequence[object], rows: Iterable[Sequence[object]], left: int = 1) -> str:
     """Return a table in Markdown; the first `left` columns are text, the others are numbers."""
     rule = f"|{'---|' * left}{'---:|' * (len(head) - left)}"
@@ -35,18 +76,31 @@ def _row(cells: Sequence[object]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
+def verdicts(name: str, head: str) -> str:
+    """Return the table of the limits of a record, reached or missed."""
+    rows = [
+        [
+            one["what"],
+            f"{one['got']:.3g} {one['unit']}".strip(),
+            f"{one['wanted']:g}",
+            "" if one["met"] else "**missed**",
+        ]
+        for one in record(name)["verdicts"]
+    ]
+    return table([head, "measured", "limit", ""], rows)
+
+
 def with_source(name: str, *parts: str) -> str:
     """Return tables and texts with the source of the record below them."""
     return "\n\n".join([*parts, source(name)])
 
 
 def source(name: str) -> str:
-    """Return command, date and machine of a record, a link to it, and the reason why it is outdated."""
+    """Return command, date and machine of a record, a link to it, and its mark if it is outdated."""
     found = record(name)
     facts = found.get("environment", found)
     machine = f"{facts['cpu']}, {facts['cores used']} of {facts['cores']} cores"
-    outdated = f" **Outdated:** {found['outdated']}" if "outdated" in found else ""
-    return f"*`{facts['command']}`, {facts['date'].split()[0]}, {machine}; {link(name)}.*{outdated}"
+    return f"*`{facts['command']}`, {facts['date'].split()[0]}, {machine}; {link(name)}.*{mark(name)}"
 
 
 def link(name: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
 
-from record_tables import find_record, link, table
+from record_tables import find_record, link, mark, table
 
 __all__ = ["reliability_tables"]
 
@@ -60,7 +60,7 @@ def _source(record: Mapping[str, Any], name: str) -> str:
     cores = f"{found['cores']} cores" if "cores" in found else None
     words = [found.get("date", "").split(" ")[0], found.get("cpu"), cores]
     words = [f"`{found['command']}`" if "command" in found else None, *words]
-    return f"*{', '.join(filter(None, words))}; {link(name)}.*"
+    return f"*{', '.join(filter(None, words))}; {link(name)}.*{mark(name)}"
 
 
 def _inputs(record: Mapping[str, Any]) -> list[str]:

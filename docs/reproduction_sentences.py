@@ -3,29 +3,31 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from record_tables import percent, value
+from record_tables import mark, percent, value
 
 __all__ = ["sentences"]
 
 Record = Mapping[str, Any]
-CLASSICAL, DEFAULTS, DEMPSTER = "classical Bayes", "cautious, dynamic decay, 0.04 s", "Dempster, 2 s"
+CLASSICAL, DEFAULTS, DEMPSTER = "classical Bayes", "EvidentialMapper, default", "Dempster, 2 s"
 MEAN, RATIO = "mean and 95 % interval", "ratio to the classical filter"
 
 
-def sentences(quality: Record, deep: Record, fusion: Record, speed: Record) -> dict[str, str]:
+def sentences(quality: Record, deep: Record, fusion: Record, speed: Record, objects: Record) -> dict[str, str]:
     """Return all sentences by the names of their markers.
 
     Parameters
     ----------
-    quality, deep, fusion, speed : dict
-        Records of `quality`, `deep_quality`, `fusion_quality` and `deep_speed`.
+    quality, deep, fusion, speed, objects : dict
+        Records of `quality`, `deep_quality`, `fusion_quality`, `deep_speed` and `objects`.
     """
-    found = _sentences_of_models(deep) | {"ghosts": _sentence_of_ghosts(fusion), "speed": _sentence_of_speed(speed)}
-    if quality.get("town"):
-        found |= _sentences_of_town(quality["town"])
-    if quality.get("real"):
-        found["quality: real"] = _sentence_of_real(quality["real"])
-    return found
+    found = {
+        "deep_quality": _sentences_of_models(deep),
+        "fusion_quality": {"ghosts": _sentence_of_ghosts(fusion)},
+        "deep_speed": {"speed": _sentence_of_speed(speed)},
+        "objects": {"objects": _sentence_of_objects(objects["all"]["all"])},
+        "quality": _sentences_of_town(quality["town"]) | {"quality: real": _sentence_of_real(quality["real"])},
+    }
+    return {key: text + mark(name) for name, texts in found.items() for key, text in texts.items()}
 
 
 def _sentences_of_models(record: Record) -> dict[str, str]:
@@ -66,23 +68,37 @@ def _sentences_of_models(record: Record) -> dict[str, str]:
 
 
 def _sentence_of_ghosts(record: Record) -> str:
-    maps = record["maps"]
+    maps = record["maps"]["ray"]
     area = {name: maps[name][MEAN]["ghost_area"][0] for name in (CLASSICAL, DEMPSTER, DEFAULTS)}
     free = {name: maps[name][MEAN]["static_false_free"][0] for name in area}
-    ratio, old = (_ratio(maps[DEFAULTS][RATIO][what]) for what in ("ghost_area", "ghost_1s"))
     return (
-        f"Ghosts per moving object: classical filter {area[CLASSICAL]:.2f} m², Dempster's rule {area[DEMPSTER]:.2f}, "
-        f"default rule {area[DEFAULTS]:.2f},\n{ratio} the filter's; older than 1 s {old}. The default rule has "
-        f"{100 * (1 - free[DEFAULTS] / free[CLASSICAL]):.0f} %\nfewer occupied cells at P < 1/4."
+        f"Behind `RayISM`, ghosts per moving object: classical filter {area[CLASSICAL]:.2f} m², Dempster's rule "
+        f"{area[DEMPSTER]:.2f}, default rule {area[DEFAULTS]:.2f},\n{_ratio(maps[DEFAULTS][RATIO]['ghost_area'])} the "
+        f"filter's. The default rule has {100 * (1 - free[DEFAULTS] / free[CLASSICAL]):.0f} %\nfewer occupied cells at "
+        "P < 1/4."
+    )
+
+
+def _sentence_of_objects(record: Record) -> str:
+    names = {"lite": "`lite`", "combined": "`combined`", "ray": "`RayISM`", "height-band": "the baseline"}
+    shares = (
+        f"{title} {100 * one['occupied']:.1f} and {100 * one['free']:.1f} %"
+        for name, title in names.items()
+        for one in [record["models"][name]]
+    )
+    return (
+        f"Of the cells under {record['objects']} annotated objects, hidden sides included, predicted occupied and "
+        f"free\n([by set](results.md#objects-in-real-scans)): {', '.join(shares)}."
     )
 
 
 def _sentence_of_speed(record: Record) -> str:
     times = {name: f"{one['median']:.3g} ms" for name, one in record["times [ms]"].items()}
-    lite, paper = (f"{record['summary'][name]['scans per second']:.3g}" for name in ("lite", "paper"))
+    shipped = 1000 / record["times [ms]"]["lite by onnxruntime"]["median"]
     return (
         f"- **Ours** (`{record['command']}`, [table](results.md#time-of-the-network)): on two CPU cores, points to "
-        f"grid, `lite`\n  {lite} scans per second, the network of the paper's size {paper}; baseline "
+        f"grid, `lite`\n  {shipped:.3g} scans per second by ONNX Runtime, the network of the paper's size "
+        f"{record['summary']['paper']['scans per second']:.3g} by torch; baseline "
         f"{times['HeightBandISM']}, `RayISM` {times['RayISM']}. No GPU was measured."
     )
 
