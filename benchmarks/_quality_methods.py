@@ -7,7 +7,7 @@ from ogm import GridSpec
 from ogm.datasets import Dataset
 from ogm.evaluation import FusedMethod, SingleScanMethod
 from ogm.evidence import dempster
-from ogm.evidence.map_rules import BAYES, RULES
+from ogm.evidence.map_rules import BAYES, REVISE, RULES
 from ogm.fusion import EvidentialMapper, rolling_window
 
 BASELINE = "height-band"
@@ -36,7 +36,7 @@ def all_maps(models: dict[str, SingleScanMethod], spec: GridSpec, quick: bool = 
     for name, one in models.items():
         if name.startswith(BASELINE):
             continue
-        for rule in ("cautious", "dempster", BAYES) if quick else (*RULES, BAYES):
+        for rule in (REVISE, "dempster", BAYES) if quick else (*RULES, BAYES):
             result[f"{name} + {rule}"] = FusedMethod.by_rule(name, one.model, rule, spec)
         result[f"{name} + {PLAIN}"] = FusedMethod(
             one.model,

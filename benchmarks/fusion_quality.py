@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from ogm import EvidentialGrid
 from ogm.datasets import Dataset, open_dataset
 from ogm.evaluation import mean_interval, ratio_interval
-from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, yager
+from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, pcr6, yager
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, map_scans
 from ogm.metrics import accumulate, score
 from ogm.models import load_model
@@ -45,7 +45,7 @@ from ogm.state import CellState
 INF, EVERY = float("inf"), 5  # EVERY: frames from one comparison with a frame's own truth to the next
 EVEN = 1e-4  # how near to 1/2 a probability is neither
 SCAN, BAYES, DEFAULT = "scan alone", "classical Bayes", "EvidentialMapper, default"
-RULES = ("cautious", "dempster", "yager", "cumulative")
+RULES = ("revise", "cautious", "dempster", "yager", "pcr6", "cumulative")
 MATCHED = (0.02 / 1.02, 1 / 1.02)  # the plausibilities that min_unknown = 0.02 allows
 
 
@@ -71,21 +71,29 @@ def evidential(*arguments: Any, **options: Any) -> Callable[[], EvidentialMapper
     return lambda: EvidentialMapper(WINDOW, *arguments, **{"moving_half_life": INF, **options})
 
 
+class Combined(EvidentialMapper):
+    """One map of the combined masses, where the mapper would fuse each model by itself."""
+
+    def update(self, grid: EvidentialGrid, *arguments: Any, **options: Any) -> None:
+        """Fuse the masses of a grid without its parts."""
+        super().update(EvidentialGrid.trusted(grid.spec, grid.mass), *arguments, **options)
+
+
 MAPS: dict[str, Callable[[], Any]] = {
     SCAN: ScanAlone,
     BAYES: lambda: BinaryBayesMapper(WINDOW),
     DEFAULT: lambda: EvidentialMapper(WINDOW),
+    "revise, models combined before": lambda: Combined(WINDOW),
+    "cautious, 2 s": lambda: EvidentialMapper(WINDOW, normalized_cautious, moving_half_life=0.04),
+    "cautious, 2 s, models combined before": lambda: Combined(WINDOW, normalized_cautious, moving_half_life=0.04),
     "Dempster, 2 s": evidential(dempster, 2.0),
-    "Dempster, dynamic decay 0.5 s": evidential(dempster, 2.0, moving_half_life=0.5),
-    "Dempster, evidence fades, 0.5 s": evidential(dempster, 0.5, discounting=discount_evidence),
+    "Yager, 2 s": evidential(yager, 2.0),
+    "PCR6, 2 s": evidential(pcr6, 2.0),
+    "cumulative, 1 s": evidential(cumulative, 1.0),
+    "cumulative, evidence fades, 0.5 s": evidential(cumulative, 0.5, discounting=discount_evidence),
     "Bayes by plausibility, limits as Dempster, 0.5 s": lambda: BinaryBayesMapper(
         WINDOW, 0.5, match="plausibility", limits=MATCHED
     ),
-    "Yager, never forgets": evidential(yager, INF),
-    "cumulative, 1 s": evidential(cumulative, 1.0),
-    "cumulative, dynamic decay 0.2 s": evidential(cumulative, 2.0, moving_half_life=0.2),
-    "cumulative, evidence fades, 0.5 s": evidential(cumulative, 0.5, discounting=discount_evidence),
-    "cautious, 1 s": evidential(normalized_cautious, 1.0),
 }
 
 
@@ -94,7 +102,7 @@ def evaluate_map(
 ) -> tuple[dict[str, float], NDArray[np.float64]]:
     """Run a map over a drive; return its scores, and how many cells that were left are ghosts by age, (51, 2)."""
     static, views = np.zeros((2, 6)), []
-    ages, body, shown, ghosts = np.zeros((MEMORY + 1, 2)), np.zeros(2), np.zeros(2), 0
+    ages, body, shown, ghosts = np.zeros((MEMORY + 1, 2)), np.zeros(3), np.zeros(2), 0
     for k, (frame, grid) in enumerate(zip(drive.frames, grids, strict=True)):
         mapper.update(grid, drive.poses[k], stamp=frame.stamp)
         now = mapper.grid
@@ -112,7 +120,11 @@ def evaluate_map(
         for column, kept in enumerate((trail.touched, trail.touched & (p > 0.5 + EVEN))):
             ages[:, column] += np.bincount(trail.age[kept], minlength=MEMORY + 1)
         p = _probability(now, drive, trail.covered, offset)
-        body += len(p), np.count_nonzero(p > 0.5 + EVEN)
+        body += (
+            len(p),
+            np.count_nonzero(p > 0.5 + EVEN),
+            np.count_nonzero(_masses(now, drive, trail.covered, offset)[:, 0] > 0.5),
+        )
         shown += np.count_nonzero(trail.since == 0), np.count_nonzero(p[trail.since == 0] > 0.5 + EVEN)
         if k % EVERY == EVERY - 1:
             state = frame.truth.crop(PAPER).state
@@ -129,8 +141,9 @@ def evaluate_map(
         "ghost_share": ages[5:, 1].sum() / max(ages[5:, 0].sum(), 1),
         "appears": shown[1] / max(shown[0], 1),
         "body_recall": body[1] / max(body[0], 1),
+        "body_free": body[2] / max(body[0], 1),
     }
-    for name in ("iou_free_known", "iou_occupied_known", "brier", "ece"):
+    for name in ("nll", "false_free", "iou_free_known", "iou_occupied_known", "brier", "ece"):
         scores[f"view_{name}"] = np.nanmean([one[name] for one in views])
     return {name: float(value) for name, value in scores.items()}, ages
 
@@ -138,9 +151,15 @@ def evaluate_map(
 def _probability(
     grid: EvidentialGrid, drive: Drive, cells: NDArray[np.int64], offset: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    ix, iy = np.divmod(cells, drive.spec.shape[1])
-    mass = grid.mass[ix - offset[0], iy - offset[1]].astype(np.float64)
+    mass = _masses(grid, drive, cells, offset)
     return mass[:, 1] + 0.5 * (1 - mass.sum(axis=1))
+
+
+def _masses(
+    grid: EvidentialGrid, drive: Drive, cells: NDArray[np.int64], offset: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    ix, iy = np.divmod(cells, drive.spec.shape[1])
+    return grid.mass[ix - offset[0], iy - offset[1]].astype(np.float64)
 
 
 def draw(path: Path, ages: dict[str, NDArray[np.float64]], rows: dict[str, Any], note: str) -> None:
@@ -194,7 +213,7 @@ def summarize(values: dict[str, Any], ages: dict[str, Any]) -> dict[str, Any]:
 def main() -> None:
     parser = run.Parser(__doc__, picture=True)
     parser.add_argument("drives", type=Path)
-    parser.add_argument("--ism", nargs="+", default=["ray", "lite", "combined"])
+    parser.add_argument("--ism", nargs="+", default=["ray", "combined"])
     parser.add_argument("--first", type=int, help="take the first N drives")
     given = parser.parse_args()
     dataset = open_dataset(given.drives, split="sequences")

@@ -10,18 +10,22 @@ TITLES = {  # of maps; the others keep the names of the record
 }
 MAIN_MAPS = (  # those that docs/fusion.md compares
     *("scan alone", "classical Bayes", "EvidentialMapper, default", "Dempster, 2 s"),
-    *("Bayes by plausibility, limits as Dempster, 0.5 s", "Yager, never forgets", "cumulative, 1 s"),
-    "cumulative, evidence fades, 0.5 s",
+    *("cautious, 2 s, models combined before", "cautious, 2 s", "Yager, 2 s", "PCR6, 2 s"),
+    *("cumulative, 1 s", "Bayes by plausibility, limits as Dempster, 0.5 s"),
 )
-MAIN_COLUMNS = ("static_iou_occupied", "static_false_free", "appears", "body_recall", "view_ece")
+MAIN_COLUMNS = ("view_nll", "view_false_free", "view_iou_occupied_known", "body_free", "view_ece")
 MAP_COLUMNS = {
-    "static_iou_occupied": "IoU occupied",
+    "static_iou_occupied": "IoU of static occupied",
     "static_false_free": "false free (P < 1/4)",
     "static_brier": "Brier",
     "static_known": "known and right",
     "ghost_area": "ghosts [m²]",
     "appears": "new obstacle seen at once",
     "body_recall": "moving cells occupied",
+    "body_free": "moving cells free",
+    "view_nll": "log loss",
+    "view_false_free": "false free",
+    "view_iou_occupied_known": "IoU occupied",
     "view_ece": "ECE",
 }
 
