@@ -166,6 +166,8 @@ class Dataset(Sequence[Frame]):
         for n, k in enumerate(self._numbers):
             place = (float(stamps[n]), poses[n]) if known[n] else (None, None)
             frames[k] = FrameRef(frames[k].name, sequence, *place)
-        recording = copy(self.recording)
+        recording = copy(self.recording)  # also without the heights and levels that were found without these poses
+        vars(recording).clear()
+        vars(recording).update(self.recording.__getstate__())
         recording.frames, recording.facts = tuple(frames), {**self.facts, **facts}
         return Dataset(recording, *self._truth_options, self._numbers, trajectory)

@@ -18,8 +18,8 @@ from ogm import io
 from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
 from ogm.grid import GridSpec
 from ogm.io import Axes
-from ogm.io.scan import plausible_sensor_height
-from ogm.pose import pose
+from ogm.io.ground_plane import MAX_INCLINE, SIDES, ground_plane, ground_side, plausible_sensor_height
+from ogm.pose import levelling, pose, rotate, tilt_of
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
 from ogm.storage.files import OgmError
@@ -27,6 +27,8 @@ from ogm.storage.files import OgmError
 _HEIGHTS = 5  # scans of a sequence whose median is the height of its sensor
 _KEPT = 64  # scans in memory: some 2 MB each
 _UNREADABLE = (ValueError, TypeError, OSError)
+_LEVEL = np.radians(2.0)  # [rad] of tilt that no pose needs to undo
+_MARGIN = np.radians(1.0)  # [rad] by which the ground must be more level without the tilt of the poses
 
 
 class OpenOptions(NamedTuple):
@@ -164,7 +166,7 @@ class Recording(ABC):
 
     def estimate_height(self, n: int) -> float | None:
         """Return the height of the sensor above ground [m] by one scan, or None if it shows no ground."""
-        return io.estimate_sensor_height(self.read(n).scan.points)
+        return io.estimate_sensor_height(self.levelled_points(n))
 
     def truth(self, n: int) -> Truth:
         """Return the truth of a frame; for recordings with a known truth."""
@@ -194,8 +196,48 @@ class Recording(ABC):
         height, position, place = self.height(n), self.sensor_position, self.place(n)
         if position is not None:
             return Mount(height, pose(*position), points_in="vehicle")
-        x, y = place.origin
-        return Mount(height, pose(x, y, height, yaw=place.yaw), place.ego_footprint)  # type: ignore[arg-type]
+        T = pose(*place.origin, height, yaw=place.yaw)
+        T[:3, :3] = T[:3, :3] @ self.levelling(n)
+        return Mount(height, T, place.ego_footprint)  # type: ignore[arg-type]
+
+    def levelling(self, n: int) -> NDArray[np.float64]:
+        """Return the rotation by which the pose of a frame levels its points, (3, 3).
+
+        Identity where the dataset states the axes of the points, and where the ground in the scans is more level
+        without the tilt of the poses: that of the road.
+        """
+        ref = self.frames[n]
+        if ref.T_map_sensor is None or self.known_axes or not self._levelled(ref.sequence or ref.name):
+            return np.eye(3)
+        return levelling(ref.T_map_sensor)
+
+    def levelled_points(self, n: int) -> NDArray[np.float32]:
+        """Return the points of a scan, (N, 4), turned by `levelling`."""
+        points, R = self.raw(n).scan.points, self.levelling(n)
+        if np.array_equal(R, np.eye(3)):
+            return points
+        return np.column_stack([rotate(R, points[:, :3].T).T, points[:, 3:]]).astype(np.float32)
+
+    @cached_property
+    def _levelled(self) -> Callable[[str], bool]:
+        return lru_cache(None)(self._is_levelled)
+
+    def _is_levelled(self, group: str) -> bool:
+        """Return whether the poses of a group tell the tilt of its scans: by the ground in some of them."""
+        poses = {k: T for k in self.groups[group] if (T := self.frames[k].T_map_sensor) is not None}
+        tilted = [k for k, T in poses.items() if tilt_of(T) > _LEVEL]
+        gains = []
+        for k in _sample(tilted):
+            try:
+                points = self.raw(k).scan.points
+            except _UNREADABLE:
+                continue
+            before, after = (
+                np.pi if (plane := ground_plane(turned)) is None else plane.incline
+                for turned in (points, rotate(levelling(poses[k]), points[:, :3].T).T)
+            )
+            gains.append(before - after)
+        return bool(tilted) and (not gains or float(np.median(gains)) >= -_MARGIN)
 
     def height(self, n: int) -> float:
         """Return the height of the sensor above ground [m]: given, stated, or the median of some scans' estimates."""
@@ -211,9 +253,10 @@ class Recording(ABC):
     def _median_height(self, group: str, sensor: str) -> float:
         members = [k for k in self.groups[group] if self.place(k).name == sensor]
         estimates, failed = [], ""
-        for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
+        for k in _sample(members):
             try:
-                estimates.append(self.estimate_height(members[k]))
+                estimates.append(self.estimate_height(k))
+                failed = failed or ("" if estimates[-1] is not None else why_no_height(self.levelled_points(k)))
             except _UNREADABLE as error:
                 failed = f" ({error})"
         if not (heights := [height for height in estimates if height is not None]):
@@ -247,6 +290,29 @@ class ScanFiles(Recording):
     def read(self, n: int) -> RawFrame:
         """Read a scan from its file."""
         return RawFrame(io.read_scan(self.scans[n], self.axes, **self.units))
+
+
+def why_no_height(points: NDArray[np.float32]) -> str:
+    """Return the reason why points do not tell the sensor's height, in brackets; "" where they show no ground at all.
+
+    Parameters
+    ----------
+    points : (N, 4) float32
+    """
+    plane = ground_plane(points)
+    if plane is not None and plane.incline > MAX_INCLINE:
+        return (
+            f" (the ground is inclined by {np.degrees(plane.incline):.0f} degrees: the sensor is tilted, and neither "
+            "transforms from base_link nor poses tell it; `ogm check --write vehicle.yaml` estimates it for --sensors)"
+        )
+    axes = ground_side(points) if plane is None else None
+    return f" (the ground lies {SIDES[axes]} the sensor: give axes, --axes={axes})" if axes else ""
+
+
+def _sample(numbers: Sequence[int]) -> list[int]:
+    """Return up to five numbers, evenly spaced."""
+    rows = np.unique(np.round(np.linspace(0, len(numbers) - 1, _HEIGHTS)).astype(int)) if numbers else []
+    return [numbers[k] for k in rows]
 
 
 def _absolute(value: Any) -> Any:
