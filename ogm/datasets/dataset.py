@@ -80,7 +80,7 @@ class Dataset(Sequence[Frame]):
         k = self._numbers[n]
         recording, boxes, truth = self.recording, partial(self._motion.boxes, k), partial(self._moving_truth, k)
         ref = recording.frames[k]._asdict()
-        return LazyFrame(partial(recording.scan, k), partial(recording.mount, k), boxes, truth, **ref)
+        return LazyFrame(partial(recording.scan, k), partial(recording.used_mount, k), boxes, truth, **ref)
 
     def _moving_truth(self, k: int) -> Truth:
         """Return the truth of a frame; its motion is found at the first access."""

@@ -7,6 +7,7 @@ A dataset is added by a subclass in a module of its own, as in `ogm.datasets.sus
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from ogm import io
 from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
+from ogm.datasets.sensor_setup import SensorSetup, setup_of
 from ogm.grid import GridSpec
 from ogm.io import Axes
 from ogm.io.ground_plane import MAX_INCLINE, SIDES, ground_plane, ground_side, plausible_sensor_height
@@ -46,6 +48,7 @@ class OpenOptions(NamedTuple):
     truth: tuple[str, ...] = ()
     topic: tuple[str, ...] = ()
     sensors: tuple[str, ...] = ()
+    setups: tuple[SensorSetup, ...] = ()
 
 
 class Recording(ABC):
@@ -112,6 +115,7 @@ class Recording(ABC):
     shards: NDArray[np.int64] | None = None
     sensor_height: float | None = None  # [m] given by the user
     sensor_position: tuple[float, float, float] | None = None  # [m] given by the user
+    setups: tuple[SensorSetup, ...] = ()  # given by the user
 
     def __init__(self, path: Any, frames: Sequence[FrameRef], name: str = "") -> None:
         times = Counter(ref.name for ref in frames)  # some datasets count the frames of each sequence from 0
@@ -176,6 +180,10 @@ class Recording(ABC):
         """Return whether a frame may have a truth, without reading it."""
         return True
 
+    def setup(self, n: int) -> SensorSetup:
+        """Return what the user states of the sensor of a frame."""
+        return setup_of(self.setups, "")
+
     # --- What all formats share ----------------------------------------------------------------------
 
     def scan(self, n: int) -> Scan:
@@ -208,7 +216,8 @@ class Recording(ABC):
         """
         ref = self.frames[n]
         if ref.T_map_sensor is None or self.known_axes or not self._levelled(ref.sequence or ref.name):
-            return np.eye(3)
+            T = None if self.known_axes else self.setup(n).T_vehicle_sensor
+            return np.eye(3) if T is None else T[:3, :3]
         return levelling(ref.T_map_sensor)
 
     def levelled_points(self, n: int) -> NDArray[np.float32]:
@@ -239,11 +248,18 @@ class Recording(ABC):
             gains.append(before - after)
         return bool(tilted) and (not gains or float(np.median(gains)) >= -_MARGIN)
 
+    def used_mount(self, n: int) -> Mount:
+        """Return the mount of the sensor with the ego footprint that the user states."""
+        mount, footprint = self.mount(n), self.setup(n).ego_footprint
+        return mount if footprint is None else replace(mount, ego_footprint=footprint)
+
     def height(self, n: int) -> float:
         """Return the height of the sensor above ground [m]: given, stated, or the median of some scans' estimates."""
         ref, place = self.frames[n], self.place(n)
         if self.sensor_height is not None:
             return self.sensor_height + place.above_first
+        if (stated := self.setup(n).sensor_height) is not None:
+            return stated
         return self._height(ref.sequence or ref.name, place.name) if place.height is None else place.height
 
     @cached_property
@@ -268,8 +284,9 @@ class Recording(ABC):
         return plausible_sensor_height(height, f"{group} in {self.path}")
 
     def _read_without_ego(self, n: int) -> RawFrame:
-        raw = self.read(n)
-        return raw if self.ego_footprint is None else raw.without(self.ego_footprint)
+        raw, setup = self.read(n), self.setup(n)
+        raw = setup.limit(raw, self.sensor_position or (0.0, 0.0, 0.0))
+        return raw if self.ego_footprint is None else raw.without(setup.ego_footprint or self.ego_footprint)
 
 
 class ScanFiles(Recording):
@@ -278,8 +295,8 @@ class ScanFiles(Recording):
     Attributes
     ----------
     scans : list of Path
-    units : mapping of str to float
-        Given ``intensity_max`` and ``time_unit``.
+    units : mapping of str to number
+        Given ``intensity_max``, ``time_unit`` and ``origin`` of `ogm.io.read_scan`.
     """
 
     def __init__(self, path: Path, scans: Sequence[tuple[FrameRef, Path]], name: str = "") -> None:
@@ -288,8 +305,14 @@ class ScanFiles(Recording):
         self.units: Mapping[str, Any] = {}
 
     def read(self, n: int) -> RawFrame:
-        """Read a scan from its file."""
-        return RawFrame(io.read_scan(self.scans[n], self.axes, **self.units))
+        """Read a scan from its file; with an origin, points in map coordinates come to the sensor by its pose."""
+        T = self.frames[n].T_map_sensor if "origin" in self.units else None
+        if T is None:
+            return RawFrame(io.read_scan(self.scans[n], self.axes, **self.units))
+        scan = io.read_scan(self.scans[n], self.axes, **{**self.units, "origin": T[:3, 3]})
+        points = scan.points.copy()
+        points[:, :3] = rotate(T[:3, :3].T, points[:, :3].T).T
+        return RawFrame(replace(scan, points=points, no_returns=None))
 
 
 def why_no_height(points: NDArray[np.float32]) -> str:
@@ -311,8 +334,9 @@ def why_no_height(points: NDArray[np.float32]) -> str:
 
 def _sample(numbers: Sequence[int]) -> list[int]:
     """Return up to five numbers, evenly spaced."""
-    rows = np.unique(np.round(np.linspace(0, len(numbers) - 1, _HEIGHTS)).astype(int)) if numbers else []
-    return [numbers[k] for k in rows]
+    if not numbers:
+        return []
+    return [numbers[k] for k in np.unique(np.round(np.linspace(0, len(numbers) - 1, _HEIGHTS)).astype(int))]
 
 
 def _absolute(value: Any) -> Any:
