@@ -101,6 +101,11 @@ class Dataset(Sequence[Frame]):
         chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
         return chosen
 
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Numbers of the frames in the recording."""
+        return self._numbers
+
     def describe(self) -> dict[str, str]:
         """Return format, frames, poses, stamps and truth as names and values to print; no scan is read."""
         stamps = [ref.stamp for ref in self.refs if ref.stamp is not None]

@@ -144,6 +144,18 @@ class LogScans:
             T[numbers[known]] = self.transforms.lookup(sensor, frame, self.stamps[numbers[known]])[0]
         return T if pairs else None
 
+    def frame_notes(self, placed: bool) -> list[tuple[str, str]]:
+        """Return topics whose points are not in their sensor's frame, each with the way out ("" for none)."""
+        notes = []
+        for topic, ref in {ref.topic: ref for ref in self.refs}.items():
+            if ref.cloud != ref.frame and not placed:
+                text = f"the points of {topic} are in {ref.cloud}: rays start at {ref.frame}, by transforms"
+                notes.append((text, ""))
+            elif not placed and self.transforms.vehicle_frame(ref.frame) == ref.frame:
+                text = f"the points of {topic} are in {ref.cloud}, the vehicle's frame: rays start at its origin"
+                notes.append((text, "--sensor-position X Y Z is the place of the sensor there, 0 0 0 for its origin"))
+        return notes
+
     def known_place(self) -> str:
         """Return the sensor's frame and its place in base_link in words; "" where it is not known, or the same."""
         frame = self.refs[0].frame

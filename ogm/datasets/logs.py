@@ -67,6 +67,7 @@ class LogRecording(Recording):
             poses = poses @ pose(*position)
         super().__init__(path, scans.frame_refs(poses), scans.name)
         self._moves = scans.T_sensor_cloud
+        self.warnings, self.frame_notes = tuple(scans.warnings), scans.frame_notes(position is not None)
         self.log, self.files, self._scans = scans.log, list(scans.log.paths), scans.refs
         self.axes, self._units, self.format = options.axes, options.units, f"log, {scans.log.format}"
         self.facts = {"format": scans.log.format, "frames": len(scans.refs), "topics": list(scans.topics), **facts}

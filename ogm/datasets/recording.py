@@ -90,6 +90,10 @@ class Recording(ABC):
     known_axes, known_height, known_mount, known_truth : bool
         Whether the dataset states its axes and units, the sensor's height, its whole mount, the truth itself. The user
         cannot choose axes, mounts and truths that are known.
+    warnings : sequence of str
+        Damage that was found when the recording was opened.
+    frame_notes : sequence of (str, str)
+        What is unusual about the frames of the points, and the way out, "" where nothing need be done.
     shards : (len(frames),) int array or None
         Shard of each frame in an object store, where reading a shard costs little more than reading a frame.
     own_options : tuple of str
@@ -112,6 +116,8 @@ class Recording(ABC):
     known_height: bool = False
     known_truth: bool = False
     own_options: ClassVar[tuple[str, ...]] = ()
+    warnings: Sequence[str] = ()
+    frame_notes: Sequence[tuple[str, str]] = ()
     shards: NDArray[np.int64] | None = None
     sensor_height: float | None = None  # [m] given by the user
     sensor_position: tuple[float, float, float] | None = None  # [m] given by the user

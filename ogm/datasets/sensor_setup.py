@@ -21,7 +21,7 @@ _MOUNT = ("x", "y", "z", "roll", "pitch", "yaw")
 _HEAD = (
     "# Sensors of a vehicle, for --sensors of ogm map, fuse, serve, evaluate and world build. Metres and degrees;\n"
     "# every line but topic can be left out. mount: place in base_link; footprint: x_min, x_max, y_min, y_max of the\n"
-    "# vehicle around the sensor; range: nearest and greatest; leave_out: sectors of view to the left of x, from and to.\n"
+    "# vehicle around the sensor; range: nearest and greatest; leave_out: sectors of view, angles to the left.\n"
 )
 
 

@@ -1,0 +1,114 @@
+"""The ego vehicle in the scans of a drive: cells with returns that move with the sensor."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.datasets.frames import Footprint
+from ogm.workflows.findings import Finding, counted
+
+_SIDE = 0.1  # [m] of a cell
+_REACH = 6.0  # [m] around the sensor
+_WAY = 2.0  # [m] that the vehicle must move before anything is known
+_OFTEN = 0.9  # of the scans
+_LOW = 0.15  # [m] above ground, from which on returns are of things
+_MARGIN = 0.1  # [m] around the cells of the vehicle
+_FEWEST = 3  # scans; and cells of an obstacle
+
+
+class EgoChecks:
+    """Cells around the sensor that hold returns, counted over scans of a drive."""
+
+    def __init__(self) -> None:
+        self.cells = round(2 * _REACH / _SIDE)
+        self.scans = np.zeros((self.cells, self.cells), np.int64)
+        self.masks: list[NDArray[np.bool_]] = []
+        self.places: list[NDArray[np.float64]] = []
+
+    def add(self, points: NDArray[np.floating], height: float, place: NDArray[np.float64]) -> None:
+        """Add a scan.
+
+        Parameters
+        ----------
+        points : (N, 3 or more) float
+            In level axes around the sensor [m].
+        height : float
+            Of the sensor above ground [m].
+        place : (2,) float64
+            Position of the sensor on the map [m].
+        """
+        near = (np.abs(points[:, :2]) < _REACH).all(axis=1) & (points[:, 2] > _LOW - height)
+        near &= points[:, 2] < max(1.0, height)
+        cell = ((points[near, :2] + _REACH) / _SIDE).astype(np.int64)
+        mask = np.zeros((self.cells, self.cells), np.bool_)
+        mask[cell[:, 0], cell[:, 1]] = True
+        self.scans += mask
+        self.masks.append(mask)
+        self.places.append(place)
+
+    @property
+    def moved(self) -> bool:
+        """Whether the vehicle moved far enough to tell its own returns."""
+        return len(self.places) >= _FEWEST and float(np.ptp(self.places, axis=0).max()) >= _WAY
+
+    def _ego(self) -> NDArray[np.bool_]:
+        """Return the cells that move with the vehicle; groups that reach farther than `_REACH` are walls."""
+        often = self.scans >= math.ceil(_OFTEN * len(self.masks))
+        border = np.zeros_like(often)
+        border[[0, -1], :] = border[:, [0, -1]] = True
+        wide = _grown(often)
+        walls = border & wide
+        while True:
+            larger = _grown(walls) & wide
+            if (larger == walls).all():
+                return often & ~walls
+            walls = larger
+
+    def footprint(self) -> Footprint | None:
+        """Return the rectangle of the cells that move with the vehicle [m]; None if unknown, 0 0 0 0 without such."""
+        if not self.moved:
+            return None
+        rows, columns = np.nonzero(self._ego())
+        if not len(rows):
+            return 0.0, 0.0, 0.0, 0.0
+        x, y = rows * _SIDE - _REACH, columns * _SIDE - _REACH
+        box = x.min() - _MARGIN, x.max() + _SIDE + _MARGIN, y.min() - _MARGIN, y.max() + _SIDE + _MARGIN
+        return tuple(round(float(edge), 2) for edge in box)  # type: ignore[return-value]
+
+    def findings(self, used: Footprint) -> Iterator[Finding]:
+        """Yield what the footprint that is used misses, and what it hides.
+
+        Parameters
+        ----------
+        used : (x_min, x_max, y_min, y_max)
+            Around the sensor [m].
+        """
+        box = self.footprint()
+        if box is None:
+            return
+        way = "--ego-footprint {:g} {:g} {:g} {:g}".format(*box)
+        inside, ego = self._inside(used), self._ego()
+        if outside := np.count_nonzero(ego & ~inside):
+            text = (
+                f"{outside} cells with returns outside of the footprint move with the vehicle: obstacles that follow it"
+            )
+            yield Finding("wrong map", "ego returns", text, way)
+        hidden = sum(np.count_nonzero(mask & inside & ~_grown(ego)) >= _FEWEST for mask in self.masks)
+        if hidden:
+            size = f"{used[1] - used[0]:.1f} m x {used[3] - used[2]:.1f} m"
+            text = f"obstacles within the footprint of {size} are dropped in {counted(hidden, len(self.masks))}"
+            yield Finding("wrong map", "ego footprint", text, way)
+
+    def _inside(self, box: Footprint) -> NDArray[np.bool_]:
+        middle = (np.arange(self.cells) + 0.5) * _SIDE - _REACH
+        along, across = (middle > box[0]) & (middle < box[1]), (middle > box[2]) & (middle < box[3])
+        return along[:, None] & across[None, :]
+
+
+def _grown(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return cells with their eight neighbours."""
+    padded = np.pad(cells, 1)
+    n, m = cells.shape
+    return np.logical_or.reduce([padded[i : i + n, j : j + m] for i in range(3) for j in range(3)])
