@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 from typer import Argument, Option
 
 from ogm.cli import options
@@ -44,10 +43,10 @@ def check(
     for one in checks:
         if len(checks) > 1:
             out.print(one.name, markup=False)
-        table = Table(box=None, show_header=False, pad_edge=False)
         for finding in one.findings:
-            table.add_row(finding.severity, finding.kind, finding.text, finding.way)
-        out.print(table, markup=False)
+            way = f"\n{'':11}-> {finding.way}" if finding.way else ""
+            line = f"{finding.severity:9}  {finding.kind}: {finding.text}{way}"
+            out.print(line, markup=False, soft_wrap=True)
     if write is not None:
         write_setups(write, [one.setup for one in checks])
         out.print(f"written {write}", markup=False, soft_wrap=True)

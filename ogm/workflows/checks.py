@@ -124,9 +124,8 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
             if plane is not None and T is not None and recording.sensor_position is None:
                 ego.add(points, plane.height, T[:2, 3])
     findings = [*check_frames(dataset), *found.findings(), *_sensor_findings(dataset, readable, found, ego)]
-    return DriveCheck(
-        dataset.refs[0].sequence or dataset.name, by_severity(findings), _estimated(recording, found, ego)
-    )
+    name = dataset.refs[0].sequence or dataset.name
+    return DriveCheck(name, by_severity(findings), _estimated(recording, found, ego))
 
 
 def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, ego: EgoChecks) -> Iterator[Finding]:

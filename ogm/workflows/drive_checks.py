@@ -14,12 +14,14 @@ from ogm.workflows.findings import Finding, counted, listed
 
 _UNREAD = (  # types of range measurements that are not read
     "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan", "sensor_msgs/msg/PointCloud",
-    "sensor_msgs/msg/Range", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg", "hesai_ros_driver/msg/UdpFrame",
-    "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets", "pandar_msgs/msg/PandarScan",
+    "sensor_msgs/msg/Range", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg",
+    "hesai_ros_driver/msg/UdpFrame", "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets",
+    "pandar_msgs/msg/PandarScan",
 )  # fmt: skip
 _GAP = 1.5  # intervals between two scans, above which some are missing
 _LONG = 2.0  # [s] gap that transforms are not interpolated over
 _SPEED = 70.0  # [m/s] that no vehicle exceeds, as mappers have it
+_LEVEL = math.radians(2)
 _STEEP = math.radians(15)  # beyond the slope of any road
 
 
@@ -76,16 +78,26 @@ def _check_jumps(dataset: Dataset) -> Iterator[Finding]:
 
 
 def check_tilt_of_poses(dataset: Dataset, numbers: list[int]) -> Iterator[Finding]:
-    """Yield a finding where poses tilt more than any road after the mount has levelled their scans."""
-    tilts = []
+    """Yield findings about scans that are levelled, and about poses that tilt more than any road afterwards.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    numbers : list of int
+        Frames that can be read.
+    """
+    tilts, used = [], []
     for n in numbers:
         frame = dataset[n]
         if frame.T_map_sensor is not None:
             T = np.eye(4)
             T[:3, :3] = frame.T_map_sensor[:3, :3] @ frame.mount.T_vehicle_sensor[:3, :3].T
             tilts.append(tilt_of(T))
+            used.append(tilt_of(frame.mount.T_vehicle_sensor))
+    if used and (tilt := float(np.median(used))) > _LEVEL:
+        yield Finding("note", "tilt", f"scans are levelled by {np.degrees(tilt):.0f} degrees, by their poses or mount")
     if tilts and (tilt := float(np.median(tilts))) > _STEEP:
-        text = f"the poses tilt the sensor by {np.degrees(tilt):.0f} degrees, but the ground in its scans is level"
+        text = f"the poses tilt the vehicle by {np.degrees(tilt):.0f} degrees, but the ground in its scans is level"
         yield Finding("wrong map", "tilt", text, "poses need a frame with z up: --frame, or --axes for files")
 
 
@@ -98,11 +110,8 @@ def check_topics(log: LogReader, used: tuple[str, ...]) -> Iterator[Finding]:
     used : tuple of str
         Topics whose scans are checked.
     """
-    others = [
-        name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and name not in used and facts.count
-    ]
-    if others:
+    filled = {name: facts.type for name, facts in log.topics.items() if facts.count}
+    if others := [name for name, kind in filled.items() if kind in SCAN_TYPES and name not in used]:
         yield Finding("note", "topics", f"scans of {listed(others)} are left out", f"--topic {others[0]}")
-    unread = [f"{name} ({facts.type})" for name, facts in log.topics.items() if facts.type in _UNREAD and facts.count]
-    if unread:
+    if unread := [f"{name} ({kind})" for name, kind in filled.items() if kind in _UNREAD]:
         yield Finding("note", "topics", f"{listed(unread)} cannot be read")

@@ -91,9 +91,7 @@ class EgoChecks:
         way = "--ego-footprint {:g} {:g} {:g} {:g}".format(*box)
         inside, ego = self._inside(used), self._ego()
         if outside := np.count_nonzero(ego & ~inside):
-            text = (
-                f"{outside} cells with returns outside of the footprint move with the vehicle: obstacles that follow it"
-            )
+            text = f"{outside} cells with returns outside of the footprint move with the vehicle"
             yield Finding("wrong map", "ego returns", text, way)
         hidden = sum(np.count_nonzero(mask & inside & ~_grown(ego)) >= _FEWEST for mask in self.masks)
         if hidden:

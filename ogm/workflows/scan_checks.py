@@ -88,17 +88,13 @@ class ScanChecks:
             return
         usual = median(self.points)
         if few := sum(one < _FEW * usual for one in self.points) if usual else self.count:
-            yield Finding(
-                "lost data", "points", f"{counted(few, self.count)} with less than a tenth of the usual points"
-            )
+            yield Finding("lost data", "points", f"{counted(few, self.count)} have less than a tenth of the usual ones")
         if self.repeated:
             text = f"{counted(self.repeated, self.count)} with the points of the one before"
             yield Finding("lost data", "duplicates", text)
         yield from self._check_ranges()
         if self.planar > self.count / 2:
-            text = (
-                "the scans are planar: without ground in view, walls beyond 4 m per metre of sensor height may be free"
-            )
+            text = "scans are planar, without ground: walls farther than 4 m per metre of sensor height may be free"
             yield Finding("wrong map", "ground", text, "--ism height-band, for sensors from 0.5 m above ground")
         if self.dark == self.count:
             yield Finding("note", "intensities", "all are the same, so that models cannot use them")
