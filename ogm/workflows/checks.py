@@ -11,7 +11,6 @@ import numpy as np
 from ogm.datasets import Dataset, SensorSetup, open_dataset
 from ogm.datasets.log_scans import SCAN_TYPES
 from ogm.datasets.logs import is_log
-from ogm.datasets.recording import Recording
 from ogm.io.logs import open_log
 from ogm.storage.files import OgmError, error_text
 from ogm.workflows.drive_checks import check_frames, check_tilt_of_poses, check_topics
@@ -98,8 +97,9 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
     """
     every = np.arange(len(dataset))
     numbers = every if scans is None else np.unique(np.linspace(0, len(dataset) - 1, scans).round().astype(int))
-    examined = np.unique(np.linspace(0, len(numbers) - 1, _GROUND).round().astype(int)) if len(numbers) else numbers
-    examined = set(numbers[examined].tolist())
+    examined = (
+        set(numbers[np.linspace(0, len(numbers) - 1, _GROUND).round().astype(int)].tolist()) if len(every) else set()
+    )
     recording, rows = dataset.recording, dataset.numbers
     stamps = np.unique([ref.stamp for ref in dataset.refs if ref.stamp is not None])
     found = ScanChecks(float(np.median(np.diff(stamps))) if len(stamps) > 1 else math.nan)
@@ -125,7 +125,7 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
                 ego.add(points, plane.height, T[:2, 3])
     findings = [*check_frames(dataset), *found.findings(), *_sensor_findings(dataset, readable, found, ego)]
     name = dataset.refs[0].sequence or dataset.name
-    return DriveCheck(name, by_severity(findings), _estimated(recording, found, ego))
+    return DriveCheck(name, by_severity(findings), _estimated(findings, found, ego))
 
 
 def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, ego: EgoChecks) -> Iterator[Finding]:
@@ -146,11 +146,12 @@ def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, eg
     yield from check_tilt_of_poses(dataset, numbers)
     x, y = mount.origin[:2] if mount.points_in == "sensor" else (0.0, 0.0)
     x0, x1, y0, y1 = mount.ego_footprint
-    yield from ego.findings((x0 - x, x1 - x, y0 - y, y1 - y))
+    yield from ego.findings((x0 - x, x1 - x, y0 - y, y1 - y), recording.ego_footprint)
 
 
-def _estimated(recording: Recording, found: ScanChecks, ego: EgoChecks) -> SensorSetup:
-    """Return the setup of a sensor as its scans show it."""
+def _estimated(findings: Sequence[Finding], found: ScanChecks, ego: EgoChecks) -> SensorSetup:
+    """Return the setup of a sensor as its scans show it; without a footprint where that in use is right."""
+    kinds = {finding.kind for finding in findings}
     planes = [plane for plane in found.planes if plane is not None]
     roll, pitch = found.tilt()
     tilted = math.acos(math.cos(roll) * math.cos(pitch)) > math.radians(3)
@@ -159,7 +160,7 @@ def _estimated(recording: Recording, found: ScanChecks, ego: EgoChecks) -> Senso
     return SensorSetup(
         sensor_height=height,
         mount=(0.0, 0.0, 0.0, roll, pitch, 0.0) if tilted else None,
-        ego_footprint=ego.footprint(),
+        ego_footprint=ego.footprint() if kinds & {"ego returns", "ego footprint"} else None,
         max_range=math.inf if farthest is None else farthest,
         max_range_no_echo=farthest is not None,
     )

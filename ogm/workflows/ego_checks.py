@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from ogm.datasets.frames import Footprint
 from ogm.workflows.findings import Finding, counted
 
-_SIDE = 0.1  # [m] of a cell
+_SIDE = 0.2  # [m] of a cell
 _REACH = 6.0  # [m] around the sensor
 _WAY = 2.0  # [m] that the vehicle must move before anything is known
-_OFTEN = 0.9  # of the scans
+_OFTEN, _SELDOM = 0.9, 0.5  # of the scans
+_FALL = 1.5  # cells of a group at `_SELDOM` for one at `_OFTEN`
 _LOW = 0.15  # [m] above ground, from which on returns are of things
 _MARGIN = 0.1  # [m] around the cells of the vehicle
 _FEWEST = 3  # scans; and cells of an obstacle
@@ -54,17 +55,32 @@ class EgoChecks:
         return len(self.places) >= _FEWEST and float(np.ptp(self.places, axis=0).max()) >= _WAY
 
     def _ego(self) -> NDArray[np.bool_]:
-        """Return the cells that move with the vehicle; groups that reach farther than `_REACH` are walls."""
-        often = self.scans >= math.ceil(_OFTEN * len(self.masks))
-        border = np.zeros_like(often)
-        border[[0, -1], :] = border[:, [0, -1]] = True
-        wide = _grown(often)
-        walls = border & wide
-        while True:
-            larger = _grown(walls) & wide
-            if (larger == walls).all():
-                return often & ~walls
-            walls = larger
+        """Return the cells that move with the vehicle.
+
+        What stands still and fills a cell in most scans is longer than the way: it reaches the border of the area
+        that the way crosses, or the share of scans falls off along it.
+        """
+        reach = min(_REACH, float(np.ptp(self.places, axis=0).max()) / 2)
+        half = round(min(reach, _REACH) / _SIDE)
+        area = np.s_[self.cells // 2 - half : self.cells // 2 + half, self.cells // 2 - half : self.cells // 2 + half]
+        scans = self.scans[area]
+        often, seldom = (scans >= math.ceil(share * len(self.masks)) for share in (_OFTEN, _SELDOM))
+        ego, left = np.zeros_like(self.scans, np.bool_), {(int(i), int(j)) for i, j in np.argwhere(seldom)}
+        while left:
+            group = [left.pop()]
+            waiting = list(group)
+            while waiting:
+                i, j = waiting.pop()
+                around = {(i + a, j + b) for a in (-1, 0, 1) for b in (-1, 0, 1)} & left
+                left -= around
+                group += around
+                waiting += around
+            kept = [cell for cell in group if often[cell]]
+            at_border = any(not 0 < index < 2 * half - 1 for cell in group for index in cell)
+            if not at_border and len(group) <= _FALL * len(kept) + 2:
+                for i, j in kept:
+                    ego[area][i, j] = True
+        return ego
 
     def footprint(self) -> Footprint | None:
         """Return the rectangle of the cells that move with the vehicle [m]; None if unknown, 0 0 0 0 without such."""
@@ -77,24 +93,28 @@ class EgoChecks:
         box = x.min() - _MARGIN, x.max() + _SIDE + _MARGIN, y.min() - _MARGIN, y.max() + _SIDE + _MARGIN
         return tuple(round(float(edge), 2) for edge in box)  # type: ignore[return-value]
 
-    def findings(self, used: Footprint) -> Iterator[Finding]:
+    def findings(self, used: Footprint, also: Footprint | None = None) -> Iterator[Finding]:
         """Yield what the footprint that is used misses, and what it hides.
 
         Parameters
         ----------
         used : (x_min, x_max, y_min, y_max)
             Around the sensor [m].
+        also : (x_min, x_max, y_min, y_max), optional
+            Returns in it are dropped, too.
         """
         box = self.footprint()
         if box is None:
             return
         way = "--ego-footprint {:g} {:g} {:g} {:g}".format(*box)
         inside, ego = self._inside(used), self._ego()
-        if outside := np.count_nonzero(ego & ~inside):
+        dropped = inside if also is None else inside | self._inside(also)
+        if outside := np.count_nonzero(ego & ~dropped):
             text = f"{outside} cells with returns outside of the footprint move with the vehicle"
             yield Finding("wrong map", "ego returns", text, way)
-        hidden = sum(np.count_nonzero(mask & inside & ~_grown(ego)) >= _FEWEST for mask in self.masks)
-        if hidden:
+        others = inside & ~_grown(_grown(ego))
+        hidden = sum(int(np.count_nonzero(mask & others)) >= _FEWEST for mask in self.masks)
+        if hidden > 1:
             size = f"{used[1] - used[0]:.1f} m x {used[3] - used[2]:.1f} m"
             text = f"obstacles within the footprint of {size} are dropped in {counted(hidden, len(self.masks))}"
             yield Finding("wrong map", "ego footprint", text, way)
@@ -109,4 +129,5 @@ def _grown(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return cells with their eight neighbours."""
     padded = np.pad(cells, 1)
     n, m = cells.shape
-    return np.logical_or.reduce([padded[i : i + n, j : j + m] for i in range(3) for j in range(3)])
+    grown: NDArray[np.bool_] = np.logical_or.reduce([padded[i : i + n, j : j + m] for i in range(3) for j in range(3)])
+    return grown

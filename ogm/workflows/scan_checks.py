@@ -59,7 +59,7 @@ class ScanChecks:
         reach = np.sqrt(np.einsum("ij,ij->i", xyz, xyz))
         farthest = float(reach.max())
         self.greatest.append((farthest, np.count_nonzero(reach > farthest - _SATURATED) / len(scan)))
-        self.near += np.count_nonzero(reach < _NEAR)
+        self.near += int(np.count_nonzero(reach < _NEAR))
         some = np.s_[::_THIN] if len(scan) > 100 * _THIN else np.s_[:]
         elevation = np.arctan2(xyz[some, 2], np.hypot(xyz[some, 0], xyz[some, 1]))
         self.planar += bool(np.ptp(np.percentile(elevation, (2, 98))) < _FLAT)
