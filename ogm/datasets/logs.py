@@ -62,7 +62,10 @@ class LogRecording(Recording):
         self._turns = _turns(scans, rotation_to_flu(options.axes), position is not None)
         self._places = None if position is not None else scans.places()
         self._in_vehicle = position is None and scans.T_vehicle_sensor is not None
-        poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(self._turns, 1, 2)
+        turns = self._turns
+        if any(setup.mount is not None for setup in options.setups):
+            turns = _turns_of_poses(poses, turns)
+        poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(turns, 1, 2)
         if position is not None:
             poses = poses @ pose(*position)
         super().__init__(path, scans.frame_refs(poses), scans.name)
@@ -201,6 +204,18 @@ def _turns(scans: LogScans, turn: NDArray[np.float64], in_vehicle: bool) -> NDAr
     if not np.array_equal(turn, np.eye(3)):
         raise ValueError(f"the transforms of {scans.path} state the axes of its points; leave out axes (--axes)")
     return T[:, :3, :3]
+
+
+def _turns_of_poses(poses: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotations by which poses follow the turns of points by a stated mount, (K, 3, 3).
+
+    Poses without the tilt of the mount are those of a level sensor: they take its heading alone.
+    """
+    turned = poses[:, :3, :3] @ np.swapaxes(turns, 1, 2)
+    known = np.isfinite(poses[:, 0, 0])
+    if not known.any() or np.median(turned[known, 2, 2]) >= np.median(poses[known, 2, 2]):
+        return turns
+    return np.array([pose(yaw=np.arctan2(R[1, 0], R[0, 0]))[:3, :3] for R in turns])
 
 
 def _moved(scan: Scan, T: NDArray[np.float64], frame: str) -> Scan:

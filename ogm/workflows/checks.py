@@ -97,9 +97,7 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
     """
     every = np.arange(len(dataset))
     numbers = every if scans is None else np.unique(np.linspace(0, len(dataset) - 1, scans).round().astype(int))
-    examined = (
-        set(numbers[np.linspace(0, len(numbers) - 1, _GROUND).round().astype(int)].tolist()) if len(every) else set()
-    )
+    examined = {int(numbers[k]) for k in np.linspace(0, len(numbers) - 1, _GROUND).round().astype(int)}
     recording, rows = dataset.recording, dataset.numbers
     stamps = np.unique([ref.stamp for ref in dataset.refs if ref.stamp is not None])
     found = ScanChecks(float(np.median(np.diff(stamps))) if len(stamps) > 1 else math.nan)
@@ -136,8 +134,10 @@ def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, eg
     try:
         mount = dataset[first].mount
     except _UNREADABLE as error:
-        yield from found.ground_findings(None, "")
-        yield Finding("wrong map", "height", error_text(error))
+        reasons = list(found.ground_findings(None, ""))
+        yield from reasons
+        if not any(finding.severity == "wrong map" for finding in reasons):
+            yield Finding("wrong map", "height", error_text(error))
         return
     given = recording.sensor_height is not None or recording.setup(dataset.numbers[first]).sensor_height is not None
     stated = "--sensor-height is" if given else "the recording states" if recording.known_height else ""
