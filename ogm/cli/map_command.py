@@ -114,6 +114,7 @@ def map_(
     from ogm.grid import GridSpec
     from ogm.models.named import RELEASED
     from ogm.workflows import map_to_files
+    from ogm.workflows.checks import gravest
 
     spec = GridSpec.centered(length, width, resolution)
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
@@ -135,6 +136,9 @@ def map_(
         _row(table, name, len(frame.scan), grid, seconds)
         if estimated:
             heights.add(f"{frame.mount.sensor_height:.2f} m")
+    if ism != RELEASED:
+        for finding in gravest(dataset, ism):
+            stderr.print(f"ogm: {finding}", markup=False)
     if heights:
         stderr.print(f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)")
     if table.row_count:

@@ -84,6 +84,7 @@ def serve(
     from ogm.live.memory import return_large_blocks
     from ogm.models.named import load_model, with_radar
     from ogm.scan import Mount
+    from ogm.workflows.checks import gravest
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
@@ -103,6 +104,8 @@ def serve(
             dataset = open_dataset(scans, **reading, **placed, **log, default_split="sequences")  # type: ignore[arg-type]
             dataset = with_known_poses(pick_drive(dataset, sequence), poses, calib, odometry, SCAN_RATE, first)
             print_sensor(dataset)
+            for finding in gravest(dataset, ism):
+                _print(finding)
             frames, example, speed = dataset, _example(dataset), 1.0 if rate is None else rate
         else:
             setup, height = setup_of(sensors.setups, ""), sensors.sensor_height

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.io.scan_table import rotation_to_flu
+from ogm.pose import levelling
 from ogm.storage.files import OgmError
 
 PLAUSIBLE_HEIGHTS = (0.5, 5.0)  # [m] of a sensor above ground: from a small robot's to one on a truck or a mast
@@ -36,6 +37,18 @@ class GroundPlane(NamedTuple):
     height: float
     normal: NDArray[np.float64]
     reach: float
+
+    @property
+    def distance(self) -> float:
+        """Distance from the plane to the origin, at a right angle [m]."""
+        return self.height * float(self.normal[2])
+
+    @property
+    def levelling(self) -> NDArray[np.float64]:
+        """Rotation that takes the points to axes with z at a right angle to the plane, (3, 3)."""
+        T = np.eye(4)
+        T[2, :3] = self.normal
+        return levelling(T)
 
     @property
     def incline(self) -> float:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ogm.datasets import Dataset, SensorSetup, open_dataset
+from ogm.datasets.frames import EGO
 from ogm.datasets.log_scans import SCAN_TYPES
 from ogm.datasets.logs import is_log
 from ogm.io.logs import open_log
@@ -19,6 +20,7 @@ from ogm.workflows.findings import Finding, by_severity
 from ogm.workflows.scan_checks import ScanChecks
 
 _GROUND = 10  # scans whose ground and ego vehicle are checked
+_FEW = 5  # scans that are checked before a drive is mapped: those that the sensor's height is estimated from
 _UNREADABLE = (ValueError, TypeError, OSError)
 
 Progress = Callable[[Sequence[int]], Iterable[int]]
@@ -120,10 +122,27 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
             found.add_ground(points)
             plane, T = found.planes[-1], recording.frames[rows[n]].T_map_sensor
             if plane is not None and T is not None and recording.sensor_position is None:
-                ego.add(points, plane.height, T[:2, 3])
+                points[:, :3] = points[:, :3] @ plane.levelling.T.astype(np.float32)
+                ego.add(points, plane.distance, T[:2, 3])
     findings = [*check_frames(dataset), *found.findings(), *_sensor_findings(dataset, readable, found, ego)]
     name = dataset.refs[0].sequence or dataset.name
     return DriveCheck(name, by_severity(findings), _estimated(findings, found, ego))
+
+
+def gravest(dataset: Dataset, model: str = "") -> list[str]:
+    """Return what makes the map of a drive wrong, by up to five of its scans, in words.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        One drive. Of one that states its mounts nothing is checked.
+    model : str
+        Name of the sensor model; planar scans suit ``height-band``.
+    """
+    if dataset.recording.known_mount or not len(dataset):
+        return []
+    wrong = [finding for finding in check_drive(dataset, _FEW).findings if finding.severity == "wrong map"]
+    return [str(finding) for finding in wrong if not (model.startswith("height-band") and finding.kind == "ground")]
 
 
 def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, ego: EgoChecks) -> Iterator[Finding]:
@@ -138,6 +157,7 @@ def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, eg
         yield from reasons
         if not any(finding.severity == "wrong map" for finding in reasons):
             yield Finding("wrong map", "height", error_text(error))
+        yield from ego.findings(recording.setup(dataset.numbers[first]).ego_footprint or EGO, recording.ego_footprint)
         return
     given = recording.sensor_height is not None or recording.setup(dataset.numbers[first]).sensor_height is not None
     stated = "--sensor-height is" if given else "the recording states" if recording.known_height else ""
@@ -155,7 +175,7 @@ def _estimated(findings: Sequence[Finding], found: ScanChecks, ego: EgoChecks) -
     planes = [plane for plane in found.planes if plane is not None]
     roll, pitch = found.tilt()
     tilted = math.acos(math.cos(roll) * math.cos(pitch)) > math.radians(3)
-    height = float(np.median([plane.height * plane.normal[2] for plane in planes])) if planes else None
+    height = float(np.median([plane.distance for plane in planes])) if planes else None
     farthest = found.saturated()
     return SensorSetup(
         sensor_height=height,
