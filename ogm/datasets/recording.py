@@ -274,20 +274,22 @@ class Recording(ABC):
 
     def _median_height(self, group: str, sensor: str) -> float:
         members = [k for k in self.groups[group] if self.place(k).name == sensor]
-        estimates, failed = [], ""
+        estimates, failed, above = list[float](), "", (self.sensor_position or (0, 0, 0))[2]
         for k in _sample(members):
             try:
-                estimates.append(self.estimate_height(k))
-                failed = failed or ("" if estimates[-1] is not None else why_no_height(self.levelled_points(k)))
+                height = self.estimate_height(k)
+                if height is None or height + above <= 0:
+                    failed = failed or why_no_height(self.levelled_points(k))
+                else:
+                    estimates.append(height + above)
             except _UNREADABLE as error:
                 failed = f" ({error})"
-        if not (heights := [height for height in estimates if height is not None]):
+        if not estimates:
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
                 "so its height is not known: give sensor_height [m] (--sensor-height)"
             )
-        height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
-        return plausible_sensor_height(height, f"{group} in {self.path}")
+        return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}")
 
     def _read_without_ego(self, n: int) -> RawFrame:
         raw, setup = self.read(n), self.setup(n)
@@ -334,7 +336,7 @@ def why_no_height(points: NDArray[np.float32]) -> str:
             f" (the ground is inclined by {np.degrees(plane.incline):.0f} degrees: the sensor is tilted, and neither "
             "transforms from base_link nor poses tell it; `ogm check --write vehicle.yaml` estimates it for --sensors)"
         )
-    axes = ground_side(points) if plane is None else None
+    axes = ground_side(points) if plane is None or plane.height <= 0 else None
     return f" (the ground lies {SIDES[axes]} the sensor: give axes, --axes={axes})" if axes else ""
 
 

@@ -121,9 +121,9 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
             points[:, :3] = points[:, :3] @ level.T.astype(np.float32)
             found.add_ground(points)
             plane, T = found.planes[-1], recording.frames[rows[n]].T_map_sensor
-            if plane is not None and T is not None and recording.sensor_position is None:
+            if plane is not None and recording.sensor_position is None:
                 points[:, :3] = points[:, :3] @ plane.levelling.T.astype(np.float32)
-                ego.add(points, plane.distance, T[:2, 3])
+                ego.add(points, plane.distance, None if T is None else T[:2, 3])
     findings = [*check_frames(dataset), *found.findings(), *_sensor_findings(dataset, readable, found, ego)]
     name = dataset.refs[0].sequence or dataset.name
     return DriveCheck(name, by_severity(findings), _estimated(findings, found, ego))

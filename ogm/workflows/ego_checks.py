@@ -17,6 +17,7 @@ _FALL = 1.5  # cells of a group at `_SELDOM` for one at `_OFTEN`
 _LOW = 0.15  # [m] above ground, from which on returns are of things
 _MARGIN = 0.1  # [m] around the cells of the vehicle
 _FEWEST = 3  # scans; and cells of an obstacle
+_CAR = 1.0  # [m] height of sensors from which on they are those of cars
 
 
 class EgoChecks:
@@ -26,9 +27,10 @@ class EgoChecks:
         self.cells = round(2 * _REACH / _SIDE)
         self.scans = np.zeros((self.cells, self.cells), np.int64)
         self.masks: list[NDArray[np.bool_]] = []
+        self.height = math.nan  # [m]
         self.places: list[NDArray[np.float64]] = []
 
-    def add(self, points: NDArray[np.floating], height: float, place: NDArray[np.float64]) -> None:
+    def add(self, points: NDArray[np.floating], height: float, place: NDArray[np.float64] | None) -> None:
         """Add a scan.
 
         Parameters
@@ -37,7 +39,7 @@ class EgoChecks:
             In level axes around the sensor [m].
         height : float
             Of the sensor above ground [m].
-        place : (2,) float64
+        place : (2,) float64 or None
             Position of the sensor on the map [m].
         """
         near = (np.abs(points[:, :2]) < _REACH).all(axis=1) & (points[:, 2] > _LOW - height)
@@ -47,12 +49,13 @@ class EgoChecks:
         mask[cell[:, 0], cell[:, 1]] = True
         self.scans += mask
         self.masks.append(mask)
-        self.places.append(place)
+        self.height = height
+        self.places += [] if place is None else [place]
 
     @property
     def moved(self) -> bool:
         """Whether the vehicle moved far enough to tell its own returns."""
-        return len(self.places) >= _FEWEST and float(np.ptp(self.places, axis=0).max()) >= _WAY
+        return len(self.places) == len(self.masks) >= _FEWEST and float(np.ptp(self.places, axis=0).max()) >= _WAY
 
     def _ego(self) -> NDArray[np.bool_]:
         """Return the cells that move with the vehicle.
@@ -103,11 +106,15 @@ class EgoChecks:
         also : (x_min, x_max, y_min, y_max), optional
             Returns in it are dropped, too.
         """
-        box = self.footprint()
+        box, inside = self.footprint(), self._inside(used)
+        size = f"the footprint of {used[1] - used[0]:.1f} m x {used[3] - used[2]:.1f} m"
         if box is None:
+            if self.masks and (dropped := int(np.count_nonzero(self.masks[-1] & inside))) > 1:
+                text = f"returns in {dropped} cells within {size} are dropped as those of the vehicle"
+                severity = "wrong map" if self.height < _CAR else "note"
+                yield Finding(severity, "ego footprint", text, "--ego-footprint X_MIN X_MAX Y_MIN Y_MAX")
             return
-        way = "--ego-footprint {:g} {:g} {:g} {:g}".format(*box)
-        inside, ego = self._inside(used), self._ego()
+        way, ego = "--ego-footprint {:g} {:g} {:g} {:g}".format(*box), self._ego()
         dropped = inside if also is None else inside | self._inside(also)
         if outside := np.count_nonzero(ego & ~dropped):
             text = f"{outside} cells with returns outside of the footprint move with the vehicle"
@@ -115,8 +122,7 @@ class EgoChecks:
         others = inside & ~_grown(_grown(ego))
         hidden = sum(int(np.count_nonzero(mask & others)) >= _FEWEST for mask in self.masks)
         if hidden > 1:
-            size = f"{used[1] - used[0]:.1f} m x {used[3] - used[2]:.1f} m"
-            text = f"obstacles within the footprint of {size} are dropped in {counted(hidden, len(self.masks))}"
+            text = f"obstacles within {size} are dropped in {counted(hidden, len(self.masks))}"
             yield Finding("wrong map", "ego footprint", text, way)
 
     def _inside(self, box: Footprint) -> NDArray[np.bool_]:

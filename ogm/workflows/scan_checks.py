@@ -16,6 +16,7 @@ from ogm.workflows.findings import Finding, counted
 
 _THIN = 16  # every 16th point gives elevations and intensities
 _SATURATED = 0.02  # [m] below the greatest range
+_GAP = 0.5  # [m] below those, with less than half as many points
 _SHARE = 0.01  # of the points at one range, from which on it is no distance
 _NEAR = 0.2  # [m] that no lidar measures
 _FLAT = math.radians(1.5)  # spread of elevations of a planar lidar
@@ -58,7 +59,8 @@ class ScanChecks:
         xyz = scan.points[:, :3]
         reach = np.sqrt(np.einsum("ij,ij->i", xyz, xyz))
         farthest = float(reach.max())
-        self.greatest.append((farthest, np.count_nonzero(reach > farthest - _SATURATED) / len(scan)))
+        at_most, before = (int(np.count_nonzero(reach > farthest - d)) for d in (_SATURATED, _SATURATED + _GAP))
+        self.greatest.append((farthest, at_most / len(scan) if before < 1.5 * at_most else 0.0))
         self.near += int(np.count_nonzero(reach < _NEAR))
         some = np.s_[::_THIN] if len(scan) > 100 * _THIN else np.s_[:]
         elevation = np.arctan2(xyz[some, 2], np.hypot(xyz[some, 0], xyz[some, 1]))
@@ -75,9 +77,9 @@ class ScanChecks:
     def add_ground(self, points: NDArray[np.float32]) -> None:
         """Add the ground of a scan, by its points in the axes that it is mapped in, (N, 4)."""
         plane = ground_plane(points)
-        self.planes.append(plane)
-        if plane is None and (axes := ground_side(points)):
-            self.sides.append(axes)
+        axes = ground_side(points) if plane is None or plane.height <= 0 else None
+        self.planes.append(None if axes else plane)
+        self.sides += [axes] if axes else []
 
     def findings(self) -> Iterator[Finding]:
         """Yield what the scans show, apart from their ground."""
@@ -147,7 +149,7 @@ class ScanChecks:
             Origin of the height in words; "" where it is estimated from the scans.
         """
         planes = [plane for plane in self.planes if plane is not None]
-        if not self.planes:
+        if not self.planes or self.planar > self.count / 2:
             return
         if not planes:
             axes = Counter(self.sides).most_common(1)
