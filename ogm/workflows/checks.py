@@ -13,6 +13,7 @@ from ogm.datasets.frames import EGO
 from ogm.datasets.log_scans import SCAN_TYPES
 from ogm.datasets.logs import is_log
 from ogm.io.logs import open_log
+from ogm.pose import rotate
 from ogm.storage.files import OgmError, error_text
 from ogm.workflows.drive_checks import check_frames, check_tilt_of_poses, check_topics
 from ogm.workflows.ego_checks import EgoChecks
@@ -20,6 +21,7 @@ from ogm.workflows.findings import Finding, by_severity
 from ogm.workflows.scan_checks import ScanChecks
 
 _GROUND = 10  # scans whose ground and ego vehicle are checked
+_POINTS = 40_000  # of those, at least
 _FEW = 5  # scans that are checked before a drive is mapped: those that the sensor's height is estimated from
 _UNREADABLE = (ValueError, TypeError, OSError)
 
@@ -116,14 +118,12 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
         found.add(scan)
         if n in examined and len(scan):
             readable.append(n)
-            level = recording.levelling(rows[n])
-            points = scan.points.copy()
-            points[:, :3] = points[:, :3] @ level.T.astype(np.float32)
-            found.add_ground(points)
-            plane, T = found.planes[-1], recording.frames[rows[n]].T_map_sensor
+            thin = scan.points[:: max(1, len(scan) // _POINTS)]
+            points = rotate(recording.levelling(rows[n]), thin[:, :3].T).T
+            plane, T = found.add_ground(points), recording.frames[rows[n]].T_map_sensor
             if plane is not None and recording.sensor_position is None:
-                points[:, :3] = points[:, :3] @ plane.levelling.T.astype(np.float32)
-                ego.add(points, plane.distance, None if T is None else T[:2, 3])
+                level = rotate(plane.levelling, points.T).T
+                ego.add(level, plane.distance, None if T is None else T[:2, 3])
     findings = [*check_frames(dataset), *found.findings(), *_sensor_findings(dataset, readable, found, ego)]
     name = dataset.refs[0].sequence or dataset.name
     return DriveCheck(name, by_severity(findings), _estimated(findings, found, ego))

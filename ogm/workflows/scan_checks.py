@@ -57,7 +57,7 @@ class ScanChecks:
         if not len(scan):
             return
         xyz = scan.points[:, :3]
-        reach = np.sqrt(np.einsum("ij,ij->i", xyz, xyz))
+        reach = np.sqrt(sum(column * column for column in xyz.T))
         farthest = float(reach.max())
         at_most, before = (int(np.count_nonzero(reach > farthest - d)) for d in (_SATURATED, _SATURATED + _GAP))
         self.greatest.append((farthest, at_most / len(scan) if before < 1.5 * at_most else 0.0))
@@ -74,12 +74,13 @@ class ScanChecks:
         self.repeated += content == self._hash
         self._hash = content
 
-    def add_ground(self, points: NDArray[np.float32]) -> None:
-        """Add the ground of a scan, by its points in the axes that it is mapped in, (N, 4)."""
+    def add_ground(self, points: NDArray[np.floating]) -> GroundPlane | None:
+        """Add and return the ground of a scan, by its points in the axes that it is mapped in, (N, 3)."""
         plane = ground_plane(points)
         axes = ground_side(points) if plane is None or plane.height <= 0 else None
         self.planes.append(None if axes else plane)
         self.sides += [axes] if axes else []
+        return self.planes[-1]
 
     def findings(self) -> Iterator[Finding]:
         """Yield what the scans show, apart from their ground."""
