@@ -75,7 +75,7 @@ def serve(
     --sensor-height.
     """
     from ogm.datasets import open_dataset
-    from ogm.datasets.sensor_setup import limited, setup_of
+    from ogm.datasets.sensor_setup import setup_of, within_limits
     from ogm.fusion import make_mapper, rolling_window
     from ogm.fusion.factory import adding_rule_warning
     from ogm.grid import GridSpec
@@ -113,7 +113,7 @@ def serve(
                 raise ValueError("--listen needs --sensor-height [m], and takes scans as they come, without --rate")
             listener = stack.enter_context(_listener(str(listen)))
             mount = Mount(height, ego_footprint=setup.ego_footprint)  # type: ignore[arg-type]
-            frames = limited(receive_frames(listener, mount, stop=stop, on_end=_print), setup)
+            frames = within_limits(receive_frames(listener, mount, stop=stop, on_end=_print), setup)
             example, speed = None, None
             _print("taking scans at {}:{}".format(*listener.getsockname()))
         with first_call():

@@ -74,6 +74,7 @@ def build(
     from ogm.grid import GridSpec
     from ogm.models.named import load_model, with_radar
     from ogm.workflows import drives_of
+    from ogm.workflows.checks import gravest
     from ogm.world import WorldMap, build_world
 
     if poses is not None and len(poses) != len(datasets):
@@ -87,6 +88,9 @@ def build(
         placed = zip(opened, poses, strict=True)
         opened = [(path, with_poses(dataset, file, calib, rate)) for (path, dataset), file in placed]
     drives = drives_of(opened)
+    for name, drive in drives.items():
+        for finding in gravest(drive, ism):
+            stderr.print(f"ogm: {name}: {finding}", markup=False)
     try:
         world = WorldMap.open(out_url, "r+")
     except FileNotFoundError:

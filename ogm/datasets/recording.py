@@ -20,7 +20,16 @@ from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, Senso
 from ogm.datasets.sensor_setup import SensorSetup, setup_of
 from ogm.grid import GridSpec
 from ogm.io import Axes
-from ogm.io.ground_plane import MAX_INCLINE, SIDES, ground_plane, ground_side, plausible_sensor_height
+from ogm.io.ground_plane import (
+    LEVEL,
+    LEVEL_MARGIN,
+    MAX_INCLINE,
+    SIDES,
+    ground_plane,
+    ground_side,
+    levelling_gain,
+    plausible_sensor_height,
+)  # fmt: skip
 from ogm.pose import levelling, pose, rotate, tilt_of
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
@@ -29,8 +38,6 @@ from ogm.storage.files import OgmError
 _HEIGHTS = 5  # scans of a sequence whose median is the height of its sensor
 _KEPT = 64  # scans in memory: some 2 MB each
 _UNREADABLE = (ValueError, TypeError, OSError)
-_LEVEL = np.radians(2.0)  # [rad] of tilt that no pose needs to undo
-_MARGIN = np.radians(1.0)  # [rad] by which the ground must be more level without the tilt of the poses
 
 
 class OpenOptions(NamedTuple):
@@ -240,19 +247,15 @@ class Recording(ABC):
     def _is_levelled(self, group: str) -> bool:
         """Return whether the poses of a group tell the tilt of its scans: by the ground in some of them."""
         poses = {k: T for k in self.groups[group] if (T := self.frames[k].T_map_sensor) is not None}
-        tilted = [k for k, T in poses.items() if tilt_of(T) > _LEVEL]
+        tilted = [k for k, T in poses.items() if tilt_of(T) > LEVEL]
         gains = []
         for k in _sample(tilted):
             try:
                 points = self.raw(k).scan.points
             except _UNREADABLE:
                 continue
-            before, after = (
-                np.pi if (plane := ground_plane(turned)) is None else plane.incline
-                for turned in (points, rotate(levelling(poses[k]), points[:, :3].T).T)
-            )
-            gains.append(before - after)
-        return bool(tilted) and (not gains or float(np.median(gains)) >= -_MARGIN)
+            gains.append(levelling_gain(points, levelling(poses[k])))
+        return bool(tilted) and (not gains or float(np.median(gains)) >= -LEVEL_MARGIN)
 
     def used_mount(self, n: int) -> Mount:
         """Return the mount of the sensor with the ego footprint that the user states."""

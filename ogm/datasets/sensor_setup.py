@@ -11,11 +11,13 @@ import yaml
 from numpy.typing import NDArray
 
 from ogm.datasets.frames import Footprint, RawFrame
-from ogm.pose import pose
+from ogm.io.ground_plane import LEVEL, LEVEL_MARGIN, levelling_gain
+from ogm.pose import levelling, pose, tilt_of
 from ogm.scan import Frame
 from ogm.storage.files import OgmError, atomic_write
 
 _SATURATED = 0.02  # [m] below the greatest range within which a point lies at it
+_MAX_TEXT = 2**16  # [byte]
 _KEYS = ("topic", "height", "mount", "footprint", "range", "no_echo_at_greatest_range", "leave_out")
 _MOUNT = ("x", "y", "z", "roll", "pitch", "yaw")
 _HEAD = (
@@ -131,8 +133,8 @@ def setup_of(setups: Iterable[SensorSetup], topic: str) -> SensorSetup:
     return by_topic.get("", alone)
 
 
-def limited(frames: Iterable[Frame], setup: SensorSetup) -> Iterator[Frame]:
-    """Yield frames with the mount of a setup, without the points that it leaves out.
+def within_limits(frames: Iterable[Frame], setup: SensorSetup) -> Iterator[Frame]:
+    """Yield frames with the mount of a setup, without the points that it leaves out, levelled by tilted poses.
 
     Parameters
     ----------
@@ -140,14 +142,19 @@ def limited(frames: Iterable[Frame], setup: SensorSetup) -> Iterator[Frame]:
         With points in the sensor's frame, as `ogm.live.receive_frames` gives them.
     setup : SensorSetup
     """
-    T = setup.T_vehicle_sensor
+    T_vehicle_sensor, levelled = setup.T_vehicle_sensor, None
     for frame in frames:
-        mount = frame.mount
-        if T is not None:
+        scan, mount, T = setup.limit(RawFrame(frame.scan)).scan, frame.mount, frame.T_map_sensor
+        R = np.eye(3) if T_vehicle_sensor is None else T_vehicle_sensor[:3, :3]
+        if T is not None and tilt_of(T) > LEVEL:
+            if levelled is None:  # the first scan whose pose is tilted decides
+                levelled = levelling_gain(scan.points, levelling(T)) >= -LEVEL_MARGIN
+            R = levelling(T) if levelled else R
+        if not np.array_equal(R, np.eye(3)):
             level = pose(z=mount.sensor_height)
-            level[:3, :3] = T[:3, :3]
+            level[:3, :3] = R
             mount = replace(mount, T_vehicle_sensor=level)
-        yield replace(frame, scan=setup.limit(RawFrame(frame.scan)).scan, mount=mount)
+        yield replace(frame, scan=scan, mount=mount)
 
 
 def read_setups(path: str | Path) -> tuple[SensorSetup, ...]:
@@ -165,16 +172,20 @@ def read_setups(path: str | Path) -> tuple[SensorSetup, ...]:
     OgmError
         If it is no such file.
     """
+    with open(path, "rb") as file:
+        text = file.read(_MAX_TEXT + 1)
+    if len(text) > _MAX_TEXT:
+        raise OgmError(f"{path} has more than {_MAX_TEXT} bytes, wanted the YAML file of a vehicle's sensors")
     try:
-        content = yaml.safe_load(Path(path).read_text())
-        entries = content["sensors"]
-        setups = tuple(_parsed(entry) for entry in entries)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise OgmError(f"{path} is no YAML file: {error}") from error
+        content = yaml.load(text, yaml.BaseLoader)  # leaves scalars as text: no merge keys, which can fill the memory
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise OgmError(f"{path} is no YAML file: {getattr(error, 'problem', None) or error}") from error
+    try:
+        setups = tuple(_parsed(entry) for entry in content["sensors"])
     except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
         raise OgmError(
             f"{path} must have a list `sensors`, each with some of {', '.join(_KEYS)} (`ogm check LOG --write FILE` "
-            f"writes one): {error!r}"
+            f"writes one): {error}"
         ) from error
     topics = [setup.topic for setup in setups]
     if len(set(topics)) < len(topics) or not setups:
@@ -207,8 +218,8 @@ def _parsed(entry: Mapping[str, Any]) -> SensorSetup:
         numbers = [float(place.get(key, 0.0)) for key in _MOUNT]
         mount = (*numbers[:3], *map(math.radians, numbers[3:]))
     height, box = entry.get("height"), entry.get("footprint")
-    no_echo = entry.get("no_echo_at_greatest_range", False)
-    if not isinstance(no_echo, bool) or not isinstance(entry.get("topic", ""), str):
+    no_echo = entry.get("no_echo_at_greatest_range", "false")
+    if no_echo not in ("true", "false") or not isinstance(entry.get("topic", ""), str):
         raise TypeError("topic must be a name and no_echo_at_greatest_range true or false")
     return SensorSetup(
         entry.get("topic", ""),
@@ -217,8 +228,8 @@ def _parsed(entry: Mapping[str, Any]) -> SensorSetup:
         None if box is None else tuple(map(float, box)),  # type: ignore[arg-type]
         float(low),
         float(high),
-        no_echo,
-        tuple((math.radians(start), math.radians(end)) for start, end in entry.get("leave_out") or ()),
+        no_echo == "true",
+        tuple((math.radians(float(start)), math.radians(float(end))) for start, end in entry.get("leave_out") or ()),
     )
 
 

@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.io.scan_table import rotation_to_flu
-from ogm.pose import levelling
+from ogm.pose import levelling, rotate
 from ogm.storage.files import OgmError
 
 PLAUSIBLE_HEIGHTS = (0.5, 5.0)  # [m] of a sensor above ground: from a small robot's to one on a truck or a mast
 MAX_INCLINE = 0.15  # [rad] of the ground against the sensor's axes, beyond which they are not level
+LEVEL = math.radians(2)  # of tilt that no pose needs to undo
+LEVEL_MARGIN = math.radians(1)  # by which the ground must be more level without the tilt of the poses
 SIDES = {"+x,-y,-z": "above", "+x,-z,+y": "right of", "+x,+z,-y": "left of", "-z,+y,+x": "behind", "+z,+y,-x": "before"}
 """Axes that point forward, left and up where the ground lies on another side of the sensor than below."""
 
@@ -136,6 +138,21 @@ def ground_plane(points: NDArray[np.floating]) -> GroundPlane | None:
         if reach == _REACHES[0][0] or math.acos(normal[2]) < MAX_INCLINE:
             return GroundPlane(float(-fit[2]), normal, reach)
     return None
+
+
+def levelling_gain(points: NDArray[np.floating], R: NDArray[np.float64]) -> float:
+    """Return by how much a rotation makes the ground in a scan more level [rad], below 0 where it inclines it.
+
+    Parameters
+    ----------
+    points : (N, 3 or more) float
+        x, y, z [m].
+    R : (3, 3) float64
+        Takes them to other axes. Without a plane in these, or in those of the points, the incline counts as pi.
+    """
+    turned = rotate(R, points[:, :3].T).T
+    before, after = (math.pi if (plane := ground_plane(xyz)) is None else plane.incline for xyz in (points, turned))
+    return before - after
 
 
 def ground_side(points: NDArray[np.floating]) -> str | None:

@@ -135,11 +135,11 @@ def gravest(dataset: Dataset, model: str = "") -> list[str]:
     Parameters
     ----------
     dataset : Dataset
-        One drive. Of one that states its mounts nothing is checked.
+        One drive. Public datasets, which state their axes, are not checked.
     model : str
         Name of the sensor model; planar scans suit ``height-band``.
     """
-    if dataset.recording.known_mount or not len(dataset):
+    if dataset.recording.known_axes or not len(dataset):
         return []
     wrong = [finding for finding in check_drive(dataset, _FEW).findings if finding.severity == "wrong map"]
     return [str(finding) for finding in wrong if not (model.startswith("height-band") and finding.kind == "ground")]

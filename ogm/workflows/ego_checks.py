@@ -13,6 +13,7 @@ _SIDE = 0.2  # [m] of a cell
 _REACH = 6.0  # [m] around the sensor
 _WAY = 2.0  # [m] that the vehicle must move before anything is known
 _OFTEN, _SELDOM = 0.9, 0.5  # of the scans
+_PASSING = 0.4  # of the scans, at most, in a cell that an obstacle passes through
 _FALL = 1.5  # cells of a group at `_SELDOM` for one at `_OFTEN`
 _LOW = 0.15  # [m] above ground, from which on returns are of things
 _MARGIN = 0.1  # [m] around the cells of the vehicle
@@ -115,11 +116,12 @@ class EgoChecks:
                 yield Finding(severity, "ego footprint", text, "--ego-footprint X_MIN X_MAX Y_MIN Y_MAX")
             return
         way, ego = "--ego-footprint {:g} {:g} {:g} {:g}".format(*box), self._ego()
-        dropped = inside if also is None else inside | self._inside(also)
-        if outside := np.count_nonzero(ego & ~dropped):
+        unused = inside if also is None else inside | self._inside(also)
+        if outside := np.count_nonzero(ego & ~unused):
             text = f"{outside} cells with returns outside of the footprint move with the vehicle"
             yield Finding("wrong map", "ego returns", text, way)
-        others = inside & ~_grown(_grown(ego))
+        often = self.scans > _PASSING * len(self.masks)  # as of parts of the vehicle that are not always hit
+        others = inside & ~_grown(_grown(ego) | often)
         hidden = sum(int(np.count_nonzero(mask & others)) >= _FEWEST for mask in self.masks)
         if hidden > 1:
             text = f"obstacles within {size} are dropped in {counted(hidden, len(self.masks))}"

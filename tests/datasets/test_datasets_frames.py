@@ -12,13 +12,14 @@ from odd_logs import BOX, tilted, way, write_log
 
 from ogm.datasets import SensorSetup, open_dataset, read_setups, with_poses, write_setups
 from ogm.datasets.frames import RawFrame
+from ogm.datasets.sensor_setup import within_limits
 from ogm.fusion import fuse, make_mapper
 from ogm.geometric import RayISM
 from ogm.grid import GridSpec
 from ogm.io import write_poses
 from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import Trajectory, inverse, levelling, pose, tilt_of, transform_points
-from ogm.scan import Scan
+from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError
 
@@ -220,3 +221,9 @@ def test_files_in_map_coordinates_come_to_their_sensor(tmp_path: Path) -> None:
         np.testing.assert_allclose(at, odd_logs.world(), atol=1e-4)
     log = write_log(tmp_path / "a.mcap", way(2), pose(z=1.2))
     refused("origin .* is for files", open_dataset, log, origin=(0.0, 0.0, 0.0))
+
+
+def test_frames_of_a_driver_are_levelled_and_limited(tmp_path: Path) -> None:
+    dataset = open_dataset(write_log(tmp_path / "a.mcap", [np.eye(4)] * 2, tilted(pitch=20)))
+    frames = [Frame(one.scan, Mount(1.2), T_map_sensor=one.T_map_sensor, stamp=one.stamp) for one in dataset]
+    check_map(within_limits(frames, SensorSetup(max_range=14)))
