@@ -188,10 +188,17 @@ def _check(recording: Recording, options: OpenOptions) -> None:
         raise ValueError(
             f"truth (--truth) is for recordings; {path} ({recording.format}) holds its truth itself: leave it out"
         )
+    stated = [setup.topic for setup in options.setups]
+    used = recording.facts.get("topics", [stated[0]] if len(stated) == 1 else [])
+    if stated and "" not in stated and not set(stated) & set(used):
+        raise ValueError(
+            f"the setups (--sensors) are of {', '.join(stated)}, the scans of {path} of "
+            f"{', '.join(used) or 'no topic'}: name that topic, or leave topic out"
+        )
     if recording.known_axes and any(setup.mount is not None for setup in options.setups):
         raise ValueError(f"{path} ({recording.format}) states its mounts: leave mount out of the setups (--sensors)")
-    stated = options.sensor_height is not None or any(one.sensor_height is not None for one in options.setups)
-    if recording.known_mount and stated:
+    given = options.sensor_height is not None or any(one.sensor_height is not None for one in options.setups)
+    if recording.known_mount and given:
         raise ValueError(f"{path} states its sensor's height; leave out sensor_height (--sensor-height)")
     if options.sensor_position is not None and (recording.known_mount or recording.known_axes):
         raise ValueError(

@@ -18,6 +18,7 @@ _THIN = 16  # every 16th point gives elevations and intensities
 _SATURATED = 0.02  # [m] below the greatest range
 _GAP = 0.5  # [m] below those, with less than half as many points
 _SHARE = 0.01  # of the points at one range, from which on it is no distance
+_RING = math.sin(math.radians(3))  # of the elevations there, more than those of one beam on level ground
 _NEAR = 0.2  # [m] that no lidar measures
 _FLAT = math.radians(1.5)  # spread of elevations of a planar lidar
 _TILT = math.radians(3)  # that the slope of the road does not reach on average
@@ -59,8 +60,10 @@ class ScanChecks:
         xyz = scan.points[:, :3]
         reach = np.sqrt(sum(column * column for column in xyz.T))
         farthest = float(reach.max())
-        at_most, before = (int(np.count_nonzero(reach > farthest - d)) for d in (_SATURATED, _SATURATED + _GAP))
-        self.greatest.append((farthest, at_most / len(scan) if before < 1.5 * at_most else 0.0))
+        heights = xyz[reach > farthest - _SATURATED, 2] / max(farthest, _NEAR)
+        near = int(np.count_nonzero(reach > farthest - _SATURATED - _GAP))
+        ring = near < 1.5 * len(heights) and np.ptp(np.percentile(heights, (5, 95))) > _RING
+        self.greatest.append((farthest, len(heights) / len(scan) if ring else 0.0))
         self.near += int(np.count_nonzero(reach < _NEAR))
         some = np.s_[::_THIN] if len(scan) > 100 * _THIN else np.s_[:]
         elevation = np.arctan2(xyz[some, 2], np.hypot(xyz[some, 0], xyz[some, 1]))

@@ -187,6 +187,7 @@ def test_the_mount_of_a_setup_counts_instead_of_transforms(tmp_path: Path) -> No
     path = write_log(tmp_path / "a.mcap", [np.eye(4)] * 2, mount, pose_mount=pose(z=1.2))
     setup = SensorSetup("/points", mount=(0, 0, 0, 0, math.radians(20), 0))
     check_map(open_dataset(path, setups=setup))
+    refused("setups .* are of /front, the scans of .* of /points", open_dataset, path, setups=SensorSetup("/front"))
     beside = write_log(tmp_path / "b.mcap", [np.eye(4)] * 2, mount, chain=(("map", "base_link"),), frame="scanner")
     check_map(open_dataset(beside, setups=SensorSetup(mount=(0, 0, 1.2, 0, math.radians(20), 0))))
 
