@@ -241,7 +241,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
 @each("words, message", [
         (("{scans}",), "--odometry kiss-icp"),
         (("{scans}", "--poses", "{poses}", "--odometry", "kiss-icp"), "exclude each other"),
-        (("{scans}", "--poses", "{poses}", "--rule", "magic"), "there is no rule 'magic'; there are cautious"),
+        (("{scans}", "--poses", "{poses}", "--rule", "magic"), "there is no rule 'magic'; there are revise, cautious"),
         (("{scans}", "--poses", "{poses}", "--ism", "magic"), "magic"),
         (("{scans}", "--poses", "{poses}", "--window", "round"), "rolling, fixed"),
         (("{scans}", "--odometry", "magic"), "kiss-icp or small-gicp"),

@@ -268,9 +268,12 @@ class Mapper(ABC):
         self,
         spec: GridSpec | None,
         T_map_vehicle: ArrayLike | None,  # noqa: N803
-    ) -> tuple[GridSpec, ArrayLike | None]:
+    ) -> tuple[GridSpec, ArrayLike]:
         """Return cells and pose of a view: by default those around the vehicle of the newest scan."""
-        return spec or self._window.around, self._gate.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
+        T = self._gate.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
+        if T is None:
+            raise ValueError("the map has no scan yet, and so no pose for a view; give T_map_vehicle")
+        return spec or self._window.around, T
 
 
 def _conflict_grid(spec: GridSpec, layers: NDArray[np.float32]) -> LayeredGrid:

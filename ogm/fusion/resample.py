@@ -138,8 +138,6 @@ def view_layers(
     -------
     (nx, ny, 2) float32
     """
-    if T_map_vehicle is None:
-        raise ValueError("the map has no scan yet, and so no pose for a view; give T_map_vehicle")
     A, b = planar_transform(check_pose(T_map_vehicle, "T_map_vehicle"))
     return _resampled(layers, spec, cell_transform(spec, source, A, b), method)
 

@@ -133,8 +133,9 @@ def scan_from_table(
         log.info("%s: %d of %d rows hold no point and are dropped", where, dropped, returned.size)
     if reach > REACH:
         raise OgmError(
-            f"{where} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are map "
-            "coordinates, give the sensor's position as origin; if not, the file is damaged or wrongly named"
+            f"{where} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are "
+            "map coordinates, give the sensor's position as origin (--origin X Y Z); if not, the file is damaged or "
+            "wrongly named"
         )
     no_returns = None
     if table.shape is not None:
