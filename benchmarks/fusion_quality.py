@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from _charts import caption, save_picture
 from _fusion_drives import MEMORY, PAPER, WINDOW, Drive, Trail, read_drive, trails, window
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -163,17 +164,18 @@ def _masses(
 
 
 def draw(path: Path, ages: dict[str, NDArray[np.float64]], rows: dict[str, Any], note: str) -> None:
-    """Draw ghosts over time, and ghosts against static accuracy."""
+    """Draw ghosts over time, and false free against the log loss."""
     figure = Figure(figsize=(14, 5.5), layout="constrained")
     first, second = figure.subplots(1, 2)
-    for name, counts in ages.items():
+    colors = colormaps["tab20"].colors  # type: ignore[attr-defined]
+    for color, (name, counts) in zip(colors, ages.items(), strict=False):
         share = 100 * counts[1:, 1] / np.maximum(counts[1:, 0], 1)
-        (line,) = first.plot(0.1 * np.arange(1, len(counts)), np.maximum(share, 1e-2), label=name)
-        area, iou = (np.nanmean(rows[name][key]) for key in ("ghost_area", "static_iou_occupied"))
-        second.plot(area, 100 * iou, "o", color=line.get_color(), label=name)
+        first.plot(0.1 * np.arange(1, len(counts)), np.maximum(share, 1e-2), color=color, label=name)
+        false_free, loss = (np.nanmean(rows[name][key]) for key in ("view_false_free", "view_nll"))
+        second.plot(100 * false_free, loss, "o", color=color, label=name)
     first.set(xscale="log", yscale="log", xlabel="time since the participant left the cell [s]")
     first.set_ylabel("cells still occupied, P > 1/2 [%]")
-    second.set(xlabel="ghost area behind a moving participant [m²]", ylabel="IoU of static occupied cells [%]")
+    second.set(xlabel="occupied cells that are free in the map [%]", ylabel="log loss of known cells")
     second.legend(fontsize=8)
     save_picture(figure, path, note)
 

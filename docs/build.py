@@ -156,7 +156,7 @@ def results() -> str:
         section(
             "Ground estimates, labelled returns not used while parameters were chosen", "ground", geometric.ground()
         ),
-        section("Maps over time, 12 simulated test drives", "fusion_quality", maps.fusion()),
+        section("Maps over time, simulated drives", "fusion_quality", maps.fusion()),
         section("Time of a map update", "fusion_speed", maps.fusion_speed()),
         section("Time of logs", "logs", maps.logs()),
         section("Live, 10 minutes at 10 Hz", "live", verdicts("live", "`ogm serve`, a viewer receives all")),

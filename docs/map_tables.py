@@ -13,7 +13,7 @@ MAIN_MAPS = (  # those that docs/fusion.md compares
     *("cautious, 2 s, models combined before", "cautious, 2 s", "Yager, 2 s", "PCR6, 2 s"),
     *("cumulative, 1 s", "Bayes by plausibility, limits as Dempster, 0.5 s"),
 )
-MAIN_COLUMNS = ("view_nll", "view_false_free", "view_iou_occupied_known", "body_free", "view_ece")
+MAIN_COLUMNS = ("view_nll", "view_false_free", "view_iou_occupied_known", "body_free", "ghost_area", "view_ece")
 MAP_COLUMNS = {
     "static_iou_occupied": "IoU of static occupied",
     "static_false_free": "false free (P < 1/4)",
@@ -38,13 +38,11 @@ def fusion(names: Sequence[str] = (), columns: Sequence[str] = tuple(MAP_COLUMNS
         for name, one in maps.items():
             if names and name not in names:
                 continue
-            means, ratio = one["mean and 95 % interval"], one["ratio to the classical filter"]["ghost_area"]
-            cells = [
-                f"{means[key][0]:.{2 if key in ('ghost_area', 'appears', 'body_recall') else 3}f}" for key in columns
-            ]
-            cells.append(f"{ratio[0]:.2f}\xa0({ratio[1]:.2f}–{ratio[2]:.2f})")
+            means = one["mean and 95 % interval"]
+            digits = {key: 2 if key in ("ghost_area", "appears", "body_recall") else 3 for key in columns}
+            cells = [f"{means[key][0]:.{digits[key]}f}" for key in columns]
             rows.append([TITLES.get(name, name), *cells])
-        heads = ["map", *(MAP_COLUMNS[key] for key in columns), "ghosts, x Bayes"]
+        heads = ["map", *(MAP_COLUMNS[key] for key in columns)]
         parts.append(f"Behind `{model}`:\n\n{table(heads, rows)}")
     return "\n\n".join(parts)
 

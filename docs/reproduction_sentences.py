@@ -1,6 +1,6 @@
 """Sentences of docs/reproduction.md that hold measured numbers, made from the records alone."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from record_tables import mark, percent, value
@@ -68,12 +68,12 @@ def _sentences_of_models(record: Record) -> dict[str, str]:
 
 
 def _sentence_of_ghosts(record: Record) -> str:
-    maps = record["maps"]["ray"]
+    maps = record["maps"]["combined"]
     area = {name: maps[name][MEAN]["ghost_area"][0] for name in (CLASSICAL, DEMPSTER, DEFAULTS)}
     free = {name: maps[name][MEAN]["static_false_free"][0] for name in area}
     return (
-        f"Behind `RayISM`, ghosts per moving object: classical filter {area[CLASSICAL]:.2f} m², Dempster's rule "
-        f"{area[DEMPSTER]:.2f}, default rule {area[DEFAULTS]:.2f},\n{_ratio(maps[DEFAULTS][RATIO]['ghost_area'])} the "
+        f"Behind `combined`, ghosts per moving object: classical filter {area[CLASSICAL]:.2f} m², Dempster's rule "
+        f"{area[DEMPSTER]:.2f}, default rule {area[DEFAULTS]:.2f},\n{area[DEFAULTS] / area[CLASSICAL]:.2f} times the "
         f"filter's. The default rule has {100 * (1 - free[DEFAULTS] / free[CLASSICAL]):.0f} %\nfewer occupied cells at "
         "P < 1/4."
     )
@@ -101,12 +101,6 @@ def _sentence_of_speed(record: Record) -> str:
         f"{record['summary']['paper']['scans per second']:.3g} by torch; baseline "
         f"{times['HeightBandISM']}, `RayISM` {times['RayISM']}. No GPU was measured."
     )
-
-
-def _ratio(interval: Sequence[float]) -> str:
-    """Return a ratio with its interval, and whether it differs from 1."""
-    middle, low, high = interval
-    return f"{middle:.2f} times ({low:.2f} to {high:.2f}{'' if high < 1 or low > 1 else ', not significant'})"
 
 
 def _sentences_of_town(town: Record) -> dict[str, str]:

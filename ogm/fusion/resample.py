@@ -118,7 +118,7 @@ def view_layers(
     layers: NDArray[np.float32],
     source: GridSpec,
     spec: GridSpec,
-    T_map_vehicle: ArrayLike | None,
+    T_map_vehicle: ArrayLike,
     method: ResampleMethod = "nearest",
 ) -> NDArray[np.float32]:
     """Return pairs of layers of a map in the vehicle's axes.

@@ -89,7 +89,7 @@ def _mix(cells: Any, moments: Any, label: Any, births: Any, still: Any, out: Any
             cov[1, 1] = yy + share * (b[4] - yy) + both * dy * dy
 
 
-def seen_from(belief: Beliefs, source: GridSpec, spec: GridSpec, T_map_vehicle: ArrayLike | None) -> DynamicGrid:
+def seen_from(belief: Beliefs, source: GridSpec, spec: GridSpec, T_map_vehicle: ArrayLike) -> DynamicGrid:
     """Return the beliefs of a map's cells in the vehicle's axes, by nearest cells; see `view_layers`.
 
     Velocities and covariances must be 0 where nothing is dynamic.
