@@ -17,7 +17,7 @@ from ogm.datasets.log_scans import CLOUD, RADAR_TYPES, SCAN_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
-from ogm.io.logs import LOG_ENDINGS, LogMessage, LogReader, open_log
+from ogm.io.logs import LogMessage, LogReader, log_ending, open_log
 from ogm.io.logs.definitions import log_files
 from ogm.io.messages.clouds import scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
 from ogm.io.messages.livox import scan_from_livox
@@ -35,7 +35,7 @@ def is_log(paths: Sequence[Path]) -> bool:
     if len(paths) == 1 and paths[0].is_dir():
         other = any(one.is_dir() or ending_of(one) for one in paths[0].iterdir())
         return not other and bool(log_files(paths[0]))
-    return bool(paths) and all(path.suffix.lower() in LOG_ENDINGS for path in paths)
+    return bool(paths) and all(map(log_ending, paths))
 
 
 class LogRecording(Recording):
