@@ -1,14 +1,17 @@
 """Where the sensors of a log were: its transforms, or its odometry, from a fixed frame to the frames of the scans."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.datasets.clocks import DriveClock
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageHead, MessageRef
 from ogm.io.messages import StampedTransform, transform_from_odometry, transforms_from_tf
+from ogm.io.notices import one_notice_per_kind
 from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
 from ogm.storage.files import OgmError
 
@@ -36,6 +39,8 @@ class LogTransforms:
         Where poses come from, in words.
     heads : list of (MessageRef, MessageHead)
         Of the scans.
+    clock : DriveClock
+        Parts of the drive. Stamps of the buffer are those of its time line.
     lost : list of str
         Why messages could not be read.
     """
@@ -47,15 +52,24 @@ class LogTransforms:
         self.heads: list[tuple[MessageRef, MessageHead]] = []
         self.lost: list[str] = []
         known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
-        for ref in log.iter_refs([*scans, *known]):
-            try:
-                topic = log.topic_of(ref)
-                if topic in known:
-                    self._add(transforms_from_tf(log.message(ref).decode()), known[topic])
-                else:
-                    self.heads.append((ref, log.head(ref)))
-            except OgmError as error:
-                self.lost.append(str(error))
+        found: list[tuple[MessageRef, list[StampedTransform], bool]] = []
+        with one_notice_per_kind(Counter()):
+            for ref in log.iter_refs([*scans, *known]):
+                try:
+                    topic = log.topic_of(ref)
+                    if topic in known:
+                        found.append((ref, transforms_from_tf(log.message(ref).decode()), known[topic]))
+                    else:
+                        self.heads.append((ref, log.head(ref)))
+                except OgmError as error:
+                    self.lost.append(str(error))
+        self.clock = DriveClock(
+            [log.topic_of(ref) for ref, _ in self.heads],
+            np.array([ref.log_time * 1e-9 for ref, _ in self.heads]),
+            np.array([head.stamp if head.time else np.nan for _, head in self.heads]),
+        )
+        for ref, transforms, static in found:
+            self._add(ref, transforms, static)
 
     def fixed_frame(self, sensor: str, wanted: str | None = None, preferred: str | None = None) -> str | None:
         """Return the frame that poses of a sensor are given in; None if there is none.
@@ -201,15 +215,21 @@ class LogTransforms:
         for ref in self._log.iter_refs([name]):
             try:
                 found = transform_from_odometry(self._log.message(ref).decode())
-                self._add([found if found.child else found._replace(child=_VEHICLE)])
             except OgmError as error:
                 self.lost.append(str(error))
+                continue
+            self._add(ref, [found if found.child else found._replace(child=_VEHICLE)])
         return True
 
     def _of_type(self, *types: str) -> list[str]:
         """Return the topics of some types."""
         return [name for name, facts in self._log.topics.items() if facts.type in types]
 
-    def _add(self, transforms: Iterable[StampedTransform], static: bool = False) -> None:
+    def _add(self, ref: MessageRef, transforms: Iterable[StampedTransform], static: bool = False) -> None:
+        """Add the transforms of a message, but for those that are damaged."""
         for transform in transforms:
-            self.buffer.add(transform, static)
+            stamp = transform.stamp if static else self.clock.on_line(ref.log_time * 1e-9, transform.stamp)
+            try:
+                self.buffer.add(transform._replace(stamp=stamp), static)
+            except OgmError as error:
+                self.lost.append(str(error))

@@ -80,7 +80,10 @@ class LogRecording(Recording):
         if not is_log(paths):
             return None
         scans = LogScans(open_log(paths), options.topic)
-        for warning in scans.warnings:
+        for finding in scans.transforms.clock.findings:
+            if finding.kind == "coarse stamps":
+                raise OgmError(f"{scans.path}: {finding}")
+        for warning in (*scans.warnings, *scans.transforms.clock.findings):
             _log.warning("%s", warning)
         if scans.types != {CLOUD} and options.units:
             raise ValueError(f"{scans.path} has scans of known units; leave out intensity_max and time_unit")
@@ -148,6 +151,8 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
             poses = one.poses(frame)[1]["poses"]
         except OgmError as error:
             poses = str(error)
+        if one.transforms.clock.findings:
+            found[f"clock of {name}"] = "; ".join(map(str, one.transforms.clock.findings))
         found[f"poses of {name}"] = f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
     if damage := [warning for one in scans.values() for warning in one.warnings] or log.warnings:
         found["damage"] = "; ".join(dict.fromkeys(damage))

@@ -329,3 +329,4 @@ def test_a_log_that_was_not_finished_is_read(write: Callable[..., Path], name: s
     path = write(name, "", 200)
     active = path.rename(path.parent / f"{name}.active")
     assert len(open_dataset(active)) == len(open_dataset(active.parent)) == SCANS
+    active.unlink()
