@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,12 +17,13 @@ from ogm.datasets.log_scans import CLOUD, RADAR_TYPES, SCAN_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
+from ogm.io.columns import IntensityRange
 from ogm.io.logs import LogMessage, LogReader, log_ending, open_log
 from ogm.io.logs.definitions import log_files
-from ogm.io.messages.clouds import scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
+from ogm.io.messages.clouds import cloud_table, scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
 from ogm.io.messages.livox import scan_from_livox
 from ogm.io.messages.velodyne import scan_from_velodyne_scan, scans_from_pcap
-from ogm.io.scan_table import rotation_to_flu
+from ogm.io.scan_table import rotation_to_flu, stated_range
 from ogm.pose import pose, rotate
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
@@ -65,6 +66,8 @@ class LogRecording(Recording):
         self.stamped = not np.isnan(scans.stamps).any()
         self.known_height = self._places is not None and self._places[0].height is not None
         self.known_truth, self.motion_distorted = several, not several
+        if scans.transforms.clock.is_cut:
+            self.main_sequence = max(self.groups, key=lambda name: len(self.groups[name]))
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "LogRecording | None":
@@ -101,10 +104,19 @@ class LogRecording(Recording):
         ref = self._scans[n]
         message = self.log.message(ref.ref)
         try:
-            scan = _scan(message, self._units)
+            scan = _scan(message, self._scales(n))
         except OgmError as error:
             raise OgmError(f"{self.files[ref.ref.file]}: {error}") from error
         return RawFrame(turn_scan(replace(scan, sensor=ref.frame), self._turns[n]))
+
+    def _scales(self, n: int) -> Mapping[str, Any]:
+        """Return the units of a point cloud: those that are given, else the drive's range of intensities."""
+        return {"intensity_max": partial(self.intensities, n), **self._units}
+
+    def intensity_range(self, n: int) -> IntensityRange | None:
+        """Return the intensities that mean 0 and 1 by the values of one point cloud; None for other messages."""
+        message = self.log.message(self._scans[n].ref)
+        return stated_range(cloud_table(message.decode())[0]) if message.type == CLOUD else None
 
     def place(self, n: int) -> SensorPlace:
         """Return the place of the sensor of a scan."""

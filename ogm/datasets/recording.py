@@ -7,7 +7,7 @@ A dataset is added by a subclass in a module of its own, as in `ogm.datasets.sus
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -18,7 +18,10 @@ from ogm import io
 from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
 from ogm.grid import GridSpec
 from ogm.io import Axes
-from ogm.io.scan import plausible_sensor_height
+from ogm.io.columns import IntensityRange
+from ogm.io.notices import one_notice_per_kind
+from ogm.io.scan import plausible_sensor_height, read_table
+from ogm.io.scan_table import stated_range
 from ogm.pose import pose
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
@@ -87,6 +90,8 @@ class Recording(ABC):
         cannot choose axes, mounts and truths that are known.
     shards : (len(frames),) int array or None
         Shard of each frame in an object store, where reading a shard costs little more than reading a frame.
+    main_sequence : str
+        Sequence that commands use by default; "" for the first.
     own_options : tuple of str
         Options of `OpenOptions` that other formats refuse: some of "split", "sensors", "topic", "frame".
     """
@@ -106,6 +111,7 @@ class Recording(ABC):
     known_mount: ClassVar[bool] = False
     known_height: bool = False
     known_truth: bool = False
+    main_sequence: str = ""
     own_options: ClassVar[tuple[str, ...]] = ()
     shards: NDArray[np.int64] | None = None
     sensor_height: float | None = None  # [m] given by the user
@@ -119,6 +125,7 @@ class Recording(ABC):
         )
         self.name = name or path.name or path.resolve().name or str(path)
         self.facts: Mapping[str, Any] = {}
+        self.notices = Counter[str]()  # of scans, by kind
 
     def __getstate__(self) -> dict[str, Any]:
         cached = {name for name in vars(self) if isinstance(getattr(type(self), name, None), cached_property)}
@@ -164,7 +171,12 @@ class Recording(ABC):
 
     def estimate_height(self, n: int) -> float | None:
         """Return the height of the sensor above ground [m] by one scan, or None if it shows no ground."""
-        return io.estimate_sensor_height(self.read(n).scan.points)
+        with one_notice_per_kind(self.notices):
+            return io.estimate_sensor_height(self.read(n).scan.points)
+
+    def intensity_range(self, n: int) -> IntensityRange | None:
+        """Return the intensities that mean 0 and 1 by the values of one scan; None if the format states them."""
+        return None
 
     def truth(self, n: int) -> Truth:
         """Return the truth of a frame; for recordings with a known truth."""
@@ -224,8 +236,43 @@ class Recording(ABC):
         height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
         return plausible_sensor_height(height, f"{group} in {self.path}")
 
+    def intensities(self, n: int, own: IntensityRange) -> IntensityRange:
+        """Return the intensities that mean 0 and 1 in all scans of a drive and sensor.
+
+        Parameters
+        ----------
+        n : int
+        own : (float, float)
+            Range by the values of scan n alone.
+
+        Returns
+        -------
+        (float, float)
+            0 and 1 if most of up to five scans stay between, else their widest range.
+        """
+        ref = self.frames[n]
+        return (self._intensities(ref.sequence, self.place(n).name) if ref.sequence else None) or own
+
+    @cached_property
+    def _intensities(self) -> Callable[[str, str], IntensityRange | None]:
+        return lru_cache(None)(self._widest_range)
+
+    def _widest_range(self, group: str, sensor: str) -> IntensityRange | None:
+        members = [k for k in self.groups[group] if self.place(k).name == sensor]
+        ranges = []
+        for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
+            try:
+                ranges.append(self.intensity_range(members[k]))
+            except _UNREADABLE:
+                continue  # the mapping reports it
+        known = [one for one in ranges if one is not None]
+        if 2 * known.count((0.0, 1.0)) > len(known) or not known:
+            return (0.0, 1.0) if known else None
+        return min(low for low, _ in known), max(high for _, high in known)
+
     def _read_without_ego(self, n: int) -> RawFrame:
-        raw = self.read(n)
+        with one_notice_per_kind(self.notices):
+            raw = self.read(n)
         return raw if self.ego_footprint is None else raw.without(self.ego_footprint)
 
 
@@ -246,7 +293,15 @@ class ScanFiles(Recording):
 
     def read(self, n: int) -> RawFrame:
         """Read a scan from its file."""
-        return RawFrame(io.read_scan(self.scans[n], self.axes, **self.units))
+        return RawFrame(io.read_scan(self.scans[n], self.axes, **self.scales(n)))
+
+    def scales(self, n: int) -> Mapping[str, Any]:
+        """Return the units of a scan: those that are given, else the drive's range of intensities."""
+        return {"intensity_max": partial(self.intensities, n), **self.units}
+
+    def intensity_range(self, n: int) -> IntensityRange | None:
+        """Return the intensities that mean 0 and 1 by the values of one file."""
+        return stated_range(read_table(self.scans[n]))
 
 
 def _absolute(value: Any) -> Any:

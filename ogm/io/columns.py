@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +15,8 @@ log: logging.Logger = logging.getLogger(__name__)
 
 IntensityRange = tuple[float, float]
 """Intensities of a file that mean 0 and 1."""
+IntensityScale = float | IntensityRange | Callable[[IntensityRange], IntensityRange]
+"""Intensity that means 1, those that mean 0 and 1, or a function that returns these by the range of one scan."""
 
 _SCALES = (1.0, 255.0, 65535.0)  # intensities that mean 1, of reflectances, bytes and counts of photons
 _SWEEP = 10.0  # [s] longer than any sweep: times that begin later are a clock's
@@ -52,15 +54,15 @@ def intensity_range(raw: NDArray[Any], least: float | None = None) -> IntensityR
 
 
 def scale_intensities(
-    raw: NDArray[Any], given: float | IntensityRange | None, least: float | None, path: Path | str
+    raw: NDArray[Any], given: IntensityScale | None, least: float | None, path: Path | str
 ) -> tuple[NDArray[Any], float]:
     """Return intensities in [0, 1], and the value that became 1; what is no number becomes 0.
 
     Parameters
     ----------
     raw : (N,) numbers
-    given : float or (float, float), optional
-        Intensity that means 1, or those that mean 0 and 1, of the user or of the drive; else `intensity_range`.
+    given : IntensityScale, optional
+        A function is called where the scan's own range is not 0 to 1. By default that range counts.
     least : float, optional
         See `intensity_range`.
     path : Path or str
@@ -71,11 +73,14 @@ def scale_intensities(
         text = "%s: %d of %d intensities are no number and become 0"
         notice(log, "unknown intensities", text, path, np.sum(~known), raw.size, level=logging.INFO)
         raw = np.where(known, raw, 0)
-    if given is not None:
-        low, high = given if isinstance(given, tuple) else (0.0, given)
+    if given is None or callable(given):
+        low, high = own = intensity_range(raw, least)
+        if given is not None and own != (0.0, 1.0) and raw.dtype not in (np.uint8, np.uint16):
+            low, high = given(own)
+        if raw.dtype not in (np.uint8, np.uint16) and high != least:
+            note_range((low, high), path)
     else:
-        low, high = intensity_range(raw, least)
-        note_range((low, high), raw, path)
+        low, high = given if isinstance(given, tuple) else (0.0, given)
     inside = (raw >= low) & (raw <= high)
     if not inside.all():
         text = "%s: %d of %d intensities outside of %g ... %g count as 0 or 1"
@@ -83,19 +88,15 @@ def scale_intensities(
     return np.clip((raw - low) / (high - low) if low else raw / high, 0.0, 1.0), float(high)
 
 
-def note_range(found: IntensityRange, raw: NDArray[Any], path: Path | str) -> None:
+def note_range(found: IntensityRange, where: Path | str) -> None:
     """Log what intensities without a stated scale are taken for."""
     low, high = found
     if low < 0:
-        text = "%s: most intensities are negative (decibels?): %g ... %g count as 0 ... 1; intensity_max sets what is 1"
-        notice(log, "decibels", text, path, low, high)
-    elif raw.dtype not in (np.uint8, np.uint16) and high > 1.0:
-        text = (
-            "%s: intensities up to %g are divided by %g; give intensity_max if they mean something else, or if those "
-            "of another scan are not divided"
-        )
-        level = logging.INFO if high <= _SCALES[1] else logging.WARNING
-        notice(log, "intensity scale", text, path, float(raw.max(initial=0)), high, level=level)
+        text = "%s: most intensities are negative (decibels?): %g ... %g become 0 ... 1"
+        notice(log, "decibels", text, where, low, high)
+    elif high > 1.0:
+        text = "%s: intensities are divided by %g; give intensity_max if another one means 1"
+        notice(log, "intensity scale", text, where, high, level=logging.INFO if high <= _SCALES[1] else logging.WARNING)
 
 
 def check_rings(raw: NDArray[Any] | None, path: Path | str) -> NDArray[np.uint16] | None:

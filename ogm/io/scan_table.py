@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.io.columns import (
     IntensityRange,
+    IntensityScale,
     check_rings,
     check_whole,
     intensity_range,
@@ -110,7 +111,7 @@ def scan_from_table(
     axes: Axes = "flu",
     *,
     origin: NDArray[np.float64] | None = None,
-    intensity_max: float | IntensityRange | None = None,
+    intensity_max: IntensityScale | None = None,
     time_unit: float | None = None,
     stamp: float | None = None,
 ) -> tuple[Scan, FileFacts]:
@@ -268,12 +269,12 @@ def _positions(
     return xyz, returned, reach
 
 
-def check_scales(intensity_max: float | IntensityRange | None, time_unit: float | None) -> None:
+def check_scales(intensity_max: IntensityScale | None, time_unit: float | None) -> None:
     """Refuse an `intensity_max` or a `time_unit` that makes no sense."""
     if isinstance(intensity_max, tuple):
         if not -np.inf < intensity_max[0] < intensity_max[1] < np.inf:
             raise ValueError(f"intensity_max must be two rising numbers, those that mean 0 and 1, got {intensity_max}")
-    elif intensity_max is not None and not 0.0 < intensity_max < np.inf:
+    elif isinstance(intensity_max, int | float) and not 0.0 < intensity_max < np.inf:
         raise ValueError(f"intensity_max must be above 0, got {intensity_max!r}")
     if time_unit is not None and not 0.0 < time_unit < np.inf:
         raise ValueError(f"time_unit must be above 0 [s], such as 1e-9 for nanoseconds, got {time_unit!r}")

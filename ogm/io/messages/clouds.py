@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.columns import IntensityRange
+from ogm.io.columns import IntensityScale
 from ogm.io.formats.table import POSITION, Table, plain, refuse_doubles
 from ogm.io.messages.plain import as_bytes, describe_message, header, reads_message, stamp_seconds
 from ogm.io.notices import notice
@@ -30,7 +30,7 @@ def scan_from_point_cloud2(
     message: Any,
     *,
     axes: Axes = "flu",
-    intensity_max: float | IntensityRange | None = None,
+    intensity_max: IntensityScale | None = None,
     time_unit: float | None = None,
     no_returns: bool = True,
 ) -> Scan:
