@@ -81,9 +81,10 @@ def receive_frames(
     Yields
     ------
     Frame
-        With scan, stamp and pose; rows without a point (0, 0, 0 or not finite) are dropped.
+        With scan, stamp and pose; rows without a point (0, 0, 0 or not finite) are dropped. A connection whose first
+        stamp is not after the last one begins a new sequence, as of a driver that was started anew.
     """
-    stop, count = stop or Event(), 0
+    stop, count, sequence, last = stop or Event(), 0, 1, -math.inf
     listener.setblocking(False)
     connection: _Connection | None = None
     try:
@@ -106,9 +107,11 @@ def receive_frames(
                 if message is not None:
                     scan, T = message
                     count += 1
-                    yield Frame(
-                        scan, mount, None, None, T_map_sensor=T, stamp=scan.stamp, name=f"scan {count}", sequence="live"
-                    )
+                    stamp = float(scan.stamp or 0.0)
+                    sequence += connection.scans == 1 and stamp <= last
+                    last = stamp
+                    drive = "live" if sequence == 1 else f"live {sequence}"
+                    yield Frame(scan, mount, None, None, T_map_sensor=T, stamp=stamp, name=f"scan {count}", sequence=drive)
     finally:
         if connection is not None:
             connection.end("")

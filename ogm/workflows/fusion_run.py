@@ -135,8 +135,8 @@ class FusionRun:
             self.restarts += 1
             path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
             step.previous_map.save(path)
-            why = f"{step.restart}, the third in a row: the map so far is saved as {path}, a new one begins here"
-            self.tell(f"{step.frame.name}: {why}")
+            why = f"{step.frame.sequence} begins" if step.restart == "sequence" else f"{step.restart}, the third in a row"
+            self.tell(f"{step.frame.name}: {why}: the map so far is saved as {path}, a new one begins here")
         elif self.last is not None:
             metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]
             seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
@@ -240,7 +240,7 @@ class FusionRun:
             cells = f"{np.count_nonzero(groups)} cells in {groups.max()} groups"
             facts["moving"] = f"{cells}, by {self.mapper.particles} particles"
         if self.restarts:
-            facts["restarts"] = f"{self.restarts}, after jumps of the pose"
+            facts["restarts"] = f"{self.restarts}, after jumps of pose or stamp, or with a new sequence"
         return facts
 
 
