@@ -76,10 +76,15 @@ def clock_parts(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> 
         step, passed = s[k] - s[last], t[k] - t[last]
         return not (step < 0 and passed - step > BACK) and step - passed <= AHEAD
 
+    def drift(k: int, last: int) -> float:
+        """Return by how much stamps went apart from log time between two messages [s]."""
+        return abs(s[k] - s[last] - t[k] + t[last])
+
     part, newest = 0, -1
     waiting: list[int] = []  # messages that do not follow the newest of the part, but each other
     for k in known.tolist():
-        if newest < 0 or follows(k, newest):
+        catches_up = bool(waiting) and follows(k, waiting[-1]) and drift(k, waiting[-1]) < drift(k, newest)
+        if newest < 0 or (follows(k, newest) and not catches_up):
             parts[k] = part
             newest = k if newest < 0 or s[k] >= s[newest] else newest
             waiting = []
@@ -252,21 +257,28 @@ class DriveClock:
         """Return stamps of some parts on the time line, (M,) [s]."""
         return stamps + np.array(self._shifts)[parts] if self.is_cut else stamps
 
-    def on_line(self, log_time: float, stamp: float) -> float:
-        """Return the stamp of another message of the log on the time line [s].
+    def on_line(self, log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the stamps of the messages of another topic on the time line, (M,) [s].
 
-        Its part is that of the scans that were recorded at the time; between the last scan of a part and the first of
-        the next, that whose log times are as far from its stamps.
+        The part of a message is that of the scans that were recorded at its time. Near a cut it is that whose scans were
+        recorded as long after their stamps, apart from the usual delay of the topic.
+
+        Parameters
+        ----------
+        log_times, stamps : (M,) float64
+            [s]
         """
-        if not self.is_cut:
-            return stamp
-        part = max((n for n, span in enumerate(self._spans) if span[0] <= log_time), default=0)
-        near = [
-            n
-            for n in (part - 1, part, part + 1)
-            if 0 <= n < len(self._spans)
-            and (n <= part or log_time >= self._spans[n - 1][1] - _SLACK)
-            and (n >= part or log_time <= self._spans[n + 1][0] + _SLACK)
-        ]
-        part = min(near, key=lambda n: abs(log_time - stamp - self._offsets[n]))
-        return stamp + self._shifts[part]
+        if not self.is_cut or not len(stamps):
+            return stamps
+        (first, last), offsets = np.array(self._spans).T, np.array(self._offsets)
+        part = np.clip(np.searchsorted(first, log_times, "right") - 1, 0, None)
+        behind = log_times - stamps
+        behind = behind - np.median(behind - offsets[part])
+        best, found = np.full(len(stamps), np.inf), part.copy()
+        for n, offset in enumerate(offsets):
+            possible = (n == part) | ((n == part - 1) & (log_times <= first[part] + _SLACK))
+            if n:
+                possible |= (n == part + 1) & (log_times >= last[n - 1] - _SLACK)
+            distance = np.where(possible, np.abs(behind - offset), np.inf)
+            found, best = np.where(distance < best, n, found), np.minimum(distance, best)
+        return stamps + np.array(self._shifts)[found]

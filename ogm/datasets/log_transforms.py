@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,13 +52,14 @@ class LogTransforms:
         self.heads: list[tuple[MessageRef, MessageHead]] = []
         self.lost: list[str] = []
         known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
-        found: list[tuple[MessageRef, list[StampedTransform], bool]] = []
+        found: list[tuple[str, int, StampedTransform]] = []
         with one_notice_per_kind(Counter()):
             for ref in log.iter_refs([*scans, *known]):
                 try:
                     topic = log.topic_of(ref)
                     if topic in known:
-                        found.append((ref, transforms_from_tf(log.message(ref).decode()), known[topic]))
+                        several = transforms_from_tf(log.message(ref).decode())
+                        found += [(topic, ref.log_time, transform) for transform in several]
                     else:
                         self.heads.append((ref, log.head(ref)))
                 except OgmError as error:
@@ -68,8 +69,7 @@ class LogTransforms:
             np.array([ref.log_time * 1e-9 for ref, _ in self.heads]),
             np.array([head.stamp if head.time else np.nan for _, head in self.heads]),
         )
-        for ref, transforms, static in found:
-            self._add(ref, transforms, static)
+        self._add(found, [name for name, static in known.items() if static])
 
     def fixed_frame(self, sensor: str, wanted: str | None = None, preferred: str | None = None) -> str | None:
         """Return the frame that poses of a sensor are given in; None if there is none.
@@ -212,24 +212,29 @@ class LogTransforms:
             return False
         name = self._odometry.pop(0)
         self.source = f"odometry ({name})"
+        poses: list[tuple[str, int, StampedTransform]] = []
         for ref in self._log.iter_refs([name]):
             try:
                 found = transform_from_odometry(self._log.message(ref).decode())
             except OgmError as error:
                 self.lost.append(str(error))
                 continue
-            self._add(ref, [found if found.child else found._replace(child=_VEHICLE)])
+            poses.append((name, ref.log_time, found if found.child else found._replace(child=_VEHICLE)))
+        self._add(poses)
         return True
 
     def _of_type(self, *types: str) -> list[str]:
         """Return the topics of some types."""
         return [name for name, facts in self._log.topics.items() if facts.type in types]
 
-    def _add(self, ref: MessageRef, transforms: Iterable[StampedTransform], static: bool = False) -> None:
-        """Add the transforms of a message, but for those that are damaged."""
-        for transform in transforms:
-            stamp = transform.stamp if static else self.clock.on_line(ref.log_time * 1e-9, transform.stamp)
+    def _add(self, transforms: Sequence[tuple[str, int, StampedTransform]], static: Iterable[str] = ()) -> None:
+        """Add transforms by their topics and log times [ns], except those that are damaged."""
+        topics = np.array([name for name, _, _ in transforms])
+        times, stamps = np.array([(1e-9 * time, one.stamp) for _, time, one in transforms]).reshape(-1, 2).T
+        for name in {*topics} - {*static}:
+            stamps[topics == name] = self.clock.on_line(times[topics == name], stamps[topics == name])
+        for (name, _, one), stamp in zip(transforms, stamps.tolist(), strict=True):
             try:
-                self.buffer.add(transform._replace(stamp=stamp), static)
+                self.buffer.add(one._replace(stamp=stamp), name in static)
             except OgmError as error:
                 self.lost.append(str(error))

@@ -2,6 +2,7 @@
 
 import io
 import re
+import sqlite3
 import struct
 from collections.abc import Callable
 from contextlib import suppress
