@@ -165,7 +165,7 @@ def as_scan(scan: "Scan | ArrayLike") -> Scan:
     return scan if isinstance(scan, Scan) else Scan(scan)  # type: ignore[arg-type]
 
 
-def _column(given: Any, name: str, dtype: type[np.generic]) -> NDArray[Any]:
+def _column(given: Any, name: str, dtype: type[Any]) -> NDArray[Any]:
     """Return a column of a scan in its type, or refuse numbers that the type does not hold."""
     raw = np.asarray(given)
     if raw.dtype.kind not in "fiu":

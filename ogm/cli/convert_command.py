@@ -24,7 +24,8 @@ Message = Annotated[
 ]
 Topic = Annotated[str | None, Option(help="Of a GRID in a log. [default: the one with grids, or /map]")]
 FreeThresh = Annotated[
-    float | None, Option(help="Of a GRID as .yaml: replaces its free_thresh; 0.196 where unknown cells are read as free.")
+    float | None,
+    Option(help="Of a GRID as .yaml: replaces its free_thresh; 0.196 where unknown cells are read as free."),
 ]
 Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
 Width = Annotated[float | None, Option(help="The same along y [m]. The middle of the extent is the origin.")]

@@ -78,7 +78,7 @@ def clock_parts(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> 
 
     def drift(k: int, last: int) -> float:
         """Return by how much stamps went apart from log time between two messages [s]."""
-        return abs(s[k] - s[last] - t[k] + t[last])
+        return float(abs(s[k] - s[last] - t[k] + t[last]))
 
     part, newest = 0, -1
     waiting: list[int] = []  # messages that do not follow the newest of the part, but each other
@@ -224,7 +224,9 @@ class DriveClock:
 
     def __init__(self, topics: Sequence[str], log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> None:
         self.stamps, self.parts = stamps.copy(), np.zeros(len(stamps), np.int64)
-        rows = {name: np.array([n for n, topic in enumerate(topics) if topic == name]) for name in dict.fromkeys(topics)}
+        rows = {
+            name: np.array([n for n, topic in enumerate(topics) if topic == name]) for name in dict.fromkeys(topics)
+        }
         for mine in rows.values():
             self.stamps[mine] = _begun_at_zero(stamps[mine])
         own = [clock_parts(log_times[mine], self.stamps[mine]) for mine in rows.values()]
@@ -235,7 +237,9 @@ class DriveClock:
         ]
         if np.isnan(self.stamps).all():
             return
-        for mine, parts in zip(rows.values(), joint_parts([log_times[mine] for mine in rows.values()], own), strict=True):
+        for mine, parts in zip(
+            rows.values(), joint_parts([log_times[mine] for mine in rows.values()], own), strict=True
+        ):
             self.parts[mine] = parts
         self._spans, self._offsets = [], []  # log times of each part [s], and log time minus stamp
         self._shifts, end = [], -np.inf
@@ -260,8 +264,8 @@ class DriveClock:
     def on_line(self, log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the stamps of the messages of another topic on the time line, (M,) [s].
 
-        The part of a message is that of the scans that were recorded at its time. Near a cut it is that whose scans were
-        recorded as long after their stamps, apart from the usual delay of the topic.
+        The part of a message is that of the scans that were recorded at its time. Near a cut it is the part whose scans
+        were recorded as long after their stamps, apart from the usual delay of the topic.
 
         Parameters
         ----------
@@ -281,4 +285,4 @@ class DriveClock:
                 possible |= (n == part + 1) & (log_times >= last[n - 1] - _SLACK)
             distance = np.where(possible, np.abs(behind - offset), np.inf)
             found, best = np.where(distance < best, n, found), np.minimum(distance, best)
-        return stamps + np.array(self._shifts)[found]
+        return np.asarray(stamps + np.array(self._shifts)[found])

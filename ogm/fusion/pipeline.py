@@ -98,8 +98,8 @@ def fuse(
 ) -> Iterator[FusionStep]:
     """Fuse the scans of a drive into a map, one step per frame.
 
-    The map begins anew with every new `Frame.sequence`, and after three jumps in a row, at the last of them: of poses, or
-    of stamps that follow each other.
+    The map begins anew with every new `Frame.sequence`, and after three jumps in a row, at the last of them: jumps of
+    poses, or of stamps that follow each other.
 
     Parameters
     ----------

@@ -141,7 +141,7 @@ def scan_from_table(
     there = returned
     if reach > REACH:
         there = returned & (np.abs(xyz) <= REACH).all(axis=0)
-        _check_far(np.count_nonzero(returned), np.count_nonzero(there), reach, where)
+        _check_far(int(np.count_nonzero(returned)), int(np.count_nonzero(there)), reach, where)
     kept: np.ndarray | slice = slice(None)
     if dropped := there.size - int(np.count_nonzero(there)):
         kept = there

@@ -111,7 +111,9 @@ def receive_frames(
                     sequence += connection.scans == 1 and stamp <= last
                     last = stamp
                     drive = "live" if sequence == 1 else f"live {sequence}"
-                    yield Frame(scan, mount, None, None, T_map_sensor=T, stamp=stamp, name=f"scan {count}", sequence=drive)
+                    yield Frame(
+                        scan, mount, None, None, T_map_sensor=T, stamp=stamp, name=f"scan {count}", sequence=drive
+                    )
     finally:
         if connection is not None:
             connection.end("")

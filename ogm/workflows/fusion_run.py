@@ -135,7 +135,9 @@ class FusionRun:
             self.restarts += 1
             path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
             step.previous_map.save(path)
-            why = f"{step.frame.sequence} begins" if step.restart == "sequence" else f"{step.restart}, the third in a row"
+            why = (
+                f"{step.frame.sequence} begins" if step.restart == "sequence" else f"{step.restart}, the third in a row"
+            )
             self.tell(f"{step.frame.name}: {why}: the map so far is saved as {path}, a new one begins here")
         elif self.last is not None:
             metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]

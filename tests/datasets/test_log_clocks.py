@@ -84,7 +84,7 @@ def test_topics_that_are_cut_together_have_the_same_parts() -> None:
 
 @each("stamps, kinds, what", [
         (shifted(), [], ""),
-        (shifted((slice(20, None), -1000)), ["clock put back"], "go back from 1700000001.900000 to 1699999002.000000 s"),
+        (shifted((slice(20, None), -1000)), ["clock put back"], "go back from 1700000001.900000 to 1699999002.0"),
         (shifted((slice(20, None), 1e5)), ["clock put ahead"], "jump from .* while 0.1 s pass"),
         (shifted((slice(20, 21), 1e5), (slice(3, 4), -1e5)), ["wrong stamps"], "2 of 40 stamps agree with no other"),
         (np.where(TIME < 0.05, np.nan, shifted()), ["missing stamps"], "1 of 40 headers have no stamp"),
@@ -142,7 +142,7 @@ def wall(frames: list) -> float:
     occupied = np.argwhere(mapper.grid.occupied > 0.5)
     assert len(occupied) > 30
     assert np.ptp(occupied[:, 1]) == 0
-    return -16 + 0.4 * (occupied[0, 1] + 0.5)
+    return float(mapper.grid.spec.origin[1] + 0.4 * (occupied[0, 1] + 0.5))
 
 
 @each("gap, start", [(100.0, 5.0), (0.1, 5.0), (0.1, 5.33), (30.0, 0.0), (0.1, 4.9), (0.1, 90_000.0)])
@@ -171,7 +171,9 @@ def test_a_cut_drive_is_fused_part_by_part(log: Callable[..., Path], tmp_path: P
     assert "drive: drive part 1, the longest of 2; --sequence picks another" in result.output
     completed("fuse", path, "--sequence", 2, *options, tmp_path / "second.npz")
     assert EvidentialGrid.load(tmp_path / "second.npz").spec != EvidentialGrid.load(tmp_path / "longest.npz").spec
-    assert "stamps go back from 5.800000 to 5.000000 s while 100 s pass" in " ".join(completed("info", path).output.split())
+    assert "stamps go back from 5.800000 to 5.000000 s while 100 s pass" in " ".join(
+        completed("info", path).output.split()
+    )
 
 
 @each("bad", [{4: 0.0}, {4: 3600.0}, {0: 0.0, 1: 0.1}, {7: T0, 3: 1.0}])

@@ -241,7 +241,7 @@ def test_decibels_beside_a_reflectivity_are_not_used(tmp_path):
 
 
 @each("rows, ending, message", [
-        (np.float32([[1, 2, -3, 0.5, 7.5]] * 16), ".bin", "intensities down to -3, wanted none below 0 .* name it after its rows"),
+        (np.float32([[1, 2, -3, 0.5, 7.5]] * 16), ".bin", "intensities down to -3, .* name it after its rows"),
         (np.float32([[1, 2, 3, 0.5, 7]] * 16), ".bin", "whole numbers as every fifth value: .* name it .pcd.bin"),
         (np.float32([[1, 2, 3, 0.5, 0.1, 7]] * 10), ".pcd.bin", "rings from 0.1 to 7 as fifth values"),
         (np.float32([[1, 2, -3, 0.5]] * 10), ".pcd.bin", "rings from -3 to 2 as fifth values"),

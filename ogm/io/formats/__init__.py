@@ -46,7 +46,7 @@ def _are_rings(values: np.ndarray) -> bool:
     """Return whether nearly all values may be numbers of lasers."""
     with np.errstate(invalid="ignore"):
         whole = (values >= 0) & (values < 2**16) & (values == np.floor(values))
-    return np.count_nonzero(whole) >= 0.95 * values.size
+    return bool(np.count_nonzero(whole) >= 0.95 * values.size)
 
 
 def _float_rows(data: bytes, path: Path, width: int) -> dict[str, np.ndarray]:

@@ -123,9 +123,9 @@ def read_grid(
         What `write_grid` writes, and other programs' files of these formats: ``.yaml`` of map_server, whose occupancy
         values become masses without unknown, but for cells that are unknown; ``.tif``, ``.nc`` and ``.zarr`` with bands
         or variables free and occupied; ``.mcap``, ``.db3`` and ``.bag`` with OccupancyGrid, GridMap or foxglove.Grid,
-        of which the last counts, with the OccupancyGridUpdates after it; ``.png`` as the paper's released code exports it: red 255 times the mass of
-        occupied, green that of free, row 0 the front, column 0 the left; ``.npy`` with masses of free and occupied,
-        (nx, ny, 2) float, index (0, 0) behind on the right, as everywhere in `ogm`.
+        of which the last counts, with the OccupancyGridUpdates after it; ``.png`` as the paper's released code exports
+        it: red 255 times the mass of occupied, green that of free, row 0 the front, column 0 the left; ``.npy`` with
+        masses of free and occupied, (nx, ny, 2) float, index (0, 0) behind on the right, as everywhere in `ogm`.
     area : GridSpec, optional
         Area of ``.npy`` and ``.png``, which do not hold it; their cells may be coarser or finer.
     topic : str, optional

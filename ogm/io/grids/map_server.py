@@ -191,8 +191,8 @@ def _values(header: _Header) -> NDArray[np.int8]:
         share = np.count_nonzero(total == unknown) / total.size
         if share > 0:
             _log.warning(
-                "%s: free_thresh %g makes %.3g %% of the cells free that have the grey of unknown cells (205), as nav2 does: "
-                "free_thresh 0.196 (--free-thresh) reads them as unknown",
+                "%s: free_thresh %g makes %.3g %% of the cells free, which have the grey of unknown cells (205), as in "
+                "nav2: free_thresh 0.196 (--free-thresh) reads them as unknown",
                 header.image, header.free, 100 * share,
             )  # fmt: skip
     if alpha is not None and header.mode == "scale":

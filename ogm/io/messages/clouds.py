@@ -129,9 +129,7 @@ def _damage(field: Any, step: int) -> str:
     offset, count = int(field.offset), max(int(field.count), 1)  # old drivers write a count of 0 for 1
     if 0 <= offset <= step - count * size:
         return ""
-    return (
-        f"{field.name} at byte {offset}, {count} times {size} bytes, wanted it inside of point_step {step}"
-    )
+    return f"{field.name} at byte {offset}, {count} times {size} bytes, wanted it inside of point_step {step}"
 
 
 def point_cloud2(scan: Scan, *, frame_id: str, stamp: float | None = None) -> SimpleNamespace:

@@ -141,8 +141,8 @@ def transforms_from_tf(message: Any) -> list[StampedTransform]:
             errors.append(error)
             if len(errors) == len(several):
                 raise
-    for error in errors:
-        notice(log, "damaged transform", "%s: the transform is left out", error)
+    for damage in errors:
+        notice(log, "damaged transform", "%s: the transform is left out", damage)
     return result
 
 

@@ -123,9 +123,7 @@ def update(x: int, y: int, values: Any, stamp: float = 5.0) -> SimpleNamespace:
     """Return an update of a map by values (width, height)."""
     values = np.array(values, np.int8)
     width, height = values.shape
-    return SimpleNamespace(
-        header=header(stamp, "map"), x=x, y=y, width=width, height=height, data=values.T.reshape(-1)
-    )
+    return SimpleNamespace(header=header(stamp, "map"), x=x, y=y, width=width, height=height, data=values.T.reshape(-1))
 
 
 @each("ending", ENDINGS)

@@ -100,7 +100,7 @@ def test_unknown_cells_that_the_thresholds_make_free_are_named(
     assert values.tolist() == list(load_map(tmp_path / "a.yaml").data)
     assert (share is not None) == ("the grey of unknown cells" in caplog.text)
     if share is not None:
-        assert f"makes {share:g} % of the cells free" in caplog.text
+        assert f"makes {share:g} % of the cells free," in caplog.text
     unknown = occupancy_values(read_grid(tmp_path / "a.yaml", free_thresh=0.196))[:, 0]
     assert unknown.tolist() == [{205: -1, 254: 0, 0: 100}[grey] for grey in greys]
     refused("free_thresh must be from 0 to", read_grid, tmp_path / "a.yaml", free_thresh=0.7)

@@ -206,7 +206,9 @@ def test_an_encrypted_bag_is_refused(write: Callable[..., Path]) -> None:
     refused("is encrypted", open_log, path, error=OgmError)
 
 
-@each("row", ["NULL,1,1,x'00'", "'abc',1,1,x'00'", "1.5,1,1,x'00'", "2,'a',1,x'00'", "2,1,'b',x'00'", "2,NULL,NULL,NULL"])
+@each(
+    "row", ["NULL,1,1,x'00'", "'abc',1,1,x'00'", "1.5,1,1,x'00'", "2,'a',1,x'00'", "2,1,'b',x'00'", "2,NULL,NULL,NULL"]
+)
 def test_a_row_of_a_db3_without_whole_numbers_is_left_out(tmp_path: Path, row: str) -> None:
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.executescript(

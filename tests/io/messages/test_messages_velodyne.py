@@ -205,7 +205,9 @@ def test_captures_of_all_link_layers(link, tmp_path):
 
 def test_captures_of_other_link_layers_are_refused(tmp_path):
     capture(tmp_path / "drive.pcap", [b"x"], link=127)
-    refused("capture of link layer 127, wanted Ethernet", list, scans_from_pcap(tmp_path / "drive.pcap"), error=OgmError)
+    refused(
+        "capture of link layer 127, wanted Ethernet", list, scans_from_pcap(tmp_path / "drive.pcap"), error=OgmError
+    )
 
 
 def test_several_sensors_in_one_capture(recorded, tmp_path):
