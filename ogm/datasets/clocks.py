@@ -176,8 +176,8 @@ def clock_findings(
     s, t = stamps[known], log_times[known]
     same = (np.diff(s) == 0) & (np.diff(t) > 0)
     if len(same) >= AGREE and 2 * np.count_nonzero(same) > len(same) and not (s % _COARSE).any():
-        step = np.diff(np.unique(s))
-        what = f"{len(s)} scans have {len(np.unique(s))} stamps, {np.min(step, initial=np.inf):.4g} s apart at least"
+        different = np.unique(s)
+        what = f"{len(s)} scans have {len(different)} different stamps in {t[-1] - t[0]:.3g} s"
         way = "they are too coarse for poses: record or convert the log anew with whole stamps (64 bits)"
         found.append(ClockFinding("coarse stamps", what, topic, way))
     numbers = [n for n in np.unique(parts) if n != STRAY]

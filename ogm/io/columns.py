@@ -32,7 +32,7 @@ def intensity_range(raw: NDArray[Any], least: float | None = None) -> IntensityR
     """Return the intensities that mean 0 and 1, by type and values.
 
     Whole numbers of 8 and 16 bits without sign have the range of their type. Else 0 means 0, and the first of 1, 255
-    and 65535 that no intensity exceeds means 1; beyond that, the intensity that 99 % do not exceed. Where most are
+    and 65535 that 99 % of the intensities do not exceed means 1; beyond that, what 99 % do not exceed. Where most are
     negative they are decibels: those that 1 % and 99 % do not exceed mean 0 and 1.
 
     Parameters
@@ -44,12 +44,12 @@ def intensity_range(raw: NDArray[Any], least: float | None = None) -> IntensityR
     if raw.dtype in (np.uint8, np.uint16):
         return 0.0, float(np.iinfo(raw.dtype).max)
     known = raw[np.isfinite(raw)]
+    if not known.size:
+        return 0.0, least or 1.0
     if 2 * np.count_nonzero(known < 0) > known.size:
         low, high = (float(value) for value in np.percentile(known, (1, 99)))
         return low, max(high, low + 1.0)
-    high = max(float(known.max(initial=0)), least or 1.0)
-    if high > _SCALES[-1]:
-        high = max(float(np.percentile(known, 99)), _SCALES[-1])
+    high = max(float(np.percentile(known, 99)), least or 1.0)
     return 0.0, next((scale for scale in _SCALES if high <= scale), high)
 
 

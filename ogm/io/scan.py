@@ -73,8 +73,8 @@ def read_scan(
     intensity_max : float or (float, float), optional
         The file's intensity that means 1, or those that mean 0 and 1; others count as 0 or 1. By default 1 is that of
         the format: 1 in KITTI, 255 in nuScenes, 255 or 65535 where intensities are whole numbers of 8 or 16 bits
-        without sign (Argoverse, PLY, LAS). Else, and where one is larger, it is the first of 1, 255 and 65535 that no
-        intensity exceeds, or the intensity that 99 % do not exceed. Where most intensities are negative they are
+        without sign (Argoverse, PLY, LAS). Else, and where more than 1 % are larger, it is the first of 1, 255 and
+        65535 that 99 % do not exceed, or what 99 % do not exceed. Where most intensities are negative they are
         decibels, and the range of 98 % of them counts. What is guessed is logged; the scans of a drive have one range,
         see `ogm.datasets.recording.Recording.intensities`. `read_scan_file` returns what was taken.
     origin : 3 float

@@ -222,14 +222,15 @@ def test_a_guessed_scale_is_logged_where_it_divides(tmp_path, caplog):
 
 @each("raw, expected, scale", [
         (np.float32([0, 500, 3000]), np.float32([0, 500, 3000]) / 65535, 65535),  # photons
-        (np.float64([0, 1.01, 0]), [0, 1.01 / 255, 0], 255),
+        (np.float64([0, 1.01, 0.5]), [0, 1, 0.5], 1),
+        (np.r_[np.linspace(0, 1, 400), 1e30, 5.0], np.r_[np.linspace(0, 1, 400), 1, 1], 1),
         (np.float32([-150, -75, 0]), [0, 0.5, 1], 0),  # decibels
         (np.float32([-0.5, 0.25, 1]), [0, 0.25, 1], 1),
         (np.int32([0, 1, 200_000]), [0, 1 / 196_000, 1], 196_000),
     ])  # fmt: skip
 def test_unusual_intensities_cost_no_scan(raw, expected, scale, tmp_path):
-    path = feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=raw)
-    scan, facts = read_scan_file(path)
+    ones = np.ones(len(raw), "f4")
+    scan, facts = read_scan_file(feather(tmp_path / "a.feather", x=ones, y=ones, z=ones, intensity=raw))
     np.testing.assert_allclose(scan.points[:, 3], expected, atol=0.011)
     assert facts.intensity_max == pytest.approx(scale, rel=0.02, abs=2)
 
