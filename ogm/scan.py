@@ -48,7 +48,7 @@ class Scan(ShownInNotebooks):
         Unit directions, in the frame of `points`, of beams without echo: from the sky, but also from what is
         black or wet. None where that is unknown.
     doppler : (N,) float32, optional
-        Radial velocity, positive away from the sensor [m/s].
+        Radial velocity, positive away from the sensor [m/s]; NaN where unknown.
     rcs : (N,) float32, optional
         Radar cross section [dBsm], NaN where unknown; None for scans of lidars.
     sensor : str

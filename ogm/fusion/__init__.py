@@ -19,7 +19,7 @@ from ogm.fusion.resample import coarsen, resample_to, warp
 from ogm.fusion.update_gate import PoseJump, StampJump
 
 __all__ = [
-    "BinaryBayesMapper", "DynamicMapper", "EvidentialMapper", "FusionStep", "Mapper", "Objects", "PoseJump", "StampJump",
-    "coarsen", "covering_window", "deskew", "find_objects", "fuse", "make_mapper", "map_scans", "odometry", "predict_dynamic",
-    "resample_to", "rolling_window", "update_map", "warp",
+    "BinaryBayesMapper", "DynamicMapper", "EvidentialMapper", "FusionStep", "Mapper", "Objects", "PoseJump",
+    "StampJump", "coarsen", "covering_window", "deskew", "find_objects", "fuse", "make_mapper", "map_scans", "odometry",
+    "predict_dynamic", "resample_to", "rolling_window", "update_map", "warp",
 ]  # fmt: skip

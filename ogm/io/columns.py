@@ -278,6 +278,15 @@ def _note_unit(count: float, usual: float, lasts: float, given: bool, where: Pat
         notice(log, "short times", text, where, lasts)
 
 
+def unknown_as_nan(raw: NDArray[Any] | None, what: str, path: Path | str) -> NDArray[np.float32] | None:
+    """Return a column as float32 in which what is no number is NaN."""
+    if raw is None or np.isfinite(raw).all():
+        return raw if raw is None else raw.astype(np.float32, copy=False)
+    text = "%s: %d of %d points have %s that are no number, and count as unknown"
+    notice(log, f"unknown {what}", text, path, np.count_nonzero(~np.isfinite(raw)), raw.size, what, level=logging.INFO)
+    return np.where(np.isfinite(raw), raw, np.nan).astype(np.float32)
+
+
 def check_whole(raw: NDArray[Any] | None, what: str, path: Path | str) -> NDArray[Any] | None:
     """Leave a column out that is not known of every point: there is no number for the unknown."""
     if raw is None or np.isfinite(raw).all():

@@ -12,11 +12,11 @@ from ogm.io.columns import (
     IntensityRange,
     IntensityScale,
     check_rings,
-    check_whole,
     intensity_range,
     scale_intensities,
     split_times,
     times_from_stamp,
+    unknown_as_nan,
 )
 from ogm.io.formats.table import DOPPLER, INTENSITY, POSITION, RCS, RING, TIME, Table, plain
 from ogm.io.labels import REACH
@@ -178,8 +178,8 @@ def scan_from_table(
         time=time,
         ring=check_rings(known(RING), where),
         no_returns=no_returns,
-        doppler=check_whole(known(DOPPLER), "Doppler velocities", where),
-        rcs=check_whole(known(RCS), "radar cross sections", where),
+        doppler=unknown_as_nan(known(DOPPLER), "Doppler velocities", where),
+        rcs=unknown_as_nan(known(RCS), "radar cross sections", where),
     )
     return scan, FileFacts(dropped, scale, table.format, fields, table.shape)
 

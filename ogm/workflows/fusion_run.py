@@ -1,6 +1,8 @@
 """The course of fusing one drive: what was mapped, and what of it is drawn, saved and reported."""
 
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +26,7 @@ from ogm.scan import Boxes, Frame
 from ogm.storage.files import OF_DISK, error_text
 
 ARROW_SECONDS = 1.0  # [s] of the way that an arrow shows
+_LISTED = 3  # scans that are listed of those that are skipped for one reason
 
 
 @dataclass
@@ -73,6 +76,7 @@ class FusionRun:
     path: float = 0.0  # [m]
     speed: float = math.nan  # [m/s]
     seconds: list[tuple[float, float]] = field(default_factory=list)  # of model and mapper
+    reasons: Counter[str] = field(default_factory=Counter)  # of skipped scans, without their numbers
 
     @property
     def ground_z(self) -> float:
@@ -126,7 +130,11 @@ class FusionRun:
     def skip(self, frame: Frame, error: Exception) -> None:
         """Count a scan that is skipped, and tell why."""
         self.failed += 1
-        self.tell(f"{frame.name} is skipped: {error_text(error)}")
+        kind = re.sub(r"[0-9.eE+-]*[0-9]", "0", error_text(error).replace(frame.name, ""))
+        self.reasons[kind] += 1
+        if self.reasons[kind] <= _LISTED:
+            more = "; further scans with the same reason are only counted" if self.reasons[kind] == _LISTED else ""
+            self.tell(f"{frame.name} is skipped: {error_text(error)}{more}")
 
     def add(self, k: int, step: FusionStep) -> None:
         """Record a mapped frame, and save the map that a restart would lose."""

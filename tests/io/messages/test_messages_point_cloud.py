@@ -203,8 +203,10 @@ def test_fields_of_radars():
     np.testing.assert_array_equal(scan.rcs, -3)
     for name in ("velocity", "range_rate", "doppler_velocity", "radial_velocity"):
         assert scan_from_point_cloud2(message(columns() | {name: radar["doppler"]})).doppler[7] == 7
-    radar["doppler"][3] = np.nan
-    assert scan_from_point_cloud2(message(columns() | radar)).doppler is None
+    radar["doppler"][3], radar["RCS"][4] = np.inf, np.nan  # unknown at one detection
+    scan = scan_from_point_cloud2(message(columns() | radar))
+    assert np.flatnonzero(np.isnan(scan.doppler)).tolist() == [3]
+    assert np.flatnonzero(np.isnan(scan.rcs)).tolist() == [4]
 
 
 def test_axes_and_intensity():
