@@ -250,7 +250,7 @@ class FusionRun:
             cells = f"{np.count_nonzero(groups)} cells in {groups.max()} groups"
             facts["moving"] = f"{cells}, by {self.mapper.particles} particles"
         if self.restarts:
-            facts["restarts"] = f"{self.restarts}, after jumps of pose or stamp, or with a new sequence"
+            facts["restarts"] = f"{self.restarts}, after jumps of the pose, of stamps, or with a new sequence"
         return facts
 
 
