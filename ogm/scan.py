@@ -172,7 +172,8 @@ def _column(given: Any, name: str, dtype: type[Any]) -> NDArray[Any]:
         raise ValueError(f"{name} must be numbers, got {raw.dtype}")
     if name == "time" and not np.isfinite(raw).all():
         raise ValueError(f"time must be finite [s], time[{int(np.argmin(np.isfinite(raw)))}] is not; leave out times")
-    if name == "ring" and not ((raw >= 0) & (raw < 2**16) & (raw == np.floor(raw))).all():
+    short = raw.dtype in (np.uint8, np.uint16)
+    if name == "ring" and not short and not ((raw >= 0) & (raw < 2**16) & (raw == np.floor(raw))).all():
         raise ValueError(f"ring must be whole numbers from 0 to 65535, got {raw.min()} to {raw.max()}; leave out rings")
     return raw.astype(dtype, copy=False)
 

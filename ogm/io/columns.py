@@ -19,6 +19,7 @@ IntensityScale = float | IntensityRange | Callable[[IntensityRange], IntensityRa
 """Intensity that means 1, those that mean 0 and 1, or a function that returns these by the range of one scan."""
 
 _SCALES = (1.0, 255.0, 65535.0)  # intensities that mean 1, of reflectances, bytes and counts of photons
+_SAMPLE = 4096  # intensities, about, of which quantiles are taken
 _SWEEP = 10.0  # [s] longer than any sweep: times that begin later are a clock's
 _FLASH = 1e-3  # [s] shorter than a sweep
 _USUAL = (2e-3, 2.0)  # [s] of a sweep: three decades, so that times fit one of the units
@@ -43,13 +44,17 @@ def intensity_range(raw: NDArray[Any], least: float | None = None) -> IntensityR
     """
     if raw.dtype in (np.uint8, np.uint16):
         return 0.0, float(np.iinfo(raw.dtype).max)
-    known = raw[np.isfinite(raw)]
+    least = least or 1.0
+    if not raw.size or (raw.min() >= 0 and raw.max() <= least):
+        return 0.0, least
+    some = raw[:: raw.size // _SAMPLE | 1]
+    known = some[np.isfinite(some)]
     if not known.size:
-        return 0.0, least or 1.0
+        return 0.0, least
     if 2 * np.count_nonzero(known < 0) > known.size:
         low, high = (float(value) for value in np.percentile(known, (1, 99)))
         return low, max(high, low + 1.0)
-    high = max(float(np.percentile(known, 99)), least or 1.0)
+    high = max(float(np.percentile(known, 99)), least)
     return 0.0, next((scale for scale in _SCALES if high <= scale), high)
 
 
@@ -68,8 +73,8 @@ def scale_intensities(
     path : Path or str
         The file's name, or what a message is, for messages.
     """
-    known = np.isfinite(raw)
-    if not known.all():
+    if raw.size and not np.isfinite([raw.min(), raw.max()]).all():
+        known = np.isfinite(raw)
         text = "%s: %d of %d intensities are no number and become 0"
         notice(log, "unknown intensities", text, path, np.sum(~known), raw.size, level=logging.INFO)
         raw = np.where(known, raw, 0)
@@ -81,11 +86,13 @@ def scale_intensities(
             note_range((low, high), path)
     else:
         low, high = given if isinstance(given, tuple) else (0.0, given)
-    inside = (raw >= low) & (raw <= high)
-    if not inside.all():
+    scaled = (raw - low) / (high - low) if low else raw / high
+    if raw.size and not low <= raw.min() <= raw.max() <= high:
+        beyond = np.count_nonzero((raw < low) | (raw > high))
         text = "%s: %d of %d intensities outside of %g ... %g count as 0 or 1"
-        notice(log, "intensities beyond", text, path, np.sum(~inside), raw.size, low, high, level=logging.INFO)
-    return np.clip((raw - low) / (high - low) if low else raw / high, 0.0, 1.0), float(high)
+        notice(log, "intensities beyond", text, path, beyond, raw.size, low, high, level=logging.INFO)
+        scaled = np.clip(scaled, 0.0, 1.0)
+    return scaled, float(high)
 
 
 def note_range(found: IntensityRange, where: Path | str) -> None:
@@ -160,8 +167,8 @@ def times_from_stamp(
     if raw is None or not raw.size:
         return raw if raw is None else raw.astype(np.float64), stamp
     if unit is None and abs(stamp) > _SWEEP:
-        middle = float(_middle(raw))
-        unit = next((one for one in _UNITS if abs(middle * one - stamp) <= _SWEEP), None)
+        some = float(raw.min() if _is_short(raw, _usual_unit(raw)) else _middle(raw))
+        unit = next((one for one in _UNITS if abs(some * one - stamp) <= _SWEEP), None)
     if (found := sweep_times(raw, unit, where)) is None:
         return None, stamp
     since, earliest, of_clock = found
@@ -196,16 +203,19 @@ def sweep_times(raw: NDArray[Any], unit: float | None, where: Path | str) -> Swe
     where : Path or str
         The file's name, or what a message is, for messages.
     """
+    # Subtract before whole numbers of 64 bits become floats, which cannot hold them.
+    exact, usual = raw if raw.dtype.itemsize == 8 else raw.astype(np.float64), _usual_unit(raw)
+    if _is_short(raw, unit or usual):
+        since, count = (exact - exact.min()).astype(np.float64), unit or usual
+        _note_unit(count, usual, float(since.max()) * count, unit is not None, where)
+        return SweepTimes(since * count, float(raw.min()) * count, abs(float(raw.min()) * count) > _SWEEP)
     if np.count_nonzero(~np.isfinite(raw)) > _STRAYS * raw.size:
         check_whole(raw, "times", where)
         return None
     middle = _middle(raw)
     with np.errstate(invalid="ignore", over="ignore"):
-        # Subtracted before whole numbers of 64 bits become floats, which cannot hold them.
-        exact = raw if raw.dtype.itemsize == 8 else raw.astype(np.float64)
         ticks = exact - exact.dtype.type(middle)
     ticks = (ticks.view(np.int64) if ticks.dtype == np.uint64 else ticks).astype(np.float64)
-    usual = 1e-9 if raw.dtype.kind in "iu" else 1.0
     for count, period, good in _readings(ticks, unit, usual):
         wrong = int(np.count_nonzero(~good))
         if wrong > _STRAYS * raw.size:
@@ -230,6 +240,17 @@ def sweep_times(raw: NDArray[Any], unit: float | None, where: Path | str) -> Swe
         where, float(np.ptp(ticks[np.isfinite(ticks)])) * (unit or usual), unit or usual, raw.dtype,
     )  # fmt: skip
     return None
+
+
+def _usual_unit(raw: NDArray[Any]) -> float:
+    """Return what times usually count in [s]: whole numbers nanoseconds, others seconds."""
+    return 1e-9 if raw.dtype.kind in "iu" else 1.0
+
+
+def _is_short(raw: NDArray[Any], unit: float) -> bool:
+    """Return whether all times are numbers that lie within a second."""
+    first, last = raw.min(), raw.max()
+    return bool(np.isfinite(first) and np.isfinite(last) and (float(last) - float(first)) * unit <= 1.0)
 
 
 def _middle(raw: NDArray[Any]) -> Any:

@@ -212,7 +212,9 @@ def _check_far(points: int, near: int, reach: float, where: Path | str) -> None:
 def _intensities(table: Table, columns: dict[str, NDArray[Any]]) -> NDArray[Any] | None:
     """Return the first column of intensities that are not mostly negative, else the first; None if there is none."""
     found = [columns[name] for name in INTENSITY if name in columns]
-    return next((one for one in found if 2 * np.count_nonzero(one < 0) <= one.size), found[0] if found else None)
+    if len(found) < 2:
+        return found[0] if found else None
+    return next((one for one in found if 2 * np.count_nonzero(one < 0) <= one.size), found[0])
 
 
 def stated_range(table: Table) -> IntensityRange | None:
