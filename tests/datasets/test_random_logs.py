@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from odd_logs import HARMLESS, TOLD, combination, made_scans, messages_of, odd_drive, write
+from random_logs import HARMLESS, TOLD, combination, made_scans, messages_of, odd_drive, write
 
 from ogm.datasets import open_dataset
 from ogm.fusion import EvidentialMapper, fuse
