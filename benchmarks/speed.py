@@ -102,7 +102,8 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
     """Time the steps of `RayISM`, each on what the steps before it made."""
     points, mount = make.thinned(scan.points, 120_000), Mount(scan.sensor_height)
     ism, cells = RayISM(SPEC, mount), Cells(*SPEC.origin, SPEC.resolution)
-    polar, coarse = ray._polar_grid(SPEC, mount, ism.azimuth_step), ray._ground_spec(SPEC, ism.ground_cell)
+    polar = ray._polar_grid(SPEC, (0.0, 0.0), mount.ego_footprint, ism.azimuth_step)
+    coarse = ray._ground_spec(SPEC, ism.ground_cell)
     numbers = RayNumbers(*(float(getattr(ism, name)) for name in RayNumbers._fields))
     origin, nothing = mount.origin.astype(np.float32), np.empty((0, 3), np.float32)
     xyz = to_vehicle_frame(points, mount, mount.ego_footprint)

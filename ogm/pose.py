@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "LATEST", "Trajectory", "check_pose", "check_stamp", "inverse", "matrix_to_quaternion", "matrix_to_vector", "pose",
-    "quaternion_to_matrix", "rotate", "transform_points", "vector_to_matrix",
+    "LATEST", "Trajectory", "check_pose", "check_stamp", "inverse", "levelling", "matrix_to_quaternion",
+    "matrix_to_vector", "pose", "quaternion_to_matrix", "rotate", "tilt_of", "transform_points", "vector_to_matrix",
 ]  # fmt: skip
 
 LATEST = 1e11  # [s], year 5138: larger stamps count something smaller than seconds, and float64 holds no microseconds
@@ -130,6 +130,34 @@ def inverse(T: ArrayLike) -> NDArray[np.float64]:
     result[:3, :3] = array[:3, :3].T
     result[:3, 3] = -array[:3, :3].T @ array[:3, 3]
     return result
+
+
+def tilt_of(T: NDArray[np.float64]) -> float:
+    """Return the angle between the z axes of both frames of a transform, 0 to pi [rad]."""
+    return float(np.arccos(np.clip(T[2, 2], -1, 1)))
+
+
+def levelling(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation that takes sensor coordinates to axes with z along that of the map.
+
+    Parameters
+    ----------
+    T : (4, 4) float64
+        ``T_map_sensor``.
+
+    Returns
+    -------
+    (3, 3) float64
+        The smallest rotation; for tilts above 120 degrees the one that keeps the heading of the x axis.
+    """
+    R = T[:3, :3]
+    if R[2, 2] < -0.5:
+        yaw = np.arctan2(R[1, 0], R[0, 0])
+        turned: NDArray[np.float64] = vector_to_matrix((0.0, 0.0, -yaw)) @ R
+        return turned
+    axis = np.cross(R[2], (0.0, 0.0, 1.0))  # of the turn from the map's z axis, in the sensor's frame, to z
+    sine = float(np.linalg.norm(axis))
+    return vector_to_matrix(axis / sine * tilt_of(T)) if sine > 1e-12 else np.eye(3)
 
 
 def transform_points(T: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:

@@ -148,6 +148,8 @@ class LazyScan(Scan):
 
     def select(self, keep: NDArray[Any] | slice) -> Scan:
         """See `Scan.select`; the mount stays to be found."""
+        if "_scan" not in self.__dict__:  # a copy by `replace`, whose mount is known
+            return super().select(keep)
         return LazyScan.of(self.__dict__["_scan"].select(keep), lambda: self.mount)  # type: ignore[arg-type,return-value]
 
     def __reduce__(self) -> tuple[Any, ...]:

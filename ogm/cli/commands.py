@@ -7,6 +7,7 @@ from typer import Option
 
 import ogm
 from ogm.cli.calibrate_command import calibrate_command
+from ogm.cli.check_command import check
 from ogm.cli.console import out
 from ogm.cli.convert_command import convert
 from ogm.cli.evaluate_command import evaluate
@@ -42,6 +43,7 @@ app.command("calibrate", epilog="Example:  ogm calibrate data/ --ism ray --out r
 app.command(epilog="Example:  ogm evaluate data/ --ism height-band ray lite --out report/")(evaluate)
 app.command("export", epilog="Example:  ogm export lite --out lite.onnx")(export_command)
 app.command(epilog="Example:  ogm info scan.pcd")(info)
+app.command(epilog="Example:  ogm check drive.mcap --write vehicle.yaml")(check)
 app.command(epilog="Example:  ogm view map.npz --out map.html --open")(view)
 app.add_typer(world_app)
 

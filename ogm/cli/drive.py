@@ -27,8 +27,8 @@ def check_pose_options(
             raise ValueError(f"--save-poses would overwrite {path}; give another name")
 
 
-def pick_drive(dataset: "Dataset", sequence: str | None, sensor_height: float | None) -> "Dataset":
-    """Return one drive of a data set, and print the height of its sensor."""
+def pick_drive(dataset: "Dataset", sequence: str | None) -> "Dataset":
+    """Return one drive of a data set."""
     drives = dataset.sequences
     if drives:
         names = list(drives)
@@ -44,11 +44,16 @@ def pick_drive(dataset: "Dataset", sequence: str | None, sensor_height: float | 
         dataset = dataset.select(drives[found[0]])
     elif sequence is not None:
         raise ValueError(f"--sequence picks one of several drives, of which {dataset.name} has none")
+    return dataset
+
+
+def print_sensor(dataset: "Dataset") -> None:
+    """Print the height of the sensor of a drive."""
     height, recording = dataset[0].mount.sensor_height, dataset.recording
-    if sensor_height is None and not recording.known_mount:
+    given = recording.sensor_height is not None or recording.setup(0).sensor_height is not None
+    if not given and not recording.known_mount:
         how = "stated by the data set" if recording.known_height else "estimated from up to five scans"
         out.print(f"sensor height {height:.2f} m, {how}; --sensor-height sets it", soft_wrap=True)
-    return dataset
 
 
 def with_known_poses(

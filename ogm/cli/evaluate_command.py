@@ -12,6 +12,7 @@ from typer import Argument, Option
 
 from ogm.cli.console import distinct, out, printable, report_errors, stderr, ticked
 from ogm.cli.options import FixedFrame, FolderAxes, Scheduler, Sensor, Topic, TruthSources, Workers, parsed_axes
+from ogm.cli.sensor_options import SensorOptions, sensor_options
 from ogm.evidence.map_rules import MAP_RULES
 from ogm.storage.locks import locked
 from ogm.storage.remote import as_path
@@ -49,6 +50,7 @@ Fused = Annotated[
 
 
 @report_errors
+@sensor_options
 def evaluate(
     data: Data,
     more: Annotated[list[str] | None, Argument(help="Further models, after --ism NAME.", metavar="[NAME]...")] = None,
@@ -81,6 +83,7 @@ def evaluate(
     topic: Topic = None,
     fixed_frame: FixedFrame = None,
     sensor: Sensor = None,
+    sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
     samples: Annotated[int | None, Option(help="Frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, Option(help="Frames with pictures in the report.")] = 100,
@@ -133,6 +136,7 @@ def evaluate(
         others=others,
         spec=spec,
         **log,  # type: ignore
+        **sensors._asdict(),
     )
     numbers = choose_frames(dataset, samples, every, seed)
     methods = named_methods(names, rules, grids or [], spec, resample)

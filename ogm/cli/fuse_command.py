@@ -9,8 +9,9 @@ from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import chosen_model, out, print_facts, report_errors, stderr
-from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
+from ogm.cli.drive import check_pose_options, pick_drive, print_sensor, with_known_poses
 from ogm.cli.options import File
+from ogm.cli.sensor_options import SensorOptions, sensor_options
 from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ MovieFile = Annotated[File, Option(help="Film of the drive, at its own pace: .gi
 
 
 @report_errors
+@sensor_options
 def fuse(
     scans: ScanPaths,
     poses: Poses = None,
@@ -89,8 +91,7 @@ def fuse(
     sensor: options.Sensor = None,
     ism: UsualModel = None,
     axes: options.Axes = "flu",
-    sensor_height: options.SensorHeight = None,
-    sensor_position: options.SensorPosition = None,
+    sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
     intensity_max: options.IntensityMax = None,
     time_unit: options.TimeUnit = None,
     deskew: Deskew = False,
@@ -163,7 +164,7 @@ def fuse(
     )
     options.check()
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit, "topic": topic or ()}
-    reading |= {"sensor_height": sensor_height, "sensor_position": sensor_position, "frame": fixed_frame}
+    reading |= {"frame": fixed_frame, **sensors._asdict()}
     datasets = [
         open_dataset(paths, sensors=sensor or (), default_split="sequences", **reading)
         for paths in ([[path] for path in scans] if each_drive else [scans])
@@ -175,8 +176,9 @@ def fuse(
         raise typer.Exit(_fuse_each(drives, fuse_one, outputs.base.parent, workers, scheduler))
     if workers > 1 or scheduler is not None:
         raise ValueError("--workers and --scheduler are for --each-drive: the scans of one drive follow each other")
-    dataset = pick_drive(datasets[0], sequence, sensor_height)
+    dataset = pick_drive(datasets[0], sequence)
     dataset = with_known_poses(dataset, poses, calib, odometry, rate, first)
+    print_sensor(dataset)
     run = fuse_drive(
         dataset,
         outputs,

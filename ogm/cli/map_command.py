@@ -15,6 +15,7 @@ from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import chosen_model, distinct, first_call, out, report_errors, stderr, ticked
+from ogm.cli.sensor_options import SensorOptions, sensor_options
 
 if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
@@ -71,6 +72,7 @@ def demo(
 
 
 @report_errors
+@sensor_options
 def map_(
     scans: Annotated[
         list[Path],
@@ -88,8 +90,7 @@ def map_(
         ),
     ] = None,
     axes: options.Axes = "flu",
-    sensor_height: options.SensorHeight = None,
-    sensor_position: options.SensorPosition = None,
+    sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
     intensity_max: options.IntensityMax = None,
     time_unit: options.TimeUnit = None,
     topic: options.Topic = None,
@@ -113,19 +114,15 @@ def map_(
     from ogm.grid import GridSpec
     from ogm.models.named import RELEASED
     from ogm.workflows import map_to_files
+    from ogm.workflows.checks import gravest
 
     spec = GridSpec.centered(length, width, resolution)
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
-    placed = {
-        "sensor_height": sensor_height,
-        "sensor_position": sensor_position,
-        "topic": topic or (),
-        "frame": fixed_frame,
-        "sensors": sensor or (),
-    }
-    dataset, ism = open_dataset(scans, **reading, **placed), chosen_model(ism, spec)  # type: ignore[arg-type]
-    model = _model(ism, spec, sensor_height, sensor_position)
-    estimated = sensor_height is None and ism != RELEASED and dataset.format.startswith(("scans", "log"))
+    chosen = {"topic": topic or (), "frame": fixed_frame, "sensors": sensor or ()}
+    dataset = open_dataset(scans, **reading, **chosen, **sensors._asdict())  # type: ignore[arg-type]
+    ism = chosen_model(ism, spec)
+    model = _model(ism, spec, sensors.sensor_height, sensors.sensor_position)
+    estimated = sensors.sensor_height is None and ism != RELEASED and dataset.format.startswith(("scans", "log"))
     if out_path is None and picture is None:
         out_path, picture = Path(), Path()
     results = map_to_files(dataset, model, out_path, picture, title=ism, first_call=first_call)
@@ -139,6 +136,9 @@ def map_(
         _row(table, name, len(frame.scan), grid, seconds)
         if estimated:
             heights.add(f"{frame.mount.sensor_height:.2f} m")
+    if ism != RELEASED:
+        for finding in gravest(dataset, ism):
+            stderr.print(f"ogm: {finding}", markup=False)
     if heights:
         stderr.print(f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)")
     if table.row_count:

@@ -31,11 +31,6 @@ TruthSources = Annotated[
 ]
 IntensityMax = Annotated[float | None, Option(help="The file's intensity that means 1; by default the format's.")]
 TimeUnit = Annotated[float | None, Option(help="Unit of time [s]. [default: 1e-9 of whole numbers, else 1]")]
-SensorHeight = Annotated[float | None, Option(help="Sensor above ground [m]. [default: stated, or estimated]")]
-SensorPosition = Annotated[
-    tuple[float, float, float] | None,
-    Option(help="x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),
-]
 Length = Annotated[float | None, Option(help="Extent of a scan's grid along x [m]. [default: about 81.92]")]
 Width = Annotated[float | None, Option(help="Extent of a scan's grid along y [m]. [default: about 56.32]")]
 Resolution = Annotated[float, Option(help="Side of a cell [m].")]

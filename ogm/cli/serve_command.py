@@ -13,8 +13,9 @@ from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import first_call, out, report_errors, stderr
-from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
+from ogm.cli.drive import check_pose_options, pick_drive, print_sensor, with_known_poses
 from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Model, Odometry, Poses, Rule
+from ogm.cli.sensor_options import SensorOptions, sensor_options
 from ogm.storage.files import error_text
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ Every = Annotated[float, Option(help="Print counts and latencies this often [s].
 
 
 @report_errors
+@sensor_options
 def serve(
     scans: ScanPaths = None,
     listen: Listen = None,
@@ -53,8 +55,7 @@ def serve(
     first: First = None,
     ism: Model = "ray",
     axes: options.Axes = "flu",
-    sensor_height: options.SensorHeight = None,
-    sensor_position: options.SensorPosition = None,
+    sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
     intensity_max: options.IntensityMax = None,
     time_unit: options.TimeUnit = None,
     rule: Rule = None,
@@ -74,6 +75,7 @@ def serve(
     --sensor-height.
     """
     from ogm.datasets import open_dataset
+    from ogm.datasets.sensor_setup import setup_of, within_limits
     from ogm.fusion import make_mapper, rolling_window
     from ogm.fusion.factory import adding_rule_warning
     from ogm.grid import GridSpec
@@ -82,6 +84,7 @@ def serve(
     from ogm.live.memory import return_large_blocks
     from ogm.models.named import load_model, with_radar
     from ogm.scan import Mount
+    from ogm.workflows.checks import gravest
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
@@ -96,18 +99,21 @@ def serve(
         if scans is not None:
             check_pose_options(poses, calib, odometry, None, first)
             reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
-            placed = {"sensor_height": sensor_height, "sensor_position": sensor_position}
+            placed = sensors._asdict()
             log = {"topic": topic or (), "frame": fixed_frame}
             dataset = open_dataset(scans, **reading, **placed, **log, default_split="sequences")  # type: ignore[arg-type]
-            dataset = with_known_poses(
-                pick_drive(dataset, sequence, sensor_height), poses, calib, odometry, SCAN_RATE, first
-            )
+            dataset = with_known_poses(pick_drive(dataset, sequence), poses, calib, odometry, SCAN_RATE, first)
+            print_sensor(dataset)
+            for finding in gravest(dataset, ism):
+                _print(finding)
             frames, example, speed = dataset, _example(dataset), 1.0 if rate is None else rate
         else:
-            if sensor_height is None or rate is not None:
+            setup, height = setup_of(sensors.setups, ""), sensors.sensor_height
+            if (height := setup.sensor_height if height is None else height) is None or rate is not None:
                 raise ValueError("--listen needs --sensor-height [m], and takes scans as they come, without --rate")
             listener = stack.enter_context(_listener(str(listen)))
-            frames = receive_frames(listener, Mount(sensor_height), stop=stop, on_end=_print)
+            mount = Mount(height, ego_footprint=setup.ego_footprint)  # type: ignore[arg-type]
+            frames = within_limits(receive_frames(listener, mount, stop=stop, on_end=_print), setup)
             example, speed = None, None
             _print("taking scans at {}:{}".format(*listener.getsockname()))
         with first_call():

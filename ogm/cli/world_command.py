@@ -9,9 +9,9 @@ from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import out, print_facts, report_errors, stderr
+from ogm.cli.sensor_options import SensorOptions, sensor_options
 
 if TYPE_CHECKING:
-    from ogm.datasets import Dataset
     from ogm.world import Progress as Event
     from ogm.world import WorldMap
 
@@ -42,6 +42,7 @@ DriveName = Annotated[str | None, Option("--drive", help="Name of the drive; `og
 
 
 @report_errors
+@sensor_options
 def build(
     datasets: DataSets,
     out_url: OutUrl,
@@ -52,6 +53,7 @@ def build(
     rate: Rate = 10.0,
     ism: Ism = "ray",
     axes: options.Axes = "flu",
+    sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
     length: options.Length = None,
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
@@ -68,17 +70,27 @@ def build(
     of workers. Workers of --scheduler reach data sets and map under the same paths. Where an object store is and who
     may use it is taken from AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
     """
+    from ogm.datasets import open_dataset, with_poses
     from ogm.grid import GridSpec
     from ogm.models.named import load_model, with_radar
     from ogm.workflows import drives_of
+    from ogm.workflows.checks import gravest
     from ogm.world import WorldMap, build_world
 
     if poses is not None and len(poses) != len(datasets):
         raise ValueError(f"give --poses once per data set, or never: got {len(poses)} for {len(datasets)}")
     spec = GridSpec.centered(length, width, resolution)
     model = load_model(with_radar(ism), spec)
-    opened = [(path, _open(path, axes, poses[n] if poses else None, calib, rate)) for n, path in enumerate(datasets)]
+    opened = [
+        (path, open_dataset(path, axes=axes, default_split="sequences", **sensors._asdict())) for path in datasets
+    ]
+    if poses is not None:
+        placed = zip(opened, poses, strict=True)
+        opened = [(path, with_poses(dataset, file, calib, rate)) for (path, dataset), file in placed]
     drives = drives_of(opened)
+    for name, drive in drives.items():
+        for finding in gravest(drive, ism):
+            stderr.print(f"ogm: {name}: {finding}", markup=False)
     try:
         world = WorldMap.open(out_url, "r+")
     except FileNotFoundError:
@@ -162,14 +174,6 @@ def export(
             write_grid(path, PlacedGrid(grid, crs=world.crs))
             print_facts({"cells": str(grid.spec)})
     out.print(f"written {path}", markup=False)
-
-
-def _open(path: Path, axes: Any, poses: Path | None, calib: Path | None, rate: float) -> "Dataset":
-    """Return a data set with its poses."""
-    from ogm.datasets import open_dataset, with_poses
-
-    dataset = open_dataset(path, axes=axes, default_split="sequences")
-    return dataset if poses is None else with_poses(dataset, poses, calib, rate)
 
 
 class _progress:  # noqa: N801  a context manager

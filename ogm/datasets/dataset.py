@@ -80,7 +80,7 @@ class Dataset(Sequence[Frame]):
         k = self._numbers[n]
         recording, boxes, truth = self.recording, partial(self._motion.boxes, k), partial(self._moving_truth, k)
         ref = recording.frames[k]._asdict()
-        return LazyFrame(partial(recording.scan, k), partial(recording.mount, k), boxes, truth, **ref)
+        return LazyFrame(partial(recording.scan, k), partial(recording.used_mount, k), boxes, truth, **ref)
 
     def _moving_truth(self, k: int) -> Truth:
         """Return the truth of a frame; its motion is found at the first access."""
@@ -100,6 +100,11 @@ class Dataset(Sequence[Frame]):
         chosen = copy(self)
         chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
         return chosen
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Numbers of the frames in the recording."""
+        return self._numbers
 
     def describe(self) -> dict[str, str]:
         """Return format, frames, poses, stamps and truth as names and values to print; no scan is read."""
@@ -166,6 +171,8 @@ class Dataset(Sequence[Frame]):
         for n, k in enumerate(self._numbers):
             place = (float(stamps[n]), poses[n]) if known[n] else (None, None)
             frames[k] = FrameRef(frames[k].name, sequence, *place)
-        recording = copy(self.recording)
+        recording = copy(self.recording)  # also without the heights and levels that were found without these poses
+        vars(recording).clear()
+        vars(recording).update(self.recording.__getstate__())
         recording.frames, recording.facts = tuple(frames), {**self.facts, **facts}
         return Dataset(recording, *self._truth_options, self._numbers, trajectory)

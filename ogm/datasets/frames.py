@@ -1,6 +1,7 @@
 """Parts of the frames of a recording: references, raw scans, HD maps and places of sensors."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,11 +41,14 @@ class RawFrame(NamedTuple):
 
     def without(self, box: Footprint) -> "RawFrame":
         """Return the frame without the returns from inside a footprint."""
-        kept = _outside(box, self.scan.points)
-        kinds = None if self.kinds is None else self.kinds[kept]
-        moving = None if self.moving is None else self.moving[kept]
         every = None if self.all_points is None else self.all_points[_outside(box, self.all_points)]
-        return RawFrame(self.scan.select(kept), kinds, moving, every)
+        return self.kept(_outside(box, self.scan.points), self.scan.no_returns)._replace(all_points=every)
+
+    def kept(self, rows: NDArray[np.bool_], no_returns: NDArray[np.float32] | None) -> "RawFrame":
+        """Return the frame with some of the points, and given beams without echo."""
+        kinds = None if self.kinds is None else self.kinds[rows]
+        moving = None if self.moving is None else self.moving[rows]
+        return RawFrame(replace(self.scan.select(rows), no_returns=no_returns), kinds, moving, self.all_points)
 
 
 class HdMap(NamedTuple):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ogm.datasets.clocks import STRAY
 from ogm.datasets.frames import FrameRef, SensorPlace
 from ogm.datasets.log_transforms import LogTransforms
+from ogm.datasets.sensor_setup import SensorSetup, setup_of
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageRef
 from ogm.storage.files import OgmError
@@ -32,7 +33,8 @@ class ScanRef(NamedTuple):
 
     ref: MessageRef
     topic: str
-    frame: str
+    frame: str  # of the sensor
+    cloud: str  # frame of the points, mostly the same
     time: int  # [ns]
     stamp: float  # [s]; NaN where the header has none
     part: int  # of the drive, where its clock began anew
@@ -46,6 +48,10 @@ class LogScans:
     log : LogReader
     topic : str or iterable of str
         By default the only one of a lidar, or of a radar where there is no lidar.
+    placed : bool
+        Whether the user gives the position of the sensor, in base_link if clouds are in a frame above that.
+    setups : iterable of SensorSetup
+        Their mounts count instead of transforms from base_link.
 
     Raises
     ------
@@ -53,18 +59,26 @@ class LogScans:
         If there is no such topic, or not one alone.
     """
 
-    def __init__(self, log: LogReader, topic: str | Iterable[str] = ()) -> None:
+    def __init__(
+        self, log: LogReader, topic: str | Iterable[str] = (), placed: bool = False, setups: Iterable[SensorSetup] = ()
+    ) -> None:
         self.log, self.path = log, log.paths[0]
         self.topics = _chosen(log, [topic] if isinstance(topic, str) else list(topic))
         self.types = {log.topics[name].type for name in self.topics}
         self.transforms = LogTransforms(log, self.topics)
+        self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
+        sensors = {head.frame: self._sensor(head.frame, placed) for _, head in self.transforms.heads}
         clock = self.transforms.clock
         rows = zip(self.transforms.heads, clock.stamps.tolist(), clock.parts.tolist(), strict=True)
         scans = [
-            ScanRef(ref, log.topic_of(ref), head.frame, head.time, stamp, part)
+            ScanRef(ref, log.topic_of(ref), sensors[head.frame], head.frame, head.time, stamp, part)
             for (ref, head), stamp, part in rows
             if part != STRAY
         ]
+        mounts = {name: setup_of(setups, name).T_vehicle_sensor for name in self.topics}
+        for frame, name in {scan.frame: scan.topic for scan in scans}.items():
+            if (T := mounts[name]) is not None:
+                self.transforms.mount(frame, T)
         self.refs = sorted(scans, key=lambda scan: (scan.part, scan.time))
         self.warnings, lost = [*log.warnings], self.transforms.lost
         if lost:
@@ -91,7 +105,16 @@ class LogScans:
         return {scan.frame: np.flatnonzero((frames == scan.frame) & known) for scan in self.refs}
 
     def poses(self, wanted: str | None = None) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        """Return where the sensors were, (K, 4, 4), NaN where unknown, and facts: how and why."""
+        """Return where the sensors were, (K, 4, 4), NaN where unknown, and facts: how and why.
+
+        Raises
+        ------
+        OgmError
+            If clouds are in a frame that does not tell the place of their sensor.
+        """
+        for ref in self.refs:
+            if ref.cloud in self.unplaced:
+                raise OgmError(f"{self.path}: the points of {ref.topic} {self.unplaced[ref.cloud]}")
         poses = np.full((len(self.refs), 4, 4), np.nan)
         topics = {scan.frame: scan.topic for scan in reversed(self.refs)}
         fixed, reasons, chains = None, [], []
@@ -106,9 +129,55 @@ class LogScans:
             chains.append(self.transforms.chain(found, sensor))
             if why:
                 reasons.append(f"{len(why)} of {topics[sensor]}: {next(iter(why.values()))}")
+        moved = {ref.topic: f"points of {ref.topic} from {ref.cloud}" for ref in self.refs if ref.cloud != ref.frame}
+        chains += moved.values()
         known = int(np.isfinite(poses[:, 0, 0]).sum())
         how = f"{known} of {len(poses)} scans, by {self.transforms.source} ({', '.join(chains)})" if known else "none"
         return poses, {"poses": "; ".join([how, *reasons]), "frame": fixed or ""}
+
+    @cached_property
+    def T_sensor_cloud(self) -> NDArray[np.float64] | None:  # noqa: N802
+        """Transforms from the frames of the clouds to those of the sensors, (K, 4, 4); None where all are the same."""
+        T = np.tile(np.eye(4), (len(self.refs), 1, 1))
+        pairs = {(ref.frame, ref.cloud) for ref in self.refs if ref.cloud != ref.frame}
+        for sensor, frame in sorted(pairs):
+            numbers = np.array([n for n, ref in enumerate(self.refs) if (ref.frame, ref.cloud) == (sensor, frame)])
+            known = np.isfinite(self.stamps[numbers])
+            T[numbers] = np.nan
+            T[numbers[known]] = self.transforms.lookup(sensor, frame, self.stamps[numbers[known]])[0]
+        return T if pairs else None
+
+    def frame_notes(self, placed: bool) -> list[tuple[str, str]]:
+        """Return topics whose points are not in their sensor's frame, each with the way out ("" for none)."""
+        notes = []
+        for topic, ref in {ref.topic: ref for ref in self.refs}.items():
+            if ref.cloud != ref.frame and not placed:
+                text = f"the points of {topic} are in {ref.cloud}: rays start at {ref.frame}, by transforms"
+                notes.append((text, ""))
+            elif not placed and self.transforms.vehicle_frame(ref.frame) == ref.frame:
+                text = f"the points of {topic} are in {ref.cloud}, the vehicle's frame: rays start at its origin"
+                notes.append((text, "--sensor-position X Y Z is the place of the sensor there, 0 0 0 for its origin"))
+        return notes
+
+    def known_place(self) -> str:
+        """Return the sensor's frame and its place in base_link in words; "" where it is not known, or the same."""
+        frame = self.refs[0].frame
+        if (vehicle := self.transforms.vehicle_frame(frame)) in (None, frame) or self.T_vehicle_sensor is None:
+            return ""
+        x, y, z = self.T_vehicle_sensor[0, :3, 3]
+        return (
+            "" if np.allclose(self.T_vehicle_sensor[0], np.eye(4)) else f"{frame}, at {x:g} {y:g} {z:g} m in {vehicle}"
+        )
+
+    def _sensor(self, frame: str, placed: bool) -> str:
+        """Return the frame of the sensor of clouds, or that of the vehicle, in which its position is given."""
+        try:
+            sensor = self.transforms.sensor_frame(frame)
+        except OgmError as error:
+            if not placed:
+                self.unplaced[frame] = str(error)
+            return (self.transforms.vehicle_frame(frame) or frame) if placed else frame
+        return sensor if sensor == frame or not placed else (self.transforms.vehicle_frame(frame) or frame)
 
     @cached_property
     def T_vehicle_sensor(self) -> NDArray[np.float64] | None:  # noqa: N802

@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.clocks import DriveClock
+from ogm.datasets.log_frames import FIXED, sensor_frame
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageHead, MessageRef
 from ogm.io.messages import StampedTransform, transform_from_odometry, transforms_from_tf
 from ogm.io.notices import one_notice_per_kind
 from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
+from ogm.pose import inverse
 from ogm.storage.files import OgmError
 
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ODOMETRY = "nav_msgs/msg/Odometry"
-_FIXED = ("map", "odom", "world")  # the first that a chain of transforms joins with the sensor, one of which changes
 _VEHICLE, _FLOOR = "base_link", "base_footprint"  # never fixed, though ROS 1 sends their mounts as if they moved
 
 
@@ -94,13 +95,26 @@ class LogTransforms:
         if preferred is not None:
             return self._joined([preferred], sensor)
         while True:
-            candidates = [frame for name in _FIXED for frame in self._named(name)]
+            candidates = [frame for name in FIXED for frame in self._named(name)]
             vehicle = self._named(_VEHICLE) + self._named(_FLOOR)
             for frame in [*candidates, self._root(sensor)]:
                 if frame not in vehicle and self._is_moving(frame, sensor):
                     return frame
             if not self._read_odometry():
                 return None
+
+    def sensor_frame(self, frame: str) -> str:
+        """Return the frame of the sensor that measured clouds in a frame, see `ogm.datasets.log_frames`."""
+        return sensor_frame(self.buffer, frame, self._named(_VEHICLE) + self._named(_FLOOR))
+
+    def mount(self, sensor: str, T_vehicle_sensor: NDArray[np.float64]) -> None:  # noqa: N803
+        """Add the pose of a sensor in base_link, which counts instead of that of other transforms."""
+        vehicle = self._named(_VEHICLE)
+        name = vehicle[0] if vehicle else _VEHICLE
+        if sensor in self._parents() and (name, sensor) not in self.buffer.pairs:  # a frame has one parent
+            self.buffer.add(StampedTransform(sensor, name, 0.0, inverse(T_vehicle_sensor)), static=True)
+        else:
+            self.buffer.add(StampedTransform(name, sensor, 0.0, T_vehicle_sensor), static=True)
 
     def vehicle_frame(self, sensor: str) -> str | None:
         """Return the frame base_link, or that of a namespace, where transforms join it with a sensor."""
@@ -150,7 +164,7 @@ class LogTransforms:
         if sensor not in self.buffer.frames:
             return f"no transform leads to {sensor or 'a frame without name'}, the frame of {topic}; there are {frames}"
         root = self._root(sensor)
-        fixed = [frame for name in _FIXED for frame in self._named(name)]
+        fixed = [frame for name in FIXED for frame in self._named(name)]
         if root == sensor or not self._joined([root], sensor):
             return f"no transform leads from another frame to {sensor}, the frame of {topic}; there are {frames}"
         lacking = f"from {' or '.join(fixed) if fixed else 'a fixed frame (map, odom, world)'} to {root}"

@@ -17,6 +17,7 @@ from ogm.datasets.log_scans import CLOUD, RADAR_TYPES, SCAN_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
+from ogm.datasets.sensor_setup import SensorSetup, setup_of
 from ogm.io.columns import IntensityRange
 from ogm.io.logs import LogMessage, LogReader, log_ending, open_log
 from ogm.io.logs.definitions import log_files
@@ -24,7 +25,7 @@ from ogm.io.messages.clouds import cloud_table, scan_from_continental, scan_from
 from ogm.io.messages.livox import scan_from_livox
 from ogm.io.messages.velodyne import scan_from_velodyne_scan, scans_from_pcap
 from ogm.io.scan_table import rotation_to_flu, stated_range
-from ogm.pose import pose, rotate
+from ogm.pose import pose, rotate, transform_points
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
@@ -54,12 +55,23 @@ class LogRecording(Recording):
     def __init__(self, path: Path, scans: LogScans, options: OpenOptions) -> None:
         poses, facts = scans.poses(options.frame)
         position, several = options.sensor_position, len(scans.topics) > 1
+        if position is not None and (known := scans.known_place()):
+            raise ValueError(
+                f"sensor_position (--sensor-position) is for points in the vehicle's frame, but those of {path} are in "
+                f"{known}: leave it out"
+            )
         self._turns = _turns(scans, rotation_to_flu(options.axes), position is not None)
         self._places = None if position is not None else scans.places()
-        poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(self._turns, 1, 2)
+        self._in_vehicle = position is None and scans.T_vehicle_sensor is not None
+        turns = self._turns
+        if any(setup.mount is not None for setup in options.setups):
+            turns = _turns_of_poses(poses, turns)
+        poses[:, :3, :3] = poses[:, :3, :3] @ np.swapaxes(turns, 1, 2)
         if position is not None:
             poses = poses @ pose(*position)
         super().__init__(path, scans.frame_refs(poses), scans.name)
+        self._moves = scans.T_sensor_cloud
+        self.warnings, self.frame_notes = tuple(scans.warnings), scans.frame_notes(position is not None)
         self.log, self.files, self._scans = scans.log, list(scans.log.paths), scans.refs
         self.axes, self._units, self.format = options.axes, options.units, f"log, {scans.log.format}"
         self.facts = {"format": scans.log.format, "frames": len(scans.refs), "topics": list(scans.topics), **facts}
@@ -82,12 +94,14 @@ class LogRecording(Recording):
         """
         if not is_log(paths):
             return None
-        scans = LogScans(open_log(paths), options.topic)
+        scans = LogScans(open_log(paths), options.topic, options.sensor_position is not None, options.setups)
         for finding in scans.transforms.clock.findings:
             if finding.kind == "coarse stamps":
                 raise OgmError(f"{scans.path}: {finding}")
         for warning in (*scans.warnings, *scans.transforms.clock.findings):
             _log.warning("%s", warning)
+        if "origin" in options.units:
+            raise ValueError(f"origin (--origin) is for files of scans in map coordinates, {scans.path} is a log")
         if scans.types != {CLOUD} and options.units:
             raise ValueError(f"{scans.path} has scans of known units; leave out intensity_max and time_unit")
         if len(scans.topics) > 1 and options.sensor_position is not None:
@@ -107,6 +121,8 @@ class LogRecording(Recording):
             scan = _scan(message, self._scales(n))
         except OgmError as error:
             raise OgmError(f"{self.files[ref.ref.file]}: {error}") from error
+        if self._moves is not None:
+            scan = _moved(scan, self._moves[n], ref.cloud)
         return RawFrame(turn_scan(replace(scan, sensor=ref.frame), self._turns[n]))
 
     def _scales(self, n: int) -> Mapping[str, Any]:
@@ -121,6 +137,11 @@ class LogRecording(Recording):
     def place(self, n: int) -> SensorPlace:
         """Return the place of the sensor of a scan."""
         return SensorPlace() if self._places is None else self._places[n]
+
+    def setup(self, n: int) -> SensorSetup:
+        """Return what the user states of the sensor of a scan, by its topic."""
+        setup = setup_of(self.setups, self._scans[n].topic)
+        return replace(setup, mount=None) if self._in_vehicle else setup  # as points are turned by it already
 
     def height(self, n: int) -> float:
         """Return the height of a sensor; that of a radar, which shows no ground, by the transform from a lidar."""
@@ -200,6 +221,27 @@ def _turns(scans: LogScans, turn: NDArray[np.float64], in_vehicle: bool) -> NDAr
     if not np.array_equal(turn, np.eye(3)):
         raise ValueError(f"the transforms of {scans.path} state the axes of its points; leave out axes (--axes)")
     return T[:, :3, :3]
+
+
+def _turns_of_poses(poses: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotations by which poses follow the turns of points by a stated mount, (K, 3, 3).
+
+    Poses without the tilt of the mount are those of a level sensor: they take its heading alone.
+    """
+    turned = poses[:, :3, :3] @ np.swapaxes(turns, 1, 2)
+    known = np.isfinite(poses[:, 0, 0])
+    if not known.any() or np.median(turned[known, 2, 2]) >= np.median(poses[known, 2, 2]):
+        return turns
+    return np.array([pose(yaw=np.arctan2(R[1, 0], R[0, 0]))[:3, :3] for R in turns])
+
+
+def _moved(scan: Scan, T: NDArray[np.float64], frame: str) -> Scan:
+    """Return a scan in its sensor's frame; directions of beams without echo are not known in another."""
+    if np.array_equal(T, np.eye(4)):
+        return scan
+    if not np.isfinite(T).all():
+        raise OgmError(f"its points are in {frame}, and no transform leads from there to the sensor at its stamp")
+    return replace(scan, points=transform_points(T, scan.points), no_returns=None)
 
 
 def turn_scan(scan: Scan, R: NDArray[np.float64]) -> Scan:

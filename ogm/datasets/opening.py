@@ -15,6 +15,7 @@ from ogm.datasets.radarscenes import RadarScenesRecording
 from ogm.datasets.range_images import RangeImagesRecording
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import SCAN_ENDINGS, ScansRecording
+from ogm.datasets.sensor_setup import SensorSetup
 from ogm.datasets.simulated import SimulatedRecording
 from ogm.datasets.sustech import SustechRecording
 from ogm.datasets.truth_grids import TruthGridsRecording, grid_files
@@ -51,6 +52,8 @@ def open_dataset(
     time_unit: float | None = None,
     sensor_height: float | None = None,
     sensor_position: tuple[float, float, float] | None = None,
+    origin: tuple[float, float, float] | None = None,
+    setups: SensorSetup | Iterable[SensorSetup] = (),
     split: str | None = None,
     default_split: str | None = None,
     truth: str | Iterable[str] = (),
@@ -81,6 +84,11 @@ def open_dataset(
         to five scans of the sequence. Estimates outside of 0.5 to 5 m are refused.
     sensor_position : (x, y, z), optional
         Position of the sensor in the frame of the points [m], if that is the vehicle's.
+    origin : (x, y, z), optional
+        Position of the sensor in the coordinates of files of scans [m], for map coordinates (UTM). Where a scan has a
+        pose, in the same coordinates, its position counts instead, and its points are turned to the sensor's axes.
+    setups : SensorSetup or iterable of these
+        Mounts, ego footprints and ranges of the sensors, see `ogm.datasets.SensorSetup`.
     split : str, optional
         Split of a simulated dataset: training (train), validation (val), test or sequences. By default validation, or
         the first of sequences, test and training that has samples.
@@ -126,15 +134,17 @@ def open_dataset(
         raise ValueError("there is no path to open: give files of scans, or a folder")
     if others not in _OTHERS:
         raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {others!r}")
-    units = {"intensity_max": intensity_max, "time_unit": time_unit}
+    units = {"intensity_max": intensity_max, "time_unit": time_unit, "origin": origin}
     units = {name: unit for name, unit in units.items() if unit is not None}
     options = OpenOptions(
         *(axes, units, sensor_height, sensor_position, split, default_split, others, spec, frame),
         *(_names(truth), _names(topic), _names(sensors)),
+        (setups,) if isinstance(setups, SensorSetup) else tuple(setups),
     )
     recording = _recording(paths, options)
     _check(recording, options)
     recording.sensor_height, recording.sensor_position = sensor_height, sensor_position
+    recording.setups = options.setups
     return Dataset(recording, options.truth, others)
 
 
@@ -171,14 +181,24 @@ def _check(recording: Recording, options: OpenOptions) -> None:
     turned = not np.array_equal(rotation_to_flu(options.axes), np.eye(3))
     if recording.known_axes and (turned or options.units):
         raise ValueError(
-            f"{path} ({recording.format}) has known axes and units; leave out axes, intensity_max and time_unit "
-            "(--axes, --intensity-max, --time-unit), or give its scans as files"
+            f"{path} ({recording.format}) has known axes and units; leave out axes, intensity_max, time_unit, "
+            "origin (--axes, --intensity-max, --time-unit, --origin), or give its scans as files"
         )
     if recording.known_truth and options.truth:
         raise ValueError(
             f"truth (--truth) is for recordings; {path} ({recording.format}) holds its truth itself: leave it out"
         )
-    if recording.known_mount and options.sensor_height is not None:
+    stated = [setup.topic for setup in options.setups]
+    used = recording.facts.get("topics", [stated[0]] if len(stated) == 1 else [])
+    if stated and "" not in stated and not set(stated) & set(used):
+        raise ValueError(
+            f"the setups (--sensors) are of {', '.join(stated)}, the scans of {path} of "
+            f"{', '.join(used) or 'no topic'}: name that topic, or leave topic out"
+        )
+    if recording.known_axes and any(setup.mount is not None for setup in options.setups):
+        raise ValueError(f"{path} ({recording.format}) states its mounts: leave mount out of the setups (--sensors)")
+    given = options.sensor_height is not None or any(one.sensor_height is not None for one in options.setups)
+    if recording.known_mount and given:
         raise ValueError(f"{path} states its sensor's height; leave out sensor_height (--sensor-height)")
     if options.sensor_position is not None and (recording.known_mount or recording.known_axes):
         raise ValueError(

@@ -7,6 +7,7 @@ A dataset is added by a subclass in a module of its own, as in `ogm.datasets.sus
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -16,13 +17,24 @@ from numpy.typing import NDArray
 
 from ogm import io
 from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
+from ogm.datasets.sensor_setup import SensorSetup, setup_of
 from ogm.grid import GridSpec
 from ogm.io import Axes
 from ogm.io.columns import IntensityRange
+from ogm.io.ground_plane import (
+    LEVEL,
+    LEVEL_MARGIN,
+    MAX_INCLINE,
+    SIDES,
+    ground_plane,
+    ground_side,
+    levelling_gain,
+    plausible_sensor_height,
+)  # fmt: skip
 from ogm.io.notices import one_notice_per_kind
-from ogm.io.scan import plausible_sensor_height, read_table
+from ogm.io.scan import read_table
 from ogm.io.scan_table import stated_range
-from ogm.pose import pose
+from ogm.pose import levelling, pose, rotate, tilt_of
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
 from ogm.storage.files import OgmError
@@ -47,6 +59,7 @@ class OpenOptions(NamedTuple):
     truth: tuple[str, ...] = ()
     topic: tuple[str, ...] = ()
     sensors: tuple[str, ...] = ()
+    setups: tuple[SensorSetup, ...] = ()
 
 
 class Recording(ABC):
@@ -88,6 +101,10 @@ class Recording(ABC):
     known_axes, known_height, known_mount, known_truth : bool
         Whether the dataset states its axes and units, the sensor's height, its whole mount, the truth itself. The user
         cannot choose axes, mounts and truths that are known.
+    warnings : sequence of str
+        Damage that was found when the recording was opened.
+    frame_notes : sequence of (str, str)
+        What is unusual about the frames of the points, and the way out, "" where nothing need be done.
     shards : (len(frames),) int array or None
         Shard of each frame in an object store, where reading a shard costs little more than reading a frame.
     main_sequence : str
@@ -113,9 +130,12 @@ class Recording(ABC):
     known_truth: bool = False
     main_sequence: str = ""
     own_options: ClassVar[tuple[str, ...]] = ()
+    warnings: Sequence[str] = ()
+    frame_notes: Sequence[tuple[str, str]] = ()
     shards: NDArray[np.int64] | None = None
     sensor_height: float | None = None  # [m] given by the user
     sensor_position: tuple[float, float, float] | None = None  # [m] given by the user
+    setups: tuple[SensorSetup, ...] = ()  # given by the user
 
     def __init__(self, path: Any, frames: Sequence[FrameRef], name: str = "") -> None:
         times = Counter(ref.name for ref in frames)  # some datasets count the frames of each sequence from 0
@@ -171,8 +191,7 @@ class Recording(ABC):
 
     def estimate_height(self, n: int) -> float | None:
         """Return the height of the sensor above ground [m] by one scan, or None if it shows no ground."""
-        with one_notice_per_kind(self.notices):
-            return io.estimate_sensor_height(self.read(n).scan.points)
+        return io.estimate_sensor_height(self.levelled_points(n))
 
     def intensity_range(self, n: int) -> IntensityRange | None:
         """Return the intensities that mean 0 and 1 by the values of one scan; None if the format states them."""
@@ -185,6 +204,10 @@ class Recording(ABC):
     def has_truth(self, n: int) -> bool:
         """Return whether a frame may have a truth, without reading it."""
         return True
+
+    def setup(self, n: int) -> SensorSetup:
+        """Return what the user states of the sensor of a frame."""
+        return setup_of(self.setups, "")
 
     # --- What all formats share ----------------------------------------------------------------------
 
@@ -206,14 +229,58 @@ class Recording(ABC):
         height, position, place = self.height(n), self.sensor_position, self.place(n)
         if position is not None:
             return Mount(height, pose(*position), points_in="vehicle")
-        x, y = place.origin
-        return Mount(height, pose(x, y, height, yaw=place.yaw), place.ego_footprint)  # type: ignore[arg-type]
+        T = pose(*place.origin, height, yaw=place.yaw)
+        T[:3, :3] = T[:3, :3] @ self.levelling(n)
+        return Mount(height, T, place.ego_footprint)  # type: ignore[arg-type]
+
+    def levelling(self, n: int) -> NDArray[np.float64]:
+        """Return the rotation by which the pose of a frame levels its points, (3, 3).
+
+        Identity where the dataset states the axes of the points, and where the ground in the scans is more level
+        without the tilt of the poses: that of the road.
+        """
+        ref = self.frames[n]
+        if ref.T_map_sensor is None or self.known_axes or not self._levelled(ref.sequence or ref.name):
+            T = None if self.known_axes else self.setup(n).T_vehicle_sensor
+            return np.eye(3) if T is None else T[:3, :3]
+        return levelling(ref.T_map_sensor)
+
+    def levelled_points(self, n: int) -> NDArray[np.float32]:
+        """Return the points of a scan, (N, 4), turned by `levelling`."""
+        points, R = self.raw(n).scan.points, self.levelling(n)
+        if np.array_equal(R, np.eye(3)):
+            return points
+        return np.column_stack([rotate(R, points[:, :3].T).T, points[:, 3:]]).astype(np.float32)
+
+    @cached_property
+    def _levelled(self) -> Callable[[str], bool]:
+        return lru_cache(None)(self._is_levelled)
+
+    def _is_levelled(self, group: str) -> bool:
+        """Return whether the poses of a group tell the tilt of its scans: by the ground in some of them."""
+        poses = {k: T for k in self.groups[group] if (T := self.frames[k].T_map_sensor) is not None}
+        tilted = [k for k, T in poses.items() if tilt_of(T) > LEVEL]
+        gains = []
+        for k in _sample(tilted):
+            try:
+                points = self.raw(k).scan.points
+            except _UNREADABLE:
+                continue
+            gains.append(levelling_gain(points, levelling(poses[k])))
+        return bool(tilted) and (not gains or float(np.median(gains)) >= -LEVEL_MARGIN)
+
+    def used_mount(self, n: int) -> Mount:
+        """Return the mount of the sensor with the ego footprint that the user states."""
+        mount, footprint = self.mount(n), self.setup(n).ego_footprint
+        return mount if footprint is None else replace(mount, ego_footprint=footprint)
 
     def height(self, n: int) -> float:
         """Return the height of the sensor above ground [m]: given, stated, or the median of some scans' estimates."""
         ref, place = self.frames[n], self.place(n)
         if self.sensor_height is not None:
             return self.sensor_height + place.above_first
+        if (stated := self.setup(n).sensor_height) is not None:
+            return stated
         return self._height(ref.sequence or ref.name, place.name) if place.height is None else place.height
 
     @cached_property
@@ -222,19 +289,22 @@ class Recording(ABC):
 
     def _median_height(self, group: str, sensor: str) -> float:
         members = [k for k in self.groups[group] if self.place(k).name == sensor]
-        estimates, failed = [], ""
-        for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
+        estimates, failed, above = list[float](), "", (self.sensor_position or (0, 0, 0))[2]
+        for k in _sample(members):
             try:
-                estimates.append(self.estimate_height(members[k]))
+                height = self.estimate_height(k)
+                if height is None or height + above <= 0:
+                    failed = failed or why_no_height(self.levelled_points(k))
+                else:
+                    estimates.append(height + above)
             except _UNREADABLE as error:
                 failed = f" ({error})"
-        if not (heights := [height for height in estimates if height is not None]):
+        if not estimates:
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
                 "so its height is not known: give sensor_height [m] (--sensor-height)"
             )
-        height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
-        return plausible_sensor_height(height, f"{group} in {self.path}")
+        return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}")
 
     def intensities(self, n: int, own: IntensityRange) -> IntensityRange:
         """Return the intensities that mean 0 and 1 in all scans of a drive and sensor.
@@ -273,7 +343,9 @@ class Recording(ABC):
     def _read_without_ego(self, n: int) -> RawFrame:
         with one_notice_per_kind(self.notices):
             raw = self.read(n)
-        return raw if self.ego_footprint is None else raw.without(self.ego_footprint)
+        setup = self.setup(n)
+        raw = setup.limit(raw, self.sensor_position or (0.0, 0.0, 0.0))
+        return raw if self.ego_footprint is None else raw.without(setup.ego_footprint or self.ego_footprint)
 
 
 class ScanFiles(Recording):
@@ -282,8 +354,8 @@ class ScanFiles(Recording):
     Attributes
     ----------
     scans : list of Path
-    units : mapping of str to float
-        Given ``intensity_max`` and ``time_unit``.
+    units : mapping of str to number
+        Given ``intensity_max``, ``time_unit`` and ``origin`` of `ogm.io.read_scan`.
     """
 
     def __init__(self, path: Path, scans: Sequence[tuple[FrameRef, Path]], name: str = "") -> None:
@@ -292,8 +364,14 @@ class ScanFiles(Recording):
         self.units: Mapping[str, Any] = {}
 
     def read(self, n: int) -> RawFrame:
-        """Read a scan from its file."""
-        return RawFrame(io.read_scan(self.scans[n], self.axes, **self.scales(n)))
+        """Read a scan from its file; with an origin, points in map coordinates come to the sensor by its pose."""
+        T = self.frames[n].T_map_sensor if "origin" in self.units else None
+        if T is None:
+            return RawFrame(io.read_scan(self.scans[n], self.axes, **self.scales(n)))
+        scan = io.read_scan(self.scans[n], self.axes, **{**self.scales(n), "origin": T[:3, 3]})
+        points = scan.points.copy()
+        points[:, :3] = rotate(T[:3, :3].T, points[:, :3].T).T
+        return RawFrame(replace(scan, points=points, no_returns=None))
 
     def scales(self, n: int) -> Mapping[str, Any]:
         """Return the units of a scan: those that are given, else the drive's range of intensities."""
@@ -302,6 +380,30 @@ class ScanFiles(Recording):
     def intensity_range(self, n: int) -> IntensityRange | None:
         """Return the intensities that mean 0 and 1 by the values of one file."""
         return stated_range(read_table(self.scans[n]))
+
+
+def why_no_height(points: NDArray[np.float32]) -> str:
+    """Return the reason why points do not tell the sensor's height, in brackets; "" where they show no ground at all.
+
+    Parameters
+    ----------
+    points : (N, 4) float32
+    """
+    plane = ground_plane(points)
+    if plane is not None and plane.incline > MAX_INCLINE:
+        return (
+            f" (the ground is inclined by {np.degrees(plane.incline):.0f} degrees: the sensor is tilted, and neither "
+            "transforms from base_link nor poses tell it; `ogm check --write vehicle.yaml` estimates it for --sensors)"
+        )
+    axes = ground_side(points) if plane is None or plane.height <= 0 else None
+    return f" (the ground lies {SIDES[axes]} the sensor: give axes, --axes={axes})" if axes else ""
+
+
+def _sample(numbers: Sequence[int]) -> list[int]:
+    """Return up to five numbers, evenly spaced."""
+    if not numbers:
+        return []
+    return [numbers[k] for k in np.unique(np.round(np.linspace(0, len(numbers) - 1, _HEIGHTS)).astype(int))]
 
 
 def _absolute(value: Any) -> Any:

@@ -137,7 +137,9 @@ class RayISM:
         mount = mount_in_grid(scan, spec, self.mount)
         numbers = RayNumbers(*(float(getattr(self, name)) for name in RayNumbers._fields))
         origin = mount.origin.astype(np.float32)
-        polar, cells = _polar_grid(spec, mount, self.azimuth_step), Cells(*spec.origin, spec.resolution)
+        place = float(origin[0]), float(origin[1])
+        polar = _polar_grid(spec, place, mount.ego_footprint, self.azimuth_step)
+        cells = Cells(*spec.origin, spec.resolution)
 
         # Points in the vehicle frame, without returns from the ego vehicle
         xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
@@ -177,12 +179,13 @@ def _checked_height(height: NDArray[Any], spec: GridSpec) -> NDArray[np.float32]
 
 
 @lru_cache(maxsize=16)
-def _polar_grid(spec: GridSpec, mount: Mount, azimuth_step: float) -> PolarGrid:
-    """Lay the polar grid over a spec; computed once for each mount."""
+def _polar_grid(
+    spec: GridSpec, place: tuple[float, float], ego_footprint: tuple[float, ...], azimuth_step: float
+) -> PolarGrid:
+    """Lay the polar grid over a spec; computed once for each place of a sensor."""
     together = 2**ROW_BITS
     sectors = together * math.ceil(2 * math.pi / azimuth_step / together - 1e-9)
-    origin, (x0, x1, y0, y1) = mount.origin.astype(np.float32), spec.extent
-    x, y = float(origin[0]), float(origin[1])
+    (x, y), (x0, x1, y0, y1) = place, spec.extent
     far = math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0))
     bins = math.ceil(far / spec.resolution) + 1
     if bins > MAX_BINS:
@@ -190,8 +193,8 @@ def _polar_grid(spec: GridSpec, mount: Mount, azimuth_step: float) -> PolarGrid:
             f"a grid of one scan may reach at most {MAX_BINS} cells from the sensor, this one reaches {bins}; "
             "use coarser cells or a smaller grid"
         )
-    cells, footprint = Cells(*spec.origin, spec.resolution), np.array(mount.ego_footprint, np.float32)
-    lookup = polar_lookup(cells, spec.shape, origin, footprint, sectors, bins)
+    cells, footprint = Cells(*spec.origin, spec.resolution), np.array(ego_footprint, np.float32)
+    lookup = polar_lookup(cells, spec.shape, np.array([x, y, 0], np.float32), footprint, sectors, bins)
     return PolarGrid(spec.resolution, sectors, sectors // together, bins, *lookup)
 
 

@@ -17,9 +17,10 @@ from ogm.io.grids.files import read_any_grid, read_grid, read_placed_grid, write
 from ogm.io.grids.logged import GridLog
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import from_xarray, to_xarray
+from ogm.io.ground_plane import estimate_sensor_height
 from ogm.io.kitti import read_calibration
 from ogm.io.poses import Poses, read_poses, write_poses
-from ogm.io.scan import describe, estimate_sensor_height, read_points, read_scan, read_scan_file
+from ogm.io.scan import describe, read_points, read_scan, read_scan_file
 from ogm.io.scan_table import AXES, Axes, FileFacts
 from ogm.io.transforms import StampedTransform, TransformBuffer
 

@@ -21,6 +21,9 @@ __all__ = [
 log: logging.Logger = logging.getLogger(__name__)
 
 
+_CHANGE = 0.01  # [m], and of the numbers of a rotation
+
+
 class TransformError(OgmError):
     """A transform between two frames is not known at a time."""
 
@@ -198,6 +201,18 @@ class TransformBuffer:
         """
         spans = [self._edges[self._pair(*pair)].span for pair in pairwise(self._chain(target, source))]
         return max((first for first, _ in spans), default=-math.inf), min((last for _, last in spans), default=math.inf)
+
+    def changes(self, target: str, source: str) -> bool:
+        """Return whether a transform between two frames changes, by more than 1 cm or 0.01 rad.
+
+        Raises
+        ------
+        UnknownFrameError, NotConnectedError
+            See `lookup`.
+        """
+        edges = [self._edges[self._pair(*pair)] for pair in pairwise(self._chain(target, source))]
+        several = [np.array(edge.poses)[:, :3] for edge in edges if edge.static is None and len(edge.poses) > 1]
+        return any(bool((np.ptp(rows, axis=0) > _CHANGE).any()) for rows in several)
 
     def _connect(self, parent: str, child: str) -> None:
         if others := [one for one, frame in self._edges if frame == child]:

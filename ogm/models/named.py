@@ -9,6 +9,7 @@ True
 """
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -23,6 +24,7 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.fitted import Calibration, model_class
 from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, load_radar_model
+from ogm.pose import tilt_of
 from ogm.scan import InverseSensorModel, Mount, Scan, as_scan
 
 GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-released"
@@ -43,6 +45,7 @@ MODELS = {  # name: description
 }
 
 
+_TILT = math.radians(3)  # of a sensor whose tilt the released code may neglect
 NETWORK_CELL, NETWORK_MULTIPLE = 0.16, 16  # [m] side of the cells of `lite`, and what the sides of its grids divide by
 
 
@@ -194,8 +197,10 @@ class ReleasedISM:
         return self.model(scan)
 
     def _check(self, mount: Mount | None) -> None:
-        if mount is not None and (mount.points_in == "vehicle" or mount.origin[:2].any()):
-            raise ValueError(f"{RELEASED} needs points in the sensor frame and a grid around the sensor")
+        if mount is None:
+            return
+        if mount.points_in == "vehicle" or mount.origin[:2].any() or tilt_of(mount.T_vehicle_sensor) > _TILT:
+            raise ValueError(f"{RELEASED} needs points in the frame of a level sensor and a grid around the sensor")
 
 
 def _is_fitted(name: str) -> bool:

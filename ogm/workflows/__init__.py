@@ -12,18 +12,22 @@ from typing import TYPE_CHECKING
 from ogm.extras import lazy_names
 
 if TYPE_CHECKING:
+    from ogm.workflows.checks import DriveCheck, check_drive, check_log
     from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
+    from ogm.workflows.findings import Finding
     from ogm.workflows.fuse_options import FuseOptions, Outputs
     from ogm.workflows.fusion_run import FusionRun
     from ogm.workflows.one_drive import FuseInto, fuse_drive, posed
     from ogm.workflows.scan_maps import ScanMap, map_to_files
 
 __all__ = [
-    "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap", "drives_of", "fuse_drive",
-    "fuse_drives", "map_to_files", "posed",
+    "DriveCheck", "Finding", "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap", "check_drive",
+    "check_log", "drives_of", "fuse_drive", "fuse_drives", "map_to_files", "posed",
 ]  # fmt: skip
 
 __getattr__ = lazy_names(__name__, {
+    **dict.fromkeys(("DriveCheck", "check_drive", "check_log"), "ogm.workflows.checks"),
+    "Finding": "ogm.workflows.findings",
     **dict.fromkeys(("FusedDrive", "drives_of", "fuse_drives"), "ogm.workflows.drives"),
     **dict.fromkeys(("FuseOptions", "Outputs"), "ogm.workflows.fuse_options"),
     **dict.fromkeys(("FuseInto", "fuse_drive", "posed"), "ogm.workflows.one_drive"),

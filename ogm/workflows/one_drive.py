@@ -18,6 +18,7 @@ from ogm.io.logs import LOG_ENDINGS
 from ogm.models.compilation import compiled_ahead
 from ogm.plot.movie import open_movie
 from ogm.plot.viewer import write_view
+from ogm.workflows.checks import gravest
 from ogm.workflows.fuse_options import FuseOptions, Outputs
 from ogm.workflows.fusion_run import FusionRun
 
@@ -68,6 +69,8 @@ def fuse_drive(
         raise ValueError("leave out --deskew: the points of this dataset are not (or not all) distorted by motion")
     if warning := adding_rule_warning(o.rule):
         tell(warning)
+    for finding in gravest(dataset, str(o.ism)):
+        tell(finding)
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
     cells = rolling_window(o.spec) if o.window == "rolling" else covering_window(o.spec, np.array(known))
     mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles)  # type: ignore[arg-type]

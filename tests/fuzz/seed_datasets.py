@@ -12,7 +12,7 @@ from seed_points import feather, npy, sweep
 from targets import Target, check_poses, check_scan, cloud
 
 from ogm import GridSpec
-from ogm.datasets import open_dataset
+from ogm.datasets import open_dataset, read_setups
 from ogm.io import read_poses
 from ogm.io.argoverse2 import read_argoverse2
 from ogm.io.kitti import read_calibration, read_kitti_objects, read_kitti_stamps, read_kitti_tracks
@@ -30,6 +30,11 @@ CALIBRATION = (
     b"Tr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27\n"
 )
 LABEL = b"Car 0 0 0 0 0 0 0 1.5 2.0 4.0 4.0 1.7 8.0 -1.3\nDontCare -1 -1 -10 1 2 3 4 -1 -1 -1 -1000 -1000 -1000 -10\n"
+SETUPS = (
+    b"sensors:\n- topic: /points\n  height: 1.2\n  mount: {x: 0.0, y: 0.0, z: 0.0, roll: 0.0, pitch: 15.0, yaw: 0.0}\n"
+    b"  footprint: [-0.7, -0.1, -0.3, 0.3]\n  range: [0.0, 30.0]\n  no_echo_at_greatest_range: true\n"
+    b"- leave_out:\n  - [150, 210]\n  - [-10, 10]\n"
+)
 TRACKS = b"".join(b"%d %d Car 0 0 0 0 0 0 0 1.5 2.0 4.0 4.0 1.7 8.0 -1.3\n" % (k, t) for k in range(3) for t in (0, 1))
 
 
@@ -228,6 +233,7 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
     **{name: partial(_one, *given) for name, given in _KITTI.items()},
     **{name: partial(_many, *given) for name, given in _FOLDERS.items()},
     "label-picture": _label,
+    "setups": partial(_one, "vehicle.yaml", lambda: SETUPS, read_setups),
     "radarscenes": partial(_radarscenes, {}),
     "radarscenes-packed": partial(_radarscenes, {"compression": "gzip", "shuffle": True, "chunks": (9,)}),
 }

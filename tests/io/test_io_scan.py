@@ -7,7 +7,7 @@ import pytest
 from cases import each, refused
 
 from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan, read_scan_file
-from ogm.io.scan import plausible_sensor_height
+from ogm.io.ground_plane import plausible_sensor_height
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 

@@ -1,0 +1,54 @@
+"""``ogm check``: what would spoil the map of a log, and the way out."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from ogm.cli import options
+from ogm.cli.console import out, report_errors, ticked
+from ogm.cli.sensor_options import SensorOptions, sensor_options
+
+
+@report_errors
+@sensor_options
+def check(
+    log: Annotated[Path, Argument(help="A log (.mcap .db3 .bag), a capture, a folder of scans.", metavar="LOG")],
+    write: Annotated[
+        Path | None, Option(help="Write the sensors as the scans show them (.yaml), for --sensors.", metavar="FILE")
+    ] = None,
+    topic: options.Topic = None,
+    fixed_frame: options.FixedFrame = None,
+    axes: options.Axes = "flu",
+    sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
+    intensity_max: options.IntensityMax = None,
+    time_unit: options.TimeUnit = None,
+) -> None:
+    """List what would spoil a map, the worst first, with the option or command that mends it.
+
+    All scans are read once. The exit code is 2 if something makes the map wrong. --write keeps height, tilt, ego
+    footprint and greatest range in a file that `ogm map`, `fuse`, `serve`, `evaluate` and `world build` take with
+    --sensors.
+    """
+    from ogm.datasets import write_setups
+    from ogm.workflows import check_log
+
+    if write is not None and write.suffix not in (".yaml", ".yml"):
+        raise ValueError(f"--write writes .yaml, got {write}")
+    reading = {"axes": axes, "frame": fixed_frame, "intensity_max": intensity_max, "time_unit": time_unit}
+    checks = check_log(
+        log, topic=topic or (), progress=lambda numbers: ticked(numbers, "reading"), **reading, **sensors._asdict()
+    )
+    for one in checks:
+        if len(checks) > 1:
+            out.print(one.name, markup=False)
+        for finding in one.findings:
+            way = f"\n{'':11}-> {finding.way}" if finding.way else ""
+            line = f"{finding.severity:9}  {finding.kind}: {finding.text}{way}"
+            out.print(line, markup=False, soft_wrap=True)
+    if write is not None:
+        write_setups(write, [one.setup for one in checks])
+        out.print(f"written {write}", markup=False, soft_wrap=True)
+    if any(finding.severity == "wrong map" for one in checks for finding in one.findings):
+        raise typer.Exit(2)

@@ -1,0 +1,108 @@
+"""Options about sensors, which `ogm map`, `fuse`, `serve`, `evaluate` and `world build` share."""
+
+import functools
+import inspect
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from typer import Option
+
+if TYPE_CHECKING:
+    from ogm.datasets import SensorSetup
+
+_OPTIONS: dict[str, Any] = {  # name: type with its option
+    "sensors_file": Annotated[
+        Path | None,
+        Option("--sensors", help="Sensors of the vehicle, which `ogm check --write` wrote (.yaml).", metavar="FILE"),
+    ],
+    "sensor_height": Annotated[float | None, Option(help="Sensor above ground [m]. [default: stated, or estimated]")],
+    "sensor_position": Annotated[
+        tuple[float, float, float] | None,
+        Option(help="x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),
+    ],
+    "origin": Annotated[
+        tuple[float, float, float] | None,
+        Option(
+            help="Of files in map coordinates (UTM): x y z of the sensor there [m]. Poses in the same coordinates "
+            "count instead.",
+            metavar="X Y Z",
+        ),
+    ],
+    "ego_footprint": Annotated[
+        tuple[float, float, float, float] | None,
+        Option(
+            help="The vehicle around its sensor [m], of several sensors in base_link: returns in it are dropped; "
+            "0 0 0 0 for none. [default: -2.5 2.5 -1.1 1.1]",
+            metavar="X_MIN X_MAX Y_MIN Y_MAX",
+        ),
+    ],
+    "min_range": Annotated[float | None, Option(help="Nearest range: points below are dropped [m].")],
+    "max_range": Annotated[float | None, Option(help="Greatest range: points beyond are dropped [m].")],
+    "max_range_no_echo": Annotated[
+        bool | None,
+        Option(
+            "--max-range-no-echo", help="Points at --max-range and beyond are beams without echo.", show_default=False
+        ),
+    ],
+    "leave_out": Annotated[
+        list[str] | None,
+        Option(
+            help="Sector of view to leave out, FROM:TO to the left of x [deg]; may be repeated: --leave-out=150:210.",
+            metavar="FROM:TO",
+        ),
+    ],
+}
+
+
+class SensorOptions(NamedTuple):
+    """Values of the options about sensors."""
+
+    sensor_height: float | None = None
+    sensor_position: tuple[float, float, float] | None = None
+    origin: tuple[float, float, float] | None = None
+    setups: "tuple[SensorSetup, ...]" = ()
+
+
+def sensor_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options about sensors instead of its parameter `sensors`, which takes their values."""
+    signature = inspect.signature(command)
+    parameters: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        names = _OPTIONS if parameter.name == "sensors" else {}
+        parameters += [parameter.replace(name=name, annotation=kind, default=None) for name, kind in names.items()]
+        parameters += [] if names else [parameter]
+
+    @functools.wraps(command)
+    def run(**arguments: Any) -> None:
+        given = {name: arguments.pop(name) for name in _OPTIONS}
+        command(**arguments, sensors=_parsed(**given))
+
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # typer reads it
+    run.__annotations__ = {one.name: one.annotation for one in parameters} | {"return": None}
+    return run
+
+
+def _parsed(
+    sensors_file: Path | None,
+    sensor_height: float | None,
+    sensor_position: tuple[float, float, float] | None,
+    origin: tuple[float, float, float] | None,
+    leave_out: list[str] | None,
+    **limits: Any,
+) -> SensorOptions:
+    from ogm.datasets import SensorSetup, read_setups
+    from ogm.datasets.sensor_setup import merged
+
+    sectors = tuple(_sector(text) for text in leave_out or ()) or None
+    setups = (SensorSetup(),) if sensors_file is None else read_setups(sensors_file)
+    return SensorOptions(sensor_height, sensor_position, origin, merged(setups, leave_out=sectors, **limits))
+
+
+def _sector(text: str) -> tuple[float, float]:
+    start, _, end = text.partition(":")
+    try:
+        return math.radians(float(start)), math.radians(float(end))
+    except ValueError:
+        raise ValueError(f"--leave-out must be FROM:TO [deg], such as 150:210, got {text!r}") from None

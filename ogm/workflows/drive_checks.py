@@ -1,0 +1,117 @@
+"""Checks of a drive that read no points: topics, stamps, rates, poses, frames, damage."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from ogm.datasets import Dataset
+from ogm.datasets.log_scans import SCAN_TYPES
+from ogm.io.logs import LogReader
+from ogm.pose import tilt_of
+from ogm.workflows.findings import Finding, counted, listed
+
+_UNREAD = (  # types of range measurements that are not read
+    "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan", "sensor_msgs/msg/PointCloud",
+    "sensor_msgs/msg/Range", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg",
+    "hesai_ros_driver/msg/UdpFrame", "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets",
+    "pandar_msgs/msg/PandarScan",
+)  # fmt: skip
+_GAP = 1.5  # intervals between two scans, above which some are missing
+_LONG = 2.0  # [s] gap that transforms are not interpolated over
+_SPEED = 70.0  # [m/s] that no vehicle exceeds, as mappers have it
+_LEVEL = math.radians(2)
+_STEEP = math.radians(15)  # beyond the slope of any road
+
+
+def check_frames(dataset: Dataset) -> Iterator[Finding]:
+    """Yield findings about stamps, poses and damage of a drive; no scan is read.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        One drive.
+    """
+    refs, recording = dataset.refs, dataset.recording
+    if recording.warnings:
+        yield Finding("lost data", "damage", listed([str(warning) for warning in recording.warnings]))
+    for text, way in recording.frame_notes:
+        yield Finding("wrong map" if way else "note", "frames", text, way)
+    posed = [ref for ref in refs if ref.T_map_sensor is not None]
+    if len(posed) < len(refs):
+        how = dataset.facts.get("poses") or "the scans have none"
+        way = "--odometry kiss-icp estimates them, --poses FILE gives them" if not posed else ""
+        yield Finding("lost data", "poses", f"{counted(len(refs) - len(posed), len(refs))} without a pose: {how}", way)
+    stamps = np.array([ref.stamp for ref in refs if ref.stamp is not None])
+    yield from _check_rate(stamps)
+    yield from _check_jumps(dataset)
+
+
+def _check_rate(stamps: np.ndarray) -> Iterator[Finding]:
+    repeated = [count for count in Counter(stamps.tolist()).values() if count > 1]
+    if repeated:
+        many = sum(repeated) - len(repeated)
+        yield Finding("lost data", "duplicates", f"{counted(many, len(stamps))} with the stamp of another")
+    steps = np.diff(np.unique(stamps))
+    if len(steps) < 2:
+        return
+    usual = float(np.median(steps))
+    gaps = steps[steps > _GAP * usual]
+    missing = int(np.round(gaps / usual - 1).sum())
+    if missing:
+        text = f"about {missing} scans are missing in {len(gaps)} gaps, the longest of {gaps.max():.3g} s"
+        yield Finding("lost data", "gaps", text, "record with a larger buffer" if gaps.max() < _LONG else "")
+    yield Finding("note", "rate", f"{1 / usual:.1f} Hz, {len(stamps)} scans in {np.ptp(stamps):.1f} s")
+
+
+def _check_jumps(dataset: Dataset) -> Iterator[Finding]:
+    rows = [(ref.stamp, ref.T_map_sensor[:3, 3]) for ref in dataset.refs if ref.stamp and ref.T_map_sensor is not None]
+    if len(rows) < 2:
+        return
+    seconds = np.abs(np.diff([stamp for stamp, _ in rows]))
+    metres = np.linalg.norm(np.diff([place for _, place in rows], axis=0), axis=1)
+    jumps = np.flatnonzero(metres > _SPEED * seconds + 1.0)
+    if len(jumps):
+        text = f"{len(jumps)} jumps of the pose, the farthest of {metres[jumps].max():.3g} m: scans there are skipped"
+        yield Finding("lost data", "poses", text, "--frame odom is free of jumps where map has them")
+
+
+def check_tilt_of_poses(dataset: Dataset, numbers: list[int]) -> Iterator[Finding]:
+    """Yield findings about scans that are levelled, and about poses that tilt more than any road afterwards.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    numbers : list of int
+        Frames that can be read.
+    """
+    tilts, used = [], []
+    for n in numbers:
+        frame = dataset[n]
+        if frame.T_map_sensor is not None:
+            T = np.eye(4)
+            T[:3, :3] = frame.T_map_sensor[:3, :3] @ frame.mount.T_vehicle_sensor[:3, :3].T
+            tilts.append(tilt_of(T))
+            used.append(tilt_of(frame.mount.T_vehicle_sensor))
+    if used and (tilt := float(np.median(used))) > _LEVEL:
+        yield Finding("note", "tilt", f"scans are levelled by {np.degrees(tilt):.0f} degrees, by their poses or mount")
+    if tilts and (tilt := float(np.median(tilts))) > _STEEP:
+        text = f"the poses tilt the vehicle by {np.degrees(tilt):.0f} degrees, but the ground in its scans is level"
+        yield Finding("wrong map", "tilt", text, "poses need a frame with z up: --frame, or --axes for files")
+
+
+def check_topics(log: LogReader, used: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield findings about topics of a log that are left out.
+
+    Parameters
+    ----------
+    log : LogReader
+    used : tuple of str
+        Topics whose scans are checked.
+    """
+    filled = {name: facts.type for name, facts in log.topics.items() if facts.count}
+    if others := [name for name, kind in filled.items() if kind in SCAN_TYPES and name not in used]:
+        yield Finding("note", "topics", f"scans of {listed(others)} are left out", f"--topic {others[0]}")
+    if unread := [f"{name} ({kind})" for name, kind in filled.items() if kind in _UNREAD]:
+        yield Finding("note", "topics", f"{listed(unread)} cannot be read")

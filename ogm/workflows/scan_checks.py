@@ -1,0 +1,179 @@
+"""Checks of the scans of a drive, one after the other: ranges, intensities, times, ground, ego vehicle."""
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.io.ground_plane import SIDES, GroundPlane, ground_plane, ground_side
+from ogm.scan import Scan
+from ogm.workflows.findings import Finding, counted
+
+_THIN = 16  # every 16th point gives elevations and intensities
+_SATURATED = 0.02  # [m] below the greatest range
+_GAP = 0.5  # [m] below those, with less than half as many points
+_SHARE = 0.01  # of the points at one range, from which on it is no distance
+_RING = math.sin(math.radians(3))  # of the elevations there, more than those of one beam on level ground
+_NEAR = 0.2  # [m] that no lidar measures
+_FLAT = math.radians(1.5)  # spread of elevations of a planar lidar
+_TILT = math.radians(3)  # that the slope of the road does not reach on average
+_HEIGHT = 0.2  # [m] between a stated height and that of the ground
+_FEW = 0.1  # of the usual number of points
+
+
+@dataclass
+class ScanChecks:
+    """Properties of the scans that were added so far.
+
+    Parameters
+    ----------
+    interval : float
+        Usual time from scan to scan [s]; NaN if unknown.
+    """
+
+    interval: float = math.nan
+    count: int = 0
+    failed: Counter[str] = field(default_factory=Counter)
+    points: list[int] = field(default_factory=list)
+    planar: int = 0
+    greatest: list[tuple[float, float]] = field(default_factory=list)  # range [m], and share of points at it
+    near: int = 0  # points nearer than `_NEAR`
+    dark: int = 0  # scans whose intensities are all the same
+    spans: list[float] = field(default_factory=list)  # [s] of the times in a scan
+    silent: int = 0  # scans whose beams without echo are known
+    repeated: int = 0  # scans with the points of the one before
+    planes: list[GroundPlane | None] = field(default_factory=list)
+    sides: list[str] = field(default_factory=list)  # where the ground lies, if not below
+    _hash: str = ""
+
+    def add(self, scan: Scan) -> None:
+        """Add a scan, as it was read."""
+        self.count += 1
+        self.points.append(len(scan))
+        if not len(scan):
+            return
+        xyz = scan.points[:, :3]
+        reach = np.sqrt(sum(column * column for column in xyz.T))
+        farthest = float(reach.max())
+        heights = xyz[reach > farthest - _SATURATED, 2] / max(farthest, _NEAR)
+        near = int(np.count_nonzero(reach > farthest - _SATURATED - _GAP))
+        ring = near < 1.5 * len(heights) and np.ptp(np.percentile(heights, (5, 95))) > _RING
+        self.greatest.append((farthest, len(heights) / len(scan) if ring else 0.0))
+        self.near += int(np.count_nonzero(reach < _NEAR))
+        some = np.s_[::_THIN] if len(scan) > 100 * _THIN else np.s_[:]
+        elevation = np.arctan2(xyz[some, 2], np.hypot(xyz[some, 0], xyz[some, 1]))
+        self.planar += bool(np.ptp(np.percentile(elevation, (2, 98))) < _FLAT)
+        intensity = scan.points[some, 3]
+        self.dark += bool(intensity.min() == intensity.max())
+        if scan.time is not None:
+            self.spans.append(float(np.ptp(scan.time)))
+        self.silent += scan.no_returns is not None
+        content = hashlib.md5(np.ascontiguousarray(xyz[some]).tobytes(), usedforsecurity=False).hexdigest()
+        self.repeated += content == self._hash
+        self._hash = content
+
+    def add_ground(self, points: NDArray[np.floating]) -> GroundPlane | None:
+        """Add and return the ground of a scan, by its points in the axes that it is mapped in, (N, 3)."""
+        plane = ground_plane(points)
+        axes = ground_side(points) if plane is None or plane.height <= 0 else None
+        self.planes.append(None if axes else plane)
+        self.sides += [axes] if axes else []
+        return self.planes[-1]
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield what the scans show, apart from their ground."""
+        total = self.count + sum(self.failed.values())
+        for error, count in self.failed.items():
+            yield Finding("lost data", "damage", f"{counted(count, total)} cannot be read: {error}")
+        if not self.count:
+            return
+        usual = median(self.points)
+        if few := sum(one < _FEW * usual for one in self.points) if usual else self.count:
+            yield Finding("lost data", "points", f"{counted(few, self.count)} have less than a tenth of the usual ones")
+        if self.repeated:
+            text = f"{counted(self.repeated, self.count)} with the points of the one before"
+            yield Finding("lost data", "duplicates", text)
+        yield from self._check_ranges()
+        if self.planar > self.count / 2:
+            text = "scans are planar, without ground: walls farther than 4 m per metre of sensor height may be free"
+            yield Finding("wrong map", "ground", text, "--ism height-band, for sensors from 0.5 m above ground")
+        if self.dark == self.count:
+            yield Finding("note", "intensities", "all are the same, so that models cannot use them")
+        yield from self._check_times()
+        if not self.silent:
+            yield Finding("note", "beams without echo", "not known: free space ends at the farthest points")
+
+    def saturated(self) -> float | None:
+        """Return the greatest range if it is that of beams without echo [m], else None."""
+        shares = [share for _, share in self.greatest if share > _SHARE]
+        ranges = [farthest for farthest, share in self.greatest if share > _SHARE]
+        if not shares or len(shares) < len(self.greatest) / 2 or np.ptp(ranges) > _SATURATED:
+            return None
+        return round(median(ranges), 2)
+
+    def _check_ranges(self) -> Iterator[Finding]:
+        if (farthest := self.saturated()) is not None:
+            share = 100 * median(share for _, share in self.greatest)
+            text = f"{share:.0f} % of the points lie at the greatest range, {farthest:g} m: a ring of obstacles"
+            yield Finding("wrong map", "ranges", text, f"--max-range {farthest:g} --max-range-no-echo")
+        if self.near > _SHARE * sum(self.points):
+            text = f"{self.near} points lie within {_NEAR:g} m of the sensor"
+            yield Finding("lost data", "ranges", text, f"--min-range {2 * _NEAR:g}")
+
+    def _check_times(self) -> Iterator[Finding]:
+        if not self.spans:
+            yield Finding("note", "times", "points have none, so that --deskew cannot undo the ego motion")
+            return
+        span = median(self.spans)
+        if span > 1.5 * self.interval:
+            text = f"they last {span:.3g} s in a scan, but scans follow each other by {self.interval:.3g} s"
+            yield Finding("lost data", "times", text, "--time-unit sets their unit")
+        elif 0 < span < 1e-3:
+            yield Finding("note", "times", f"they last {1e6 * span:.3g} us in a scan", "--time-unit sets their unit")
+
+    def tilt(self) -> tuple[float, float]:
+        """Return roll and pitch of the sensor by the ground [rad], 0 where it shows none."""
+        normals = [plane.normal for plane in self.planes if plane is not None]
+        x, y, z = np.mean(normals, axis=0) if normals else (0.0, 0.0, 1.0)
+        return math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
+
+    def ground_findings(self, height: float | None, stated: str) -> Iterator[Finding]:
+        """Yield what the ground in the scans tells of tilt and height.
+
+        Parameters
+        ----------
+        height : float or None
+            Used height of the sensor [m]; None if it is not known.
+        stated : str
+            Origin of the height in words; "" where it is estimated from the scans.
+        """
+        planes = [plane for plane in self.planes if plane is not None]
+        if not self.planes or self.planar > self.count / 2:
+            return
+        if not planes:
+            axes = Counter(self.sides).most_common(1)
+            if axes:
+                side = SIDES[axes[0][0]]
+                yield Finding("wrong map", "axes", f"the ground lies {side} the sensor", f"--axes={axes[0][0]}")
+            else:
+                text = f"none in {counted(len(self.planes), len(self.planes))}: heights are those above --sensor-height"
+                yield Finding("lost data", "ground", text, "a sensor that sees ground within 40 m")
+            return
+        roll, pitch = self.tilt()
+        if (tilt := math.acos(math.cos(roll) * math.cos(pitch))) > _TILT:
+            text = f"the ground is inclined by {math.degrees(tilt):.0f} degrees in the axes of the points"
+            way = "transforms from base_link, poses, or `ogm check --write vehicle.yaml` and --sensors vehicle.yaml"
+            yield Finding("wrong map", "tilt", text, way)
+            return
+        found = median(plane.height for plane in planes)
+        if height is not None and stated and abs(found - height) > max(_HEIGHT, 0.1 * height):
+            text = f"the ground lies {found:.2f} m below the sensor, but {stated} {height:.2f} m"
+            yield Finding("wrong map", "height", text, f"--sensor-height {found:.2f}")
+        if (reach := max(plane.reach for plane in planes)) > 10:
+            text = f"{found:.2f} m by ground that is seen {reach / 2:g} to {reach:g} m away: check it"
+            yield Finding("note", "height", text, "--sensor-height sets it")
