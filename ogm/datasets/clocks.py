@@ -56,7 +56,7 @@ def clock_parts(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> 
     log_times : (K,) float64
         When messages were recorded [s], in rising order.
     stamps : (K,) float64
-        Of their headers [s]; NaN where there is none.
+        Of their headers [s]; NaN where unset.
 
     Returns
     -------

@@ -254,7 +254,7 @@ def _is_short(raw: NDArray[Any], unit: float) -> bool:
 
 
 def _middle(raw: NDArray[Any]) -> Any:
-    """Return the median of the numbers, which is one of them; 0 where there is none."""
+    """Return the median of the numbers, which is one of them."""
     known = raw[np.isfinite(raw)]
     return np.partition(known, known.size // 2)[known.size // 2] if known.size else 0
 

@@ -211,7 +211,7 @@ def _check_far(points: int, near: int, reach: float, where: Path | str) -> None:
 
 
 def _intensities(table: Table, columns: dict[str, NDArray[Any]]) -> NDArray[Any] | None:
-    """Return the first column of intensities that are not mostly negative, else the first; None if there is none."""
+    """Return the first column of intensities that are not mostly negative, else the first."""
     found = [columns[name] for name in INTENSITY if name in columns]
     if len(found) < 2:
         return found[0] if found else None

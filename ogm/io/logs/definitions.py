@@ -172,7 +172,7 @@ def message_types(ros: int) -> Any:
 
 
 def decode(channel: Channel, raw: bytes | memoryview) -> Any:
-    """Decode a message by the definition in its log, or by `message_types` if there is none, or it is wrong.
+    """Decode a message by the definition in its log, or by `message_types` if that is missing or wrong.
 
     Raises
     ------

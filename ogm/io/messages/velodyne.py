@@ -292,7 +292,7 @@ def _link_layer(number: int, path: Path, dpkt: Any) -> Callable[[bytes], Any]:
     Raises
     ------
     OgmError
-        If it is none of Ethernet, Linux cooked (``-i any``), IP without a link, or the loopback.
+        If it is another than Ethernet, Linux cooked (``-i any``), IP without a link, and the loopback.
     """
     pcap = dpkt.pcap
     raw = (12, 14, 101, pcap.DLT_IPV4, pcap.DLT_IPV6)  # DLT_RAW differs between systems
