@@ -78,6 +78,7 @@ class LogRecording(Recording):
         self.stamped = not np.isnan(scans.stamps).any()
         self.known_height = self._places is not None and self._places[0].height is not None
         self.known_truth, self.motion_distorted = several, not several
+        self.clock_findings = scans.transforms.clock.findings
         if scans.transforms.clock.is_cut:
             self.main_sequence = max(self.groups, key=lambda name: len(self.groups[name]))
 

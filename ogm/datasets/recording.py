@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import io
+from ogm.datasets.clocks import ClockFinding
 from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
 from ogm.datasets.sensor_setup import SensorSetup, setup_of
 from ogm.grid import GridSpec
@@ -103,6 +104,8 @@ class Recording(ABC):
         cannot choose axes, mounts and truths that are known.
     warnings : sequence of str
         Damage that was found when the recording was opened.
+    clock_findings : sequence of ClockFinding
+        Faults of the clock that were found when the recording was opened.
     frame_notes : sequence of (str, str)
         What is unusual about the frames of the points, and the way out, "" where nothing need be done.
     shards : (len(frames),) int array or None
@@ -131,6 +134,7 @@ class Recording(ABC):
     main_sequence: str = ""
     own_options: ClassVar[tuple[str, ...]] = ()
     warnings: Sequence[str] = ()
+    clock_findings: Sequence[ClockFinding] = ()
     frame_notes: Sequence[tuple[str, str]] = ()
     shards: NDArray[np.int64] | None = None
     sensor_height: float | None = None  # [m] given by the user

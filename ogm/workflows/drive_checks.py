@@ -36,6 +36,8 @@ def check_frames(dataset: Dataset) -> Iterator[Finding]:
     refs, recording = dataset.refs, dataset.recording
     if recording.warnings:
         yield Finding("lost data", "damage", listed([str(warning) for warning in recording.warnings]))
+    for fault in recording.clock_findings:
+        yield Finding("lost data", "clock", f"{fault.where}: {fault.what}", fault.way_out)
     for text, way in recording.frame_notes:
         yield Finding("wrong map" if way else "note", "frames", text, way)
     posed = [ref for ref in refs if ref.T_map_sensor is not None]
