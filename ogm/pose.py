@@ -24,6 +24,7 @@ __all__ = [
 ]  # fmt: skip
 
 LATEST = 1e11  # [s], year 5138: larger stamps count something smaller than seconds, and float64 holds no microseconds
+_FINEST = 1e-3  # [s] between two stamps of a type, above which maps do not age and speeds are not known
 _LAST_ROW, _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
 _TOLERANCE = 1e-4  # departure of R'R from the identity that a text file with four decimals still meets
 
@@ -78,11 +79,12 @@ def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
     if not (np.abs(array[3] - _LAST_ROW) <= 1e-9).all():
         raise ValueError(f"the last row of {name} must be (0, 0, 0, 1), got {array[3].tolist()}")
     R = array[:3, :3]
-    error = float(np.abs(R.T @ R - _IDENTITY).max())
-    if error > _TOLERANCE or np.linalg.det(R) < 0:
+    with np.errstate(over="ignore", invalid="ignore"):  # such are refused
+        error, handed = float(np.abs(R.T @ R - _IDENTITY).max()), float(np.linalg.det(R))
+    if not error <= _TOLERANCE or handed < 0:
         raise ValueError(
             f"{name} must be rigid (a rotation and a shift): R'R departs from the identity by {error:.2g} and "
-            f"det R = {np.linalg.det(R):.3g}, allowed are {_TOLERANCE:g} and +1; remove scale, shear and mirror"
+            f"det R = {handed:.3g}, allowed are {_TOLERANCE:g} and +1; remove scale, shear and mirror"
         )
     return array
 
@@ -100,10 +102,16 @@ def check_stamp(stamp: float, name: str = "stamp") -> float:
     Raises
     ------
     ValueError
-        If it is no real number, not finite, or beyond `LATEST`: then it counts milliseconds or nanoseconds.
+        If it is no real number, not finite, or beyond `LATEST`: then it counts milliseconds or nanoseconds. Also if
+        numbers of its type (float32, float16) are more than a millisecond apart there.
     """
     if isinstance(stamp, bool | np.bool_) or not isinstance(stamp, int | float | np.integer | np.floating):
         raise ValueError(f"{name} must be a number of seconds, got {stamp!r} ({type(stamp).__name__})")
+    if isinstance(stamp, np.floating) and np.isfinite(stamp) and np.spacing(abs(stamp)) > _FINEST:
+        raise ValueError(
+            f"{name} must be known to a millisecond, got {stamp} s as {stamp.dtype}, in steps of "
+            f"{float(np.spacing(abs(stamp))):g} s: give a float64"
+        )
     if not abs(stamp) <= LATEST:
         way = "divide nanoseconds by 1e9" if stamp == stamp and abs(stamp) < 10**30 else "give a finite time"
         raise ValueError(f"{name} must be finite, a time in seconds up to {LATEST:g}, got {_short(stamp)}: {way}")

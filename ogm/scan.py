@@ -48,7 +48,7 @@ class Scan(ShownInNotebooks):
         Unit directions, in the frame of `points`, of beams without echo: from the sky, but also from what is
         black or wet. None where that is unknown.
     doppler : (N,) float32, optional
-        Radial velocity, positive away from the sensor [m/s].
+        Radial velocity, positive away from the sensor [m/s]; NaN where unknown.
     rcs : (N,) float32, optional
         Radar cross section [dBsm], NaN where unknown; None for scans of lidars.
     sensor : str
@@ -63,8 +63,8 @@ class Scan(ShownInNotebooks):
     TypeError
         If `points` is no float array, or `mount` no Mount.
     ValueError
-        If `points` is not (N, 4) or (N, 3), a column has not one number per point, `stamp` is no time in seconds, or
-        `doppler_interval` is not above 0.
+        If `points` is not (N, 4) or (N, 3), a column has not one number per point, a time is not finite, a ring is no
+        whole number from 0 to 65535, `stamp` is no time in seconds, or `doppler_interval` is not above 0.
     """
 
     points: NDArray[np.float32]
@@ -90,7 +90,7 @@ class Scan(ShownInNotebooks):
         for name, dtype in columns.items():
             if getattr(self, name) is None:
                 continue
-            column = np.asarray(getattr(self, name), dtype)
+            column = _column(getattr(self, name), name, dtype)
             if column.shape != (len(self.points),):
                 raise ValueError(f"{name} must be ({len(self.points)},) like points, got shape {column.shape}")
             object.__setattr__(self, name, column)
@@ -167,6 +167,19 @@ def as_scan(scan: "Scan | ArrayLike") -> Scan:
     return scan if isinstance(scan, Scan) else Scan(scan)  # type: ignore[arg-type]
 
 
+def _column(given: Any, name: str, dtype: type[Any]) -> NDArray[Any]:
+    """Return a column of a scan in its type, or refuse numbers that the type does not hold."""
+    raw = np.asarray(given)
+    if raw.dtype.kind not in "fiu":
+        raise ValueError(f"{name} must be numbers, got {raw.dtype}")
+    if name == "time" and not np.isfinite(raw).all():
+        raise ValueError(f"time must be finite [s], time[{int(np.argmin(np.isfinite(raw)))}] is not; leave out times")
+    short = raw.dtype in (np.uint8, np.uint16)
+    if name == "ring" and not short and not ((raw >= 0) & (raw < 2**16) & (raw == np.floor(raw))).all():
+        raise ValueError(f"ring must be whole numbers from 0 to 65535, got {raw.min()} to {raw.max()}; leave out rings")
+    return raw.astype(dtype, copy=False)
+
+
 def _checked_points(points: Any) -> NDArray[np.float32]:
     """Return points as (N, 4) float32, or refuse them with the fix."""
     if not isinstance(points, np.ndarray):
@@ -192,7 +205,7 @@ def _checked_points(points: Any) -> NDArray[np.float32]:
         raise ValueError(f"points must have shape (N, 4), {columns}, got {points.shape}")
     if points.shape[1] == 3:
         points = np.concatenate([points, np.zeros((len(points), 1), points.dtype)], axis=1)
-    checked: NDArray[np.float32] = points.astype(np.float32, copy=False)
+    checked: NDArray[np.float32] = np.asarray(points).astype(np.float32, copy=False)  # a matrix becomes an array
     return checked
 
 

@@ -107,6 +107,17 @@ def test_damaged_scans_are_skipped_and_the_rest_goes_on(scans: Path, tmp_path: P
     assert EvidentialGrid.load(tmp_path / "m.npz").at(WALL + 0.25, 1.0).occupied > 0.9
 
 
+def test_scans_that_are_skipped_for_one_reason_are_not_all_listed(scans: Path, tmp_path: Path, poses: Path) -> None:
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for n, path in enumerate(sorted(scans.glob("*.bin"))):
+        (folder / path.name).write_bytes(b"xyz" * n if n else path.read_bytes())
+    result = ogm("fuse", folder, "--poses", poses, "--out", tmp_path / "m.npz", "--sensor-height", 1.7, *SMALL)
+    assert "1 mapped, 7 skipped" in result.output
+    assert result.output.count("is skipped") == 3
+    assert result.output.count("further scans with the same reason are only counted") == 1
+
+
 def test_one_glitch_of_the_pose_is_skipped(scans: Path, tmp_path: Path) -> None:
     off = POSES.copy()
     off[3, 0, 3] += 500

@@ -66,6 +66,32 @@ def test_select_keeps_columns_with_their_points_and_all_beams_without_echo(keep:
     np.testing.assert_array_equal(some.no_returns, np.eye(3))
 
 
+@each("message, columns", [
+        ("ring must be whole numbers from 0 to 65535, got -1 to 70000", {"ring": np.array([70_000, -1, 0, 0, 0])}),
+        ("ring must be whole numbers", {"ring": np.array([1.0, np.nan, 0, 0, 0])}),
+        ("ring must be whole numbers", {"ring": [0.5] * 5}),
+        ("ring must be numbers, got <U1", {"ring": list("abcde")}),
+        (r"time must be finite \[s\], time\[1\] is not", {"time": [0.0, np.nan, 0.1, 0.2, np.inf]}),
+        ("time must be numbers, got datetime64", {"time": np.zeros(5, "M8[ns]")}),
+        ("time must be numbers, got complex128", {"time": np.zeros(5, complex)}),
+        ("doppler must be numbers, got object", {"doppler": [None] * 5}),
+    ])  # fmt: skip
+def test_columns_of_no_such_numbers_are_refused(message: str, columns: dict) -> None:
+    refused(message, Scan, POINTS, **columns)
+
+
+def test_a_matrix_of_points_becomes_an_array() -> None:
+    with pytest.warns(PendingDeprecationWarning):
+        matrix = np.matrix(POINTS)
+    assert type(Scan(matrix).points) is np.ndarray
+
+
+@each("stamp", [np.float32(1.7e9), np.float32(20_000.0), np.float16(10.0)])
+def test_coarse_stamps_are_refused(stamp: np.floating) -> None:
+    refused("stamp must be known to a millisecond, .* give a float64", Scan, POINTS, stamp=stamp)
+    assert Scan(POINTS, stamp=np.float32(100.0)).stamp == 100.0
+
+
 def test_a_scan_is_printed_on_one_line_and_cannot_be_changed() -> None:
     scan = Scan(POINTS, stamp=1.5, ring=np.zeros(5), no_returns=np.eye(3))
     assert repr(scan) == "Scan(5 points, stamp 1.5 s, ring, no_returns)"

@@ -23,6 +23,10 @@ Message = Annotated[
     Option(help="Of .mcap, .db3, .bag: occupancy-grid, or with masses grid-map or foxglove-grid. [default: the first]"),
 ]
 Topic = Annotated[str | None, Option(help="Of a GRID in a log. [default: the one with grids, or /map]")]
+FreeThresh = Annotated[
+    float | None,
+    Option(help="Of a GRID as .yaml: replaces its free_thresh; 0.196 where unknown cells are read as free."),
+]
 Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
 Width = Annotated[float | None, Option(help="The same along y [m]. The middle of the extent is the origin.")]
 Resolution = Annotated[float, Option(help="Side of a cell of a .png or .npy [m].")]
@@ -37,6 +41,7 @@ def convert(
     pose: Pose = None,
     message: Message = None,
     topic: Topic = None,
+    free_thresh: FreeThresh = None,
     length: Length = None,
     width: Width = None,
     resolution: Resolution = 0.16,
@@ -56,7 +61,7 @@ def convert(
     same = (grid.with_suffix(".png") if grid.suffix.lower() in (".yaml", ".yml") else grid).resolve()
     if out.resolve() in (grid.resolve(), same):
         raise ValueError(f"{out} would take the place of {grid} or of its image; give another name")
-    placed = read_placed_grid(grid, _area(length, width, resolution), topic=topic)
+    placed = read_placed_grid(grid, _area(length, width, resolution), topic=topic, free_thresh=free_thresh)
     if pose is not None:
         placed = replace(placed, T_frame_grid=pose_of(*pose[:2], yaw=pose[2]) @ placed.T_frame_grid)
     if crs is not None:

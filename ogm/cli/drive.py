@@ -32,13 +32,15 @@ def pick_drive(dataset: "Dataset", sequence: str | None) -> "Dataset":
     drives = dataset.sequences
     if drives:
         names = list(drives)
-        wanted = names[0] if sequence is None else sequence
+        wanted = (dataset.recording.main_sequence or names[0]) if sequence is None else sequence
         number = int(wanted) if wanted.isdecimal() else len(names)
-        found = [one for one in (wanted, f"sequence {wanted}", *names[number : number + 1]) if one in drives]
+        known = (wanted, f"sequence {wanted}", f"{dataset.name} part {wanted}", *names[number : number + 1])
+        found = [one for one in known if one in drives]
         if not found:
             raise ValueError(f"--sequence must be one of {', '.join(drives)}, got {sequence}")
         if sequence is None and len(drives) > 1:
-            out.print(f"drive: {names[0]}, the first of {len(drives)}; --sequence picks another", markup=False)
+            which = "the longest" if dataset.recording.main_sequence else "the first"
+            out.print(f"drive: {found[0]}, {which} of {len(drives)}; --sequence picks another", markup=False)
         dataset = dataset.select(drives[found[0]])
     elif sequence is not None:
         raise ValueError(f"--sequence picks one of several drives, of which {dataset.name} has none")

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.datasets.clocks import STRAY
 from ogm.datasets.frames import FrameRef, SensorPlace
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.sensor_setup import SensorSetup, setup_of
@@ -36,6 +37,7 @@ class ScanRef(NamedTuple):
     cloud: str  # frame of the points, mostly the same
     time: int  # [ns]
     stamp: float  # [s]; NaN where the header has none
+    part: int  # of the drive, where its clock began anew
 
 
 class LogScans:
@@ -66,18 +68,18 @@ class LogScans:
         self.transforms = LogTransforms(log, self.topics)
         self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
         sensors = {head.frame: self._sensor(head.frame, placed) for _, head in self.transforms.heads}
+        clock = self.transforms.clock
+        rows = zip(self.transforms.heads, clock.stamps.tolist(), clock.parts.tolist(), strict=True)
         scans = [
-            ScanRef(
-                *(ref, log.topic_of(ref), sensors[head.frame], head.frame, head.time),
-                head.stamp if head.time else np.nan,
-            )
-            for ref, head in self.transforms.heads
+            ScanRef(ref, log.topic_of(ref), sensors[head.frame], head.frame, head.time, stamp, part)
+            for (ref, head), stamp, part in rows
+            if part != STRAY
         ]
         mounts = {name: setup_of(setups, name).T_vehicle_sensor for name in self.topics}
         for frame, name in {scan.frame: scan.topic for scan in scans}.items():
             if (T := mounts[name]) is not None:
                 self.transforms.mount(frame, T)
-        self.refs = sorted(scans, key=lambda scan: scan.time)
+        self.refs = sorted(scans, key=lambda scan: (scan.part, scan.time))
         self.warnings, lost = [*log.warnings], self.transforms.lost
         if lost:
             self.warnings.append(f"{len(lost)} messages are left out: {lost[0]}")
@@ -91,8 +93,9 @@ class LogScans:
 
     @cached_property
     def stamps(self) -> NDArray[np.float64]:
-        """Stamps of the headers, (K,) [s]; NaN where there is none."""
-        return np.array([scan.stamp for scan in self.refs])
+        """Times of the scans among the transforms, (K,) [s]; NaN where there is none."""
+        stamps, parts = np.array([scan.stamp for scan in self.refs]), np.array([scan.part for scan in self.refs])
+        return self.transforms.clock.shifted(stamps, parts)
 
     @cached_property
     def by_frame(self) -> dict[str, NDArray[np.intp]]:
@@ -232,7 +235,8 @@ class LogScans:
             if used[name] > 1:
                 name = f"{name}-{used[name]}"
             T = poses[n] if np.isfinite(poses[n]).all() else None
-            refs.append(FrameRef(name, self.name, None if np.isnan(scan.stamp) else scan.stamp, T))
+            drive = f"{self.name} part {scan.part + 1}" if self.transforms.clock.is_cut else self.name
+            refs.append(FrameRef(name, drive, None if np.isnan(scan.stamp) else scan.stamp, T))
         return tuple(refs)
 
 

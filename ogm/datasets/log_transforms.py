@@ -1,15 +1,18 @@
 """Where the sensors of a log were: its transforms, or its odometry, from a fixed frame to the frames of the scans."""
 
 import math
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.datasets.clocks import DriveClock
 from ogm.datasets.log_frames import FIXED, sensor_frame
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageHead, MessageRef
 from ogm.io.messages import StampedTransform, transform_from_odometry, transforms_from_tf
+from ogm.io.notices import one_notice_per_kind
 from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
 from ogm.pose import inverse
 from ogm.storage.files import OgmError
@@ -37,6 +40,8 @@ class LogTransforms:
         Where poses come from, in words.
     heads : list of (MessageRef, MessageHead)
         Of the scans.
+    clock : DriveClock
+        Parts of the drive. Stamps of the buffer are those of its time line.
     lost : list of str
         Why messages could not be read.
     """
@@ -48,15 +53,24 @@ class LogTransforms:
         self.heads: list[tuple[MessageRef, MessageHead]] = []
         self.lost: list[str] = []
         known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
-        for ref in log.iter_refs([*scans, *known]):
-            try:
-                topic = log.topic_of(ref)
-                if topic in known:
-                    self._add(transforms_from_tf(log.message(ref).decode()), known[topic])
-                else:
-                    self.heads.append((ref, log.head(ref)))
-            except OgmError as error:
-                self.lost.append(str(error))
+        found: list[tuple[str, int, StampedTransform]] = []
+        with one_notice_per_kind(Counter()):
+            for ref in log.iter_refs([*scans, *known]):
+                try:
+                    topic = log.topic_of(ref)
+                    if topic in known:
+                        several = transforms_from_tf(log.message(ref).decode())
+                        found += [(topic, ref.log_time, transform) for transform in several]
+                    else:
+                        self.heads.append((ref, log.head(ref)))
+                except OgmError as error:
+                    self.lost.append(str(error))
+        self.clock = DriveClock(
+            [log.topic_of(ref) for ref, _ in self.heads],
+            np.array([ref.log_time * 1e-9 for ref, _ in self.heads]),
+            np.array([head.stamp if head.time else np.nan for _, head in self.heads]),
+        )
+        self._add(found, [name for name, static in known.items() if static])
 
     def fixed_frame(self, sensor: str, wanted: str | None = None, preferred: str | None = None) -> str | None:
         """Return the frame that poses of a sensor are given in; None if there is none.
@@ -212,18 +226,29 @@ class LogTransforms:
             return False
         name = self._odometry.pop(0)
         self.source = f"odometry ({name})"
+        poses: list[tuple[str, int, StampedTransform]] = []
         for ref in self._log.iter_refs([name]):
             try:
                 found = transform_from_odometry(self._log.message(ref).decode())
-                self._add([found if found.child else found._replace(child=_VEHICLE)])
             except OgmError as error:
                 self.lost.append(str(error))
+                continue
+            poses.append((name, ref.log_time, found if found.child else found._replace(child=_VEHICLE)))
+        self._add(poses)
         return True
 
     def _of_type(self, *types: str) -> list[str]:
         """Return the topics of some types."""
         return [name for name, facts in self._log.topics.items() if facts.type in types]
 
-    def _add(self, transforms: Iterable[StampedTransform], static: bool = False) -> None:
-        for transform in transforms:
-            self.buffer.add(transform, static)
+    def _add(self, transforms: Sequence[tuple[str, int, StampedTransform]], static: Iterable[str] = ()) -> None:
+        """Add transforms by their topics and log times [ns], except those that are damaged."""
+        topics = np.array([name for name, _, _ in transforms])
+        times, stamps = np.array([(1e-9 * time, one.stamp) for _, time, one in transforms]).reshape(-1, 2).T
+        for name in {*topics} - {*static}:
+            stamps[topics == name] = self.clock.on_line(times[topics == name], stamps[topics == name])
+        for (name, _, one), stamp in zip(transforms, stamps.tolist(), strict=True):
+            try:
+                self.buffer.add(one._replace(stamp=stamp), name in static)
+            except OgmError as error:
+                self.lost.append(str(error))

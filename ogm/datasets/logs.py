@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -18,12 +18,13 @@ from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
 from ogm.datasets.sensor_setup import SensorSetup, setup_of
-from ogm.io.logs import LOG_ENDINGS, LogMessage, LogReader, open_log
+from ogm.io.columns import IntensityRange
+from ogm.io.logs import LogMessage, LogReader, log_ending, open_log
 from ogm.io.logs.definitions import log_files
-from ogm.io.messages.clouds import scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
+from ogm.io.messages.clouds import cloud_table, scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
 from ogm.io.messages.livox import scan_from_livox
 from ogm.io.messages.velodyne import scan_from_velodyne_scan, scans_from_pcap
-from ogm.io.scan_table import rotation_to_flu
+from ogm.io.scan_table import rotation_to_flu, stated_range
 from ogm.pose import pose, rotate, transform_points
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
@@ -36,7 +37,7 @@ def is_log(paths: Sequence[Path]) -> bool:
     if len(paths) == 1 and paths[0].is_dir():
         other = any(one.is_dir() or ending_of(one) for one in paths[0].iterdir())
         return not other and bool(log_files(paths[0]))
-    return bool(paths) and all(path.suffix.lower() in LOG_ENDINGS for path in paths)
+    return bool(paths) and all(map(log_ending, paths))
 
 
 class LogRecording(Recording):
@@ -77,6 +78,9 @@ class LogRecording(Recording):
         self.stamped = not np.isnan(scans.stamps).any()
         self.known_height = self._places is not None and self._places[0].height is not None
         self.known_truth, self.motion_distorted = several, not several
+        self.clock_findings = scans.transforms.clock.findings
+        if scans.transforms.clock.is_cut:
+            self.main_sequence = max(self.groups, key=lambda name: len(self.groups[name]))
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "LogRecording | None":
@@ -92,7 +96,10 @@ class LogRecording(Recording):
         if not is_log(paths):
             return None
         scans = LogScans(open_log(paths), options.topic, options.sensor_position is not None, options.setups)
-        for warning in scans.warnings:
+        for finding in scans.transforms.clock.findings:
+            if finding.kind == "coarse stamps":
+                raise OgmError(f"{scans.path}: {finding}")
+        for warning in (*scans.warnings, *scans.transforms.clock.findings):
             _log.warning("%s", warning)
         if "origin" in options.units:
             raise ValueError(f"origin (--origin) is for files of scans in map coordinates, {scans.path} is a log")
@@ -112,12 +119,21 @@ class LogRecording(Recording):
         ref = self._scans[n]
         message = self.log.message(ref.ref)
         try:
-            scan = _scan(message, self._units)
+            scan = _scan(message, self._scales(n))
         except OgmError as error:
             raise OgmError(f"{self.files[ref.ref.file]}: {error}") from error
         if self._moves is not None:
             scan = _moved(scan, self._moves[n], ref.cloud)
         return RawFrame(turn_scan(replace(scan, sensor=ref.frame), self._turns[n]))
+
+    def _scales(self, n: int) -> Mapping[str, Any]:
+        """Return the units of a point cloud: those that are given, else the drive's range of intensities."""
+        return {"intensity_max": partial(self.intensities, n), **self._units}
+
+    def intensity_range(self, n: int) -> IntensityRange | None:
+        """Return the intensities that mean 0 and 1 by the values of one point cloud; None for other messages."""
+        message = self.log.message(self._scans[n].ref)
+        return stated_range(cloud_table(message.decode())[0]) if message.type == CLOUD else None
 
     def place(self, n: int) -> SensorPlace:
         """Return the place of the sensor of a scan."""
@@ -169,6 +185,8 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
             poses = one.poses(frame)[1]["poses"]
         except OgmError as error:
             poses = str(error)
+        if one.transforms.clock.findings:
+            found[f"clock of {name}"] = "; ".join(map(str, one.transforms.clock.findings))
         found[f"poses of {name}"] = f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
     if damage := [warning for one in scans.values() for warning in one.warnings] or log.warnings:
         found["damage"] = "; ".join(dict.fromkeys(damage))

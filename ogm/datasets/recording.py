@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import io
+from ogm.datasets.clocks import ClockFinding
 from ogm.datasets.frames import EGO, Footprint, FrameRef, HdMap, RawFrame, SensorPlace
 from ogm.datasets.sensor_setup import SensorSetup, setup_of
 from ogm.grid import GridSpec
 from ogm.io import Axes
+from ogm.io.columns import IntensityRange
 from ogm.io.ground_plane import (
     LEVEL,
     LEVEL_MARGIN,
@@ -30,6 +32,9 @@ from ogm.io.ground_plane import (
     levelling_gain,
     plausible_sensor_height,
 )  # fmt: skip
+from ogm.io.notices import one_notice_per_kind
+from ogm.io.scan import read_table
+from ogm.io.scan_table import stated_range
 from ogm.pose import levelling, pose, rotate, tilt_of
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
@@ -99,10 +104,14 @@ class Recording(ABC):
         cannot choose axes, mounts and truths that are known.
     warnings : sequence of str
         Damage that was found when the recording was opened.
+    clock_findings : sequence of ClockFinding
+        Faults of the clock that were found when the recording was opened.
     frame_notes : sequence of (str, str)
         What is unusual about the frames of the points, and the way out, "" where nothing need be done.
     shards : (len(frames),) int array or None
         Shard of each frame in an object store, where reading a shard costs little more than reading a frame.
+    main_sequence : str
+        Sequence that commands use by default; "" for the first.
     own_options : tuple of str
         Options of `OpenOptions` that other formats refuse: some of "split", "sensors", "topic", "frame".
     """
@@ -122,8 +131,10 @@ class Recording(ABC):
     known_mount: ClassVar[bool] = False
     known_height: bool = False
     known_truth: bool = False
+    main_sequence: str = ""
     own_options: ClassVar[tuple[str, ...]] = ()
     warnings: Sequence[str] = ()
+    clock_findings: Sequence[ClockFinding] = ()
     frame_notes: Sequence[tuple[str, str]] = ()
     shards: NDArray[np.int64] | None = None
     sensor_height: float | None = None  # [m] given by the user
@@ -138,6 +149,7 @@ class Recording(ABC):
         )
         self.name = name or path.name or path.resolve().name or str(path)
         self.facts: Mapping[str, Any] = {}
+        self.notices = Counter[str]()  # of scans, by kind
 
     def __getstate__(self) -> dict[str, Any]:
         cached = {name for name in vars(self) if isinstance(getattr(type(self), name, None), cached_property)}
@@ -184,6 +196,10 @@ class Recording(ABC):
     def estimate_height(self, n: int) -> float | None:
         """Return the height of the sensor above ground [m] by one scan, or None if it shows no ground."""
         return io.estimate_sensor_height(self.levelled_points(n))
+
+    def intensity_range(self, n: int) -> IntensityRange | None:
+        """Return the intensities that mean 0 and 1 by the values of one scan; None if the format states them."""
+        return None
 
     def truth(self, n: int) -> Truth:
         """Return the truth of a frame; for recordings with a known truth."""
@@ -294,8 +310,44 @@ class Recording(ABC):
             )
         return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}")
 
+    def intensities(self, n: int, own: IntensityRange) -> IntensityRange:
+        """Return the intensities that mean 0 and 1 in all scans of a drive and sensor.
+
+        Parameters
+        ----------
+        n : int
+        own : (float, float)
+            Range by the values of scan n alone.
+
+        Returns
+        -------
+        (float, float)
+            0 and 1 if most of up to five scans stay between, else their widest range.
+        """
+        ref = self.frames[n]
+        return (self._intensities(ref.sequence, self.place(n).name) if ref.sequence else None) or own
+
+    @cached_property
+    def _intensities(self) -> Callable[[str, str], IntensityRange | None]:
+        return lru_cache(None)(self._widest_range)
+
+    def _widest_range(self, group: str, sensor: str) -> IntensityRange | None:
+        members = [k for k in self.groups[group] if self.place(k).name == sensor]
+        ranges = []
+        for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
+            try:
+                ranges.append(self.intensity_range(members[k]))
+            except _UNREADABLE:
+                continue  # the mapping reports it
+        known = [one for one in ranges if one is not None]
+        if 2 * known.count((0.0, 1.0)) > len(known) or not known:
+            return (0.0, 1.0) if known else None
+        return min(low for low, _ in known), max(high for _, high in known)
+
     def _read_without_ego(self, n: int) -> RawFrame:
-        raw, setup = self.read(n), self.setup(n)
+        with one_notice_per_kind(self.notices):
+            raw = self.read(n)
+        setup = self.setup(n)
         raw = setup.limit(raw, self.sensor_position or (0.0, 0.0, 0.0))
         return raw if self.ego_footprint is None else raw.without(setup.ego_footprint or self.ego_footprint)
 
@@ -319,11 +371,19 @@ class ScanFiles(Recording):
         """Read a scan from its file; with an origin, points in map coordinates come to the sensor by its pose."""
         T = self.frames[n].T_map_sensor if "origin" in self.units else None
         if T is None:
-            return RawFrame(io.read_scan(self.scans[n], self.axes, **self.units))
-        scan = io.read_scan(self.scans[n], self.axes, **{**self.units, "origin": T[:3, 3]})
+            return RawFrame(io.read_scan(self.scans[n], self.axes, **self.scales(n)))
+        scan = io.read_scan(self.scans[n], self.axes, **{**self.scales(n), "origin": T[:3, 3]})
         points = scan.points.copy()
         points[:, :3] = rotate(T[:3, :3].T, points[:, :3].T).T
         return RawFrame(replace(scan, points=points, no_returns=None))
+
+    def scales(self, n: int) -> Mapping[str, Any]:
+        """Return the units of a scan: those that are given, else the drive's range of intensities."""
+        return {"intensity_max": partial(self.intensities, n), **self.units}
+
+    def intensity_range(self, n: int) -> IntensityRange | None:
+        """Return the intensities that mean 0 and 1 by the values of one file."""
+        return stated_range(read_table(self.scans[n]))
 
 
 def why_no_height(points: NDArray[np.float32]) -> str:

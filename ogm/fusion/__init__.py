@@ -16,10 +16,10 @@ from ogm.fusion.factory import covering_window, make_mapper, rolling_window
 from ogm.fusion.mapper import Mapper
 from ogm.fusion.pipeline import FusionStep, fuse, map_scans, update_map
 from ogm.fusion.resample import coarsen, resample_to, warp
-from ogm.fusion.update_gate import PoseJump
+from ogm.fusion.update_gate import PoseJump, StampJump
 
 __all__ = [
-    "BinaryBayesMapper", "DynamicMapper", "EvidentialMapper", "FusionStep", "Mapper", "Objects", "PoseJump", "coarsen",
-    "covering_window", "deskew", "find_objects", "fuse", "make_mapper", "map_scans", "odometry", "predict_dynamic",
-    "resample_to", "rolling_window", "update_map", "warp",
+    "BinaryBayesMapper", "DynamicMapper", "EvidentialMapper", "FusionStep", "Mapper", "Objects", "PoseJump",
+    "StampJump", "coarsen", "covering_window", "deskew", "find_objects", "fuse", "make_mapper", "map_scans", "odometry",
+    "predict_dynamic", "resample_to", "rolling_window", "update_map", "warp",
 ]  # fmt: skip

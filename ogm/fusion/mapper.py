@@ -191,6 +191,8 @@ class Mapper(ABC):
             If `grid` is no EvidentialGrid, or `radial` no RadialVelocities.
         PoseJump
             If the pose is further from the last one than `max_speed` allows.
+        StampJump
+            If the stamp is more than `max_delay` older than the map, or more than a day newer.
         ValueError
             If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules of the mapper,
             the grid and the window have no cell in common, or the columns of `radial` do not fit together.

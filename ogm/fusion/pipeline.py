@@ -1,6 +1,7 @@
 """From frames to grids and maps: `map_scans`, `fuse`, and the step that both share with evaluation, `update_map`."""
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from ogm.fusion.ego.deskewing import deskew, extrapolate
 from ogm.fusion.mapper import Mapper
-from ogm.fusion.update_gate import PoseJump
+from ogm.fusion.update_gate import LONG_GAP, PoseJump, StampJump
 from ogm.geometric.doppler import radial_velocities
 from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse
@@ -70,7 +71,7 @@ class FusionStep(NamedTuple):
     error : Exception or None
         Why the frame was skipped.
     restart : str
-        Why the map began anew with this frame: "pose jump" or "sequence"; "" if it did not.
+        Why the map began anew with this frame: "pose jump", "stamp jump" or "sequence"; "" if it did not.
     previous_map : EvidentialGrid or None
         The map up to there, if it began anew: nothing else keeps it.
     seconds : (float, float)
@@ -97,7 +98,8 @@ def fuse(
 ) -> Iterator[FusionStep]:
     """Fuse the scans of a drive into a map, one step per frame.
 
-    The map begins anew with every new `Frame.sequence`, and after three pose jumps in a row, at the last of them.
+    The map begins anew with every new `Frame.sequence`, and after three jumps in a row, at the last of them: jumps of
+    poses, or of stamps that follow each other.
 
     Parameters
     ----------
@@ -138,7 +140,7 @@ def fuse(
     if deskew is not False and isinstance(ism, Mapping):
         raise ValueError("poses are of one sensor: de-skew each sensor's frames by its own trajectory, `deskew_frame`")
     trajectory = _trajectory(frames, deskew)
-    jumps, sequence = 0, None
+    jumps, sequence = _Jumps(), None
     for frame in frames:
         if trajectory is not None:
             frame = deskew_frame(frame, trajectory)
@@ -150,19 +152,47 @@ def fuse(
             grid = run_model(ism, frame)
             between = time.perf_counter()
             if sequence not in (None, frame.sequence) and mapper.scans:
-                restart, previous, jumps = "sequence", mapper.grid, 0
+                restart, previous = "sequence", mapper.grid
                 mapper.reset()
-            jumped = update_map(mapper, grid, frame, restart=jumps + 1 >= _MAX_JUMPS, reliability=reliability)
+                jumps.clear()
+            try:
+                update_map(mapper, grid, frame, restart=False, reliability=reliability)
+            except (PoseJump, StampJump) as jump:
+                if not jumps.add(jump, frame.stamp):
+                    raise
+                restart, previous = "pose jump" if isinstance(jump, PoseJump) else "stamp jump", mapper.grid
+                mapper.reset()
+                update_map(mapper, grid, frame, restart=False, reliability=reliability)
             seconds = between - start, time.perf_counter() - between
         except _DAMAGED as error:
-            jumps += isinstance(error, PoseJump)
             on_error(frame, error)
             yield FusionStep(frame, error=error, restart=restart, previous_map=previous)
             continue
-        if jumped is not None:
-            restart, previous = "pose jump", jumped
-        jumps, sequence = 0, frame.sequence
+        jumps.clear()
+        sequence = frame.sequence
         yield FusionStep(frame, grid, T_map_grid, None, restart, previous, seconds)
+
+
+class _Jumps:
+    """Jumps since the last scan that was fused."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._poses = self._stamps = 0
+        self._last = math.inf  # stamp of the last jump of a stamp
+
+    def add(self, jump: PoseJump | StampJump, stamp: float | None) -> bool:
+        """Count a jump; return whether it is the last that is refused: of stamps, only those that agree count."""
+        if isinstance(jump, PoseJump):
+            self._poses += 1
+            return self._poses >= _MAX_JUMPS
+        time = math.inf if stamp is None else float(stamp)
+        self._stamps = self._stamps + 1 if 0 < time - self._last <= LONG_GAP else 1
+        self._last = time
+        return self._stamps >= _MAX_JUMPS
 
 
 def update_map(

@@ -27,6 +27,10 @@ class PoseJump(ValueError):
     """A pose further from the last one than a vehicle can travel: a glitch of GNSS, or a closed loop."""
 
 
+class StampJump(ValueError):
+    """A stamp far before or after that of the map: a wrong one, or a clock that was set."""
+
+
 class CheckedScan(NamedTuple):
     """A scan that may be fused.
 
@@ -119,12 +123,12 @@ class UpdateGate:
         time = self._time(stamp)
         elapsed = 0.0 if time is None or self.stamp is None else time - self.stamp
         if elapsed < -self.max_delay:
-            raise ValueError(
+            raise StampJump(
                 f"stamp {time} s is {-elapsed:.6g} s older than the map ({self.stamp} s), allowed are "
                 f"{self.max_delay:g} s; sort the scans, set max_delay, or call reset() if the clock was put back"
             )
         if elapsed > MAX_GAP:
-            raise ValueError(
+            raise StampJump(
                 f"stamp {time} follows {self.stamp}: a gap of {elapsed:.4g} s; are the stamps in seconds? "
                 "Call reset() to begin a new drive"
             )

@@ -187,7 +187,9 @@ def _map(folder: Path) -> Argoverse2Map | None:
     rotation, shift, scale = (
         need_numbers(position, key, shape, placing) for key, shape in (("R", 4), ("t", 2), ("s", ()))
     )
-    return Argoverse2Map(tuple(areas), raster.astype(np.float64), rotation.reshape(2, 2), shift, float(scale))
+    with np.errstate(invalid="ignore"):  # NaN, also signalling ones, where the height is not known
+        raster = raster.astype(np.float64)
+    return Argoverse2Map(tuple(areas), raster, rotation.reshape(2, 2), shift, float(scale))
 
 
 _MAP_FILES = ("log_map_archive_*.json", "*_ground_height_surface_*.npy", "*___img_Sim2_city.json")

@@ -21,7 +21,7 @@ from ogm.storage.files import FilePath, OgmError
 __all__ = ["read_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
 
 _OBJECT = "type, truncated, occluded, alpha, 4 of the picture's box, height, width, length, x, y, z, rotation_y"
-_ZONE = re.compile(r"[^0-9:.]")  # in the time of a day
+_DATE, _ZONE = re.compile(r"[0-9-]+"), re.compile(r"[^0-9:.]")  # a day; a zone in the time of a day
 _TO_CAMERA, _RECTIFY = "calib_velo_to_cam.txt", "calib_cam_to_cam.txt"
 
 
@@ -177,7 +177,7 @@ def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
         try:
             if len(words) == 1:
                 stamp = float(words[0])
-            elif _ZONE.search(words[-1]):  # numpy warns of it, and drops it
+            elif _ZONE.search(words[-1]) or not _DATE.fullmatch(words[0]):  # numpy warns of it, and drops it
                 raise ValueError("a zone")
             else:
                 stamp = np.datetime64("T".join(words), "ns").astype(np.int64) * 1e-9

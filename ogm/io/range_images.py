@@ -57,7 +57,8 @@ def read_range_image(
     """
     data, _ = read_bytes(path)
     array = parse_array(data, Path(path), lambda shape: len(shape) == 3 and shape[-1] == 6, _WANTED)
-    image = array.reshape(-1, 6).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # of signalling NaN, which are refused where there is a range
+        image = array.reshape(-1, 6).astype(np.float64)
     image = image[image[:, 4] > 0]
     if not np.isfinite(image).all():
         bad = np.count_nonzero(~np.isfinite(image).all(axis=1))

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ogm.io.columns import IntensityScale
 from ogm.io.formats import parse
+from ogm.io.formats.table import Table
 from ogm.io.ground_plane import estimate_sensor_height
 from ogm.io.reading import read_bytes
 from ogm.io.scan_table import Axes, FileFacts, check_scales, rotation_to_flu, scan_from_table
@@ -38,7 +40,7 @@ def read_scan(
     path: FilePath,
     axes: Axes = "flu",
     *,
-    intensity_max: float | None = None,
+    intensity_max: IntensityScale | None = None,
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     time_unit: float | None = None,
 ) -> Scan:
@@ -51,9 +53,12 @@ def read_scan(
     logged. All others are kept as they are, those of the ego vehicle and those far below the ground too: the
     inverse sensor model decides about them. A file of no points gives (0, 4).
 
+    Points beyond 100 km are dropped, too, unless they are most: then the file is in map coordinates.
+
     What else a row lacks drops no point, for a wall that is dropped is taken for free: an intensity that is
-    NaN or infinite becomes 0, counted and logged; rings, or times, of which one is, are left out altogether
-    (None), with a warning in the log.
+    NaN or infinite becomes 0, counted and logged; a time that is, or that is far from the others, becomes one between
+    those of the rows around it; rings of which one is no whole number from 0 to 65535, and times of no sweep, are left
+    out altogether (None). All of this is logged, of the scans of a drive once.
 
     Fields are known by their names, whether in capitals or not, and with or without the ``scalar_`` of
     CloudCompare.
@@ -66,18 +71,20 @@ def read_scan(
         Which way the file's axes point; this is never guessed. Either a name from `AXES`; or the file's axes
         that point forward, left and up, such as ``("+y", "-x", "+z")``; or the rotation from the file's axes
         to those. The default, ``"flu"``, changes nothing.
-    intensity_max : float, optional
-        The file's intensity that means 1; larger ones count as 1. By default that of the format: 1 in KITTI,
-        255 in nuScenes, 255 or 65535 where intensities are whole numbers of 8 or 16 bits without sign
-        (Argoverse, PLY, LAS). Else intensities up to 1 stay as they are, those up to 255 are divided by 255
-        (which is logged, for another scan of the same sensor may seem to have another scale), and larger ones
-        are an error. `read_scan_file` returns what was taken.
+    intensity_max : float or (float, float), optional
+        The file's intensity that means 1, or those that mean 0 and 1; others count as 0 or 1. By default 1 is that of
+        the format: 1 in KITTI, 255 in nuScenes, 255 or 65535 where intensities are whole numbers of 8 or 16 bits
+        without sign (Argoverse, PLY, LAS). Else, and where more than 1 % are larger, it is the first of 1, 255 and
+        65535 that 99 % do not exceed, or what 99 % do not exceed. Where most intensities are negative they are
+        decibels, and the range of 98 % of them counts. What is guessed is logged; the scans of a drive have one range,
+        see `ogm.datasets.recording.Recording.intensities`. `read_scan_file` returns what was taken.
     origin : 3 float
         Position of the sensor in the file's coordinates [m], for files in map coordinates (UTM), which
         float32 cannot hold. It is subtracted first.
     time_unit : float, optional
         What the file's times count in [s]: 1e-9 for nanoseconds, 1e-6 for microseconds. By default whole
-        numbers count nanoseconds, others seconds, and times that then last longer than 10 s are an error.
+        numbers count nanoseconds, others seconds. If times then last longer than 10 s, they count in s, ms, us or ns,
+        whichever makes them last 2 ms to 2 s, or are left out.
 
     Returns
     -------
@@ -106,7 +113,7 @@ def read_scan_file(
     path: FilePath,
     axes: Axes = "flu",
     *,
-    intensity_max: float | None = None,
+    intensity_max: IntensityScale | None = None,
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     time_unit: float | None = None,
 ) -> tuple[Scan, FileFacts]:
@@ -122,6 +129,12 @@ def read_scan_file(
         log.warning('%s: nuScenes files have x right and y forward; axes="nuscenes" turns them', path)
     moved = shift if shift.any() else None
     return scan_from_table(table, inner, axes, origin=moved, intensity_max=intensity_max, time_unit=time_unit)
+
+
+def read_table(path: FilePath) -> Table:
+    """Read the columns of a scan as they stand in its file; errors as for `read_scan`."""
+    data, inner = read_bytes(path)
+    return parse(data, inner)
 
 
 def describe(scan: Scan, file: FileFacts) -> dict[str, str]:

@@ -8,9 +8,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.columns import check_rings, check_whole, scale_intensities, split_times, times_from_stamp
+from ogm.io.columns import (
+    IntensityRange,
+    IntensityScale,
+    check_rings,
+    intensity_range,
+    scale_intensities,
+    split_times,
+    times_from_stamp,
+    unknown_as_nan,
+)
 from ogm.io.formats.table import DOPPLER, INTENSITY, POSITION, RCS, RING, TIME, Table, plain
 from ogm.io.labels import REACH
+from ogm.io.notices import notice
 from ogm.pose import rotate
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
@@ -68,6 +78,7 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
 log: logging.Logger = logging.getLogger(__name__)
 
 _BLOCK = 2**18  # rows that are converted at a time
+_MISREAD = 0.05  # share of negative intensities from which rows have another number of values
 
 
 class FileFacts(NamedTuple):
@@ -76,7 +87,7 @@ class FileFacts(NamedTuple):
     Attributes
     ----------
     dropped : int
-        Rows of the file that hold no point: x, y or z NaN or infinite, or (0, 0, 0).
+        Rows of the file that hold no point: x, y or z NaN, infinite or absurdly far, or (0, 0, 0).
     intensity_max : float or None
         The file's intensity that became 1; None where it has none.
     format : str
@@ -100,7 +111,7 @@ def scan_from_table(
     axes: Axes = "flu",
     *,
     origin: NDArray[np.float64] | None = None,
-    intensity_max: float | None = None,
+    intensity_max: IntensityScale | None = None,
     time_unit: float | None = None,
     stamp: float | None = None,
 ) -> tuple[Scan, FileFacts]:
@@ -120,28 +131,27 @@ def scan_from_table(
     rotation = rotation_to_flu(axes)
     check_scales(intensity_max, time_unit)
     fields = table.fields or tuple(table.columns)
-    columns = {plain(name): column for name, column in table.columns.items()}
+    columns = _by_meaning(table)
     if not columns.keys() >= set(POSITION):
         raise OgmError(f"{where} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
 
     # Points are the rows with a finite position and a distance, whatever else they lack.
     # They go from the file's coordinates to x forward, y left, z up.
     xyz, returned, reach = _positions([columns[name] for name in POSITION], rotation, origin)
-    kept: np.ndarray | slice = slice(None)
-    if dropped := returned.size - int(np.count_nonzero(returned)):
-        kept = returned
-        log.info("%s: %d of %d rows hold no point and are dropped", where, dropped, returned.size)
+    there = returned
     if reach > REACH:
-        raise OgmError(
-            f"{where} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are "
-            "map coordinates, give the sensor's position as origin (--origin X Y Z); if not, the file is damaged or "
-            "wrongly named"
-        )
+        there = returned & (np.abs(xyz) <= REACH).all(axis=0)
+        _check_far(int(np.count_nonzero(returned)), int(np.count_nonzero(there)), reach, where)
+    kept: np.ndarray | slice = slice(None)
+    if dropped := there.size - int(np.count_nonzero(there)):
+        kept = there
+        text = "%s: %d of %d rows hold no point and are dropped"
+        notice(log, "rows without a point", text, where, dropped, there.size, level=logging.INFO)
     no_returns = None
-    if table.shape is not None:
-        x, y, z = xyz.reshape(3, *table.shape)
-        no_returns = directions_without_return(x, y, z, returned.reshape(table.shape))
-    points = np.zeros((returned.size - dropped, 4), np.float32)
+    if table.shape is not None:  # a beam with an absurd range had an echo
+        x, y, z = np.where(there, xyz, 0).reshape(3, *table.shape)
+        no_returns = directions_without_return(x, y, z, there.reshape(table.shape), returned.reshape(table.shape))
+    points = np.zeros((there.size - dropped, 4), np.float32)
     for axis in range(3):
         points[:, axis] = xyz[axis, kept]
     del xyz
@@ -150,10 +160,13 @@ def scan_from_table(
     def known(names: tuple[str, ...]) -> NDArray[Any] | None:
         """Return the first column that is there, in the machine's order of bytes."""
         found = next((columns[name] for name in names if name in columns), None)
-        return None if found is None else np.ascontiguousarray(found[kept], found.dtype.newbyteorder("="))
+        return None if found is None else _native(found[kept])
 
-    scale, intensity = None, known(INTENSITY)
+    scale, intensity = None, _intensities(table, columns)
     if intensity is not None:
+        intensity = _native(intensity[kept])
+        if intensity_max is None:
+            _check_order(table, intensity, where)
         points[:, 3], scale = scale_intensities(intensity, intensity_max, table.intensity_max, where)
     if stamp is None:
         time, stamp = split_times(known(TIME), time_unit, Path(where))
@@ -165,10 +178,68 @@ def scan_from_table(
         time=time,
         ring=check_rings(known(RING), where),
         no_returns=no_returns,
-        doppler=check_whole(known(DOPPLER), "Doppler velocities", where),
-        rcs=check_whole(known(RCS), "radar cross sections", where),
+        doppler=unknown_as_nan(known(DOPPLER), "Doppler velocities", where),
+        rcs=unknown_as_nan(known(RCS), "radar cross sections", where),
     )
     return scan, FileFacts(dropped, scale, table.format, fields, table.shape)
+
+
+def _native(column: NDArray[Any]) -> NDArray[Any]:
+    """Return a column in the machine's order of bytes."""
+    return np.ascontiguousarray(column, column.dtype.newbyteorder("="))
+
+
+def _by_meaning(table: Table) -> dict[str, NDArray[Any]]:
+    """Return the columns by the spelling of `plain`; of several with one meaning the first, which is logged."""
+    columns: dict[str, NDArray[Any]] = {}
+    for name, column in table.columns.items():
+        columns.setdefault(plain(name), column)
+    return columns
+
+
+def _check_far(points: int, near: int, reach: float, where: Path | str) -> None:
+    """Log points that are absurdly far, or raise where they are most: then the coordinates are no sensor's."""
+    if 2 * near > points:
+        text = "%s: %d of %d points are farther than %g m, up to %.3g m, and dropped"
+        notice(log, "far points", text, where, points - near, points, REACH, reach)
+        return
+    raise OgmError(
+        f"{where} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are map "
+        "coordinates, give the sensor's position as origin (--origin X Y Z); if not, the file is damaged or wrongly "
+        "named"
+    )
+
+
+def _intensities(table: Table, columns: dict[str, NDArray[Any]]) -> NDArray[Any] | None:
+    """Return the first column of intensities that are not mostly negative, else the first."""
+    found = [columns[name] for name in INTENSITY if name in columns]
+    if len(found) < 2:
+        return found[0] if found else None
+    return next((one for one in found if 2 * np.count_nonzero(one < 0) <= one.size), found[0])
+
+
+def stated_range(table: Table) -> IntensityRange | None:
+    """Return the intensities that mean 0 and 1 by the values of a scan; None if the type states them, or without any.
+
+    Parameters
+    ----------
+    table : Table
+        Of a file or a message.
+    """
+    raw = _intensities(table, _by_meaning(table))
+    if raw is None or raw.dtype.newbyteorder("=") in (np.uint8, np.uint16):
+        return None
+    return intensity_range(raw, table.intensity_max)
+
+
+def _check_order(table: Table, raw: NDArray[Any], where: Path | str) -> None:
+    """Raise where rows without names seem to have another number of values: then x, y and z are none."""
+    if table.headerless and np.count_nonzero(raw < 0) > _MISREAD * raw.size:
+        raise OgmError(
+            f"{where} has intensities down to {raw.min():.3g}, wanted none below 0 in rows of {len(table.columns)} "
+            f"float32 ({table.format}): its rows may have another number of values, four in .bin (KITTI), five in "
+            ".pcd.bin (nuScenes): name it after its rows; or give intensity_max if intensities are negative"
+        )
 
 
 def _positions(
@@ -201,9 +272,12 @@ def _positions(
     return xyz, returned, reach
 
 
-def check_scales(intensity_max: float | None, time_unit: float | None) -> None:
+def check_scales(intensity_max: IntensityScale | None, time_unit: float | None) -> None:
     """Refuse an `intensity_max` or a `time_unit` that makes no sense."""
-    if intensity_max is not None and not 0.0 < intensity_max < np.inf:
+    if isinstance(intensity_max, tuple):
+        if not -np.inf < intensity_max[0] < intensity_max[1] < np.inf:
+            raise ValueError(f"intensity_max must be two rising numbers, those that mean 0 and 1, got {intensity_max}")
+    elif isinstance(intensity_max, int | float) and not 0.0 < intensity_max < np.inf:
         raise ValueError(f"intensity_max must be above 0, got {intensity_max!r}")
     if time_unit is not None and not 0.0 < time_unit < np.inf:
         raise ValueError(f"time_unit must be above 0 [s], such as 1e-9 for nanoseconds, got {time_unit!r}")
@@ -215,7 +289,9 @@ _TOLERANCE = np.radians(1.0)  # [rad] within which 9 of 10 returns must lie on t
 _STEP = 8  # every 8th column gives the rows' offsets, where it has enough returns
 
 
-def directions_without_return(x: np.ndarray, y: np.ndarray, z: np.ndarray, returned: np.ndarray) -> np.ndarray | None:
+def directions_without_return(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, returned: np.ndarray, echoed: np.ndarray | None = None
+) -> np.ndarray | None:
     """Return the directions of the beams without a return.
 
     A spinning lidar's raster has one elevation per row and one azimuth per column, plus, on some sensors, an
@@ -228,6 +304,8 @@ def directions_without_return(x: np.ndarray, y: np.ndarray, z: np.ndarray, retur
         Points as seen from the sensor, forward, left, up [m].
     returned : (rows, columns) bool
         Where there is a point.
+    echoed : (rows, columns) bool, optional
+        Where there was an echo; by default where there is a point.
 
     Returns
     -------
@@ -237,14 +315,15 @@ def directions_without_return(x: np.ndarray, y: np.ndarray, z: np.ndarray, retur
     """
     if returned.size > _MOST:
         return None
+    echoed = returned if echoed is None else echoed
     if returned.shape[0] > returned.shape[1]:  # some drivers write a column of lasers after the other
-        x, y, z, returned = x.T, y.T, z.T, returned.T
+        x, y, z, returned, echoed = x.T, y.T, z.T, returned.T, echoed.T
     while True:
         rows = np.count_nonzero(returned, axis=1) >= _PER_ROW
         columns = np.count_nonzero(returned, axis=0) >= _PER_COLUMN
         if rows.all() and columns.all():
             break
-        x, y, z, returned = (image[rows][:, columns] for image in (x, y, z, returned))
+        x, y, z, returned, echoed = (image[rows][:, columns] for image in (x, y, z, returned, echoed))
     if min(returned.shape) < 2:
         return None
 
@@ -269,7 +348,7 @@ def directions_without_return(x: np.ndarray, y: np.ndarray, z: np.ndarray, retur
     if np.quantile(residual[returned], 0.9) > _TOLERANCE:
         return None
 
-    elevation, azimuth = np.broadcast_to(elevation, returned.shape)[~returned], azimuth[~returned]
+    elevation, azimuth = np.broadcast_to(elevation, returned.shape)[~echoed], azimuth[~echoed]
     level = np.cos(elevation)
     return np.stack((level * azimuth.real, level * azimuth.imag, np.sin(elevation)), axis=1).astype(np.float32)
 

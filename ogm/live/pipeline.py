@@ -1,6 +1,7 @@
 """Mapping and publishing frames while they are new: `serve`, and `warm_up` before the first of them."""
 
 import copy
+import logging
 import threading
 import time
 from collections import deque
@@ -18,6 +19,8 @@ from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan, SensorModels
 
 Publish = Callable[[FusionStep, Mapper], object]
+_log = logging.getLogger(__name__)
+
 KEPT = 10_000  # latencies from which quantiles are computed: memory stays flat
 
 
@@ -118,6 +121,8 @@ def serve(
         reported = log.start
         try:
             for step in fuse(newest, ism, mapper, on_error=log.failed):
+                if step.restart:
+                    _log.warning("%s: %s; the map begins anew", step.frame.name, step.restart)
                 if step.grid is None:
                     continue
                 publish(step, mapper)

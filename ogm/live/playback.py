@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from threading import Event
 
 from ogm.fusion.pipeline import OnError
+from ogm.fusion.update_gate import MAX_GAP
 from ogm.scan import Frame
 from ogm.storage.files import OgmError
 
@@ -142,7 +143,7 @@ class _Clock:
         """Return when a frame is due, by `time.monotonic` [s]."""
         if frame.stamp is None:
             raise OgmError(f"{frame.name} has no stamp, so that it cannot be played at its time: give times or poses")
-        if frame.sequence != self.sequence or frame.stamp < self.last - BACK:
+        if frame.sequence != self.sequence or not self.last - BACK <= frame.stamp <= self.last + MAX_GAP:
             self.sequence, self.origin, self.start = frame.sequence, frame.stamp, time.monotonic() + LEAD
         self.last = frame.stamp
         return self.start + (frame.stamp - self.origin) / self.rate

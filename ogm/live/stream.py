@@ -20,6 +20,7 @@ import math
 import select
 import socket
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterator
 from threading import Event
 
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ogm.io.formats.table import Table
+from ogm.io.notices import one_notice_per_kind
 from ogm.io.scan_table import scan_from_table
 from ogm.pose import check_pose
 from ogm.scan import Frame, Mount, Scan
@@ -79,9 +81,10 @@ def receive_frames(
     Yields
     ------
     Frame
-        With scan, stamp and pose; rows without a point (0, 0, 0 or not finite) are dropped.
+        With scan, stamp and pose; rows without a point (0, 0, 0 or not finite) are dropped. A connection whose first
+        stamp is not after the last one begins a new sequence, as of a driver that was started anew.
     """
-    stop, count = stop or Event(), 0
+    stop, count, sequence, last = stop or Event(), 0, 1, -math.inf
     listener.setblocking(False)
     connection: _Connection | None = None
     try:
@@ -104,8 +107,12 @@ def receive_frames(
                 if message is not None:
                     scan, T = message
                     count += 1
+                    stamp = float(scan.stamp or 0.0)
+                    sequence += connection.scans == 1 and stamp <= last
+                    last = stamp
+                    drive = "live" if sequence == 1 else f"live {sequence}"
                     yield Frame(
-                        scan, mount, None, None, T_map_sensor=T, stamp=scan.stamp, name=f"scan {count}", sequence="live"
+                        scan, mount, None, None, T_map_sensor=T, stamp=stamp, name=f"scan {count}", sequence=drive
                     )
     finally:
         if connection is not None:
@@ -118,6 +125,7 @@ class _Connection:
     def __init__(self, connection: socket.socket, address: tuple[str, int]) -> None:
         connection.setblocking(False)
         self.socket, self.name, self.scans = connection, f"{address[0]}:{address[1]}", 0
+        self._notices = Counter[str]()
         self._begin()
 
     def _begin(self) -> None:
@@ -170,7 +178,8 @@ class _Connection:
         with error_context(where):
             T = check_pose(np.append(np.reshape(rows, (3, 4)), [[0, 0, 0, 1]], axis=0), "T_map_sensor")
         columns = dict(zip(_COLUMNS, self._points.reshape(-1, 4).T, strict=True))
-        scan = scan_from_table(Table("message", columns, None, 1.0), where, stamp=stamp)[0]
+        with one_notice_per_kind(self._notices):
+            scan = scan_from_table(Table("message", columns), where, stamp=stamp, intensity_max=1.0)[0]
         self.scans += 1
         self._begin()
         return scan, T

@@ -1,7 +1,6 @@
 """Checks of a drive that read no points: topics, stamps, rates, poses, frames, damage."""
 
 import math
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -36,6 +35,8 @@ def check_frames(dataset: Dataset) -> Iterator[Finding]:
     refs, recording = dataset.refs, dataset.recording
     if recording.warnings:
         yield Finding("lost data", "damage", listed([str(warning) for warning in recording.warnings]))
+    for fault in recording.clock_findings:
+        yield Finding("lost data", "clock", f"{fault.where}: {fault.what}", fault.way_out)
     for text, way in recording.frame_notes:
         yield Finding("wrong map" if way else "note", "frames", text, way)
     posed = [ref for ref in refs if ref.T_map_sensor is not None]
@@ -43,17 +44,20 @@ def check_frames(dataset: Dataset) -> Iterator[Finding]:
         how = dataset.facts.get("poses") or "the scans have none"
         way = "--odometry kiss-icp estimates them, --poses FILE gives them" if not posed else ""
         yield Finding("lost data", "poses", f"{counted(len(refs) - len(posed), len(refs))} without a pose: {how}", way)
-    stamps = np.array([ref.stamp for ref in refs if ref.stamp is not None])
-    yield from _check_rate(stamps)
+    parts: dict[str, list[float]] = {}
+    for ref in refs:
+        if ref.stamp is not None:
+            parts.setdefault(ref.sequence, []).append(ref.stamp)
+    yield from _check_rate(list(parts.values()))
     yield from _check_jumps(dataset)
 
 
-def _check_rate(stamps: np.ndarray) -> Iterator[Finding]:
-    repeated = [count for count in Counter(stamps.tolist()).values() if count > 1]
-    if repeated:
-        many = sum(repeated) - len(repeated)
-        yield Finding("lost data", "duplicates", f"{counted(many, len(stamps))} with the stamp of another")
-    steps = np.diff(np.unique(stamps))
+def _check_rate(parts: list[list[float]]) -> Iterator[Finding]:
+    """Yield findings about the stamps of each part of a drive."""
+    number = sum(map(len, parts))
+    if many := number - sum(len({*stamps}) for stamps in parts):
+        yield Finding("lost data", "duplicates", f"{counted(many, number)} with the stamp of another")
+    steps = np.concatenate([np.diff(np.unique(stamps)) for stamps in parts] or [np.empty(0)])
     if len(steps) < 2:
         return
     usual = float(np.median(steps))
@@ -62,7 +66,9 @@ def _check_rate(stamps: np.ndarray) -> Iterator[Finding]:
     if missing:
         text = f"about {missing} scans are missing in {len(gaps)} gaps, the longest of {gaps.max():.3g} s"
         yield Finding("lost data", "gaps", text, "record with a larger buffer" if gaps.max() < _LONG else "")
-    yield Finding("note", "rate", f"{1 / usual:.1f} Hz, {len(stamps)} scans in {np.ptp(stamps):.1f} s")
+    yield Finding(
+        "note", "rate", f"{1 / usual:.1f} Hz, {number} scans in {sum(np.ptp(stamps) for stamps in parts):.1f} s"
+    )
 
 
 def _check_jumps(dataset: Dataset) -> Iterator[Finding]:

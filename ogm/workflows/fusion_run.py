@@ -1,6 +1,8 @@
 """The course of fusing one drive: what was mapped, and what of it is drawn, saved and reported."""
 
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +26,7 @@ from ogm.scan import Boxes, Frame
 from ogm.storage.files import OF_DISK, error_text
 
 ARROW_SECONDS = 1.0  # [s] of the way that an arrow shows
+_LISTED = 3  # scans that are listed of those that are skipped for one reason
 
 
 @dataclass
@@ -73,6 +76,7 @@ class FusionRun:
     path: float = 0.0  # [m]
     speed: float = math.nan  # [m/s]
     seconds: list[tuple[float, float]] = field(default_factory=list)  # of model and mapper
+    reasons: Counter[str] = field(default_factory=Counter)  # of skipped scans, without their numbers
 
     @property
     def ground_z(self) -> float:
@@ -126,7 +130,11 @@ class FusionRun:
     def skip(self, frame: Frame, error: Exception) -> None:
         """Count a scan that is skipped, and tell why."""
         self.failed += 1
-        self.tell(f"{frame.name} is skipped: {error_text(error)}")
+        kind = re.sub(r"[0-9.eE+-]*[0-9]", "0", error_text(error).replace(frame.name, ""))
+        self.reasons[kind] += 1
+        if self.reasons[kind] <= _LISTED:
+            more = "; further scans with the same reason are only counted" if self.reasons[kind] == _LISTED else ""
+            self.tell(f"{frame.name} is skipped: {error_text(error)}{more}")
 
     def add(self, k: int, step: FusionStep) -> None:
         """Record a mapped frame, and save the map that a restart would lose."""
@@ -135,8 +143,10 @@ class FusionRun:
             self.restarts += 1
             path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
             step.previous_map.save(path)
-            why = f"{step.restart}, the third in a row: the map so far is saved as {path}, a new one begins here"
-            self.tell(f"{step.frame.name}: {why}")
+            why = (
+                f"{step.frame.sequence} begins" if step.restart == "sequence" else f"{step.restart}, the third in a row"
+            )
+            self.tell(f"{step.frame.name}: {why}: the map so far is saved as {path}, a new one begins here")
         elif self.last is not None:
             metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]
             seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
@@ -240,7 +250,7 @@ class FusionRun:
             cells = f"{np.count_nonzero(groups)} cells in {groups.max()} groups"
             facts["moving"] = f"{cells}, by {self.mapper.particles} particles"
         if self.restarts:
-            facts["restarts"] = f"{self.restarts}, after jumps of the pose"
+            facts["restarts"] = f"{self.restarts}, after jumps of the pose, of stamps, or with a new sequence"
         return facts
 
 

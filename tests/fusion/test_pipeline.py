@@ -188,6 +188,40 @@ class Within(Marks):
 LIDAR, RADAR = Mount(1.8, pose(0.2, 0.0, 1.8, pitch=0.1)), Mount(0.6, pose(1.5, 0.8, 0.6, yaw=2.2))
 
 
+STAMPS = 0.1 * np.arange(40)
+
+
+def later(numbers: slice, seconds: float) -> np.ndarray:
+    """Return stamps of which some are later."""
+    stamps = 1000.0 + STAMPS
+    stamps[numbers] += seconds
+    return stamps
+
+
+@each("stamps, mapped, restart", [
+        (np.r_[0.0, later(slice(0), 0)[1:] + 1.7e9], 38, 3),  # a driver before its clock is set
+        (np.r_[0.0, 0.1, later(slice(0), 0)[2:] + 1.7e9], 38, 4),
+        (later(slice(20, None), -30.0), 38, 22),
+        (later(slice(20, None), -3.0), 38, 22),
+        (later(slice(20, None), 2 * 86_400.0), 38, 22),
+        (later(slice(20, 21), -3600.0), 39, None),
+        (later(slice(20, 21), 400 * 86_400.0), 39, None),
+        (later(slice(20, 23), -np.array([900.0, 500.0, 700.0])), 37, None),  # that do not agree
+        (later(slice(20, 40, 2), -30.0), 30, None),  # one after the other in turns
+    ])  # fmt: skip
+def test_stamps_that_jump_cost_a_few_scans(stamps: np.ndarray, mapped: int, restart: int | None) -> None:
+    frames = [changed(frame, stamp=float(t)) for frame, t in zip(drive(40), stamps, strict=True)]
+    mapper, skipped = EvidentialMapper(SPEC), []
+    steps = list(fuse(frames, Marks(), mapper, on_error=lambda frame, error: skipped.append(str(error))))
+    assert sum(step.error is None for step in steps) == mapped
+    assert [k for k, step in enumerate(steps) if step.restart] == ([] if restart is None else [restart])
+    assert len(skipped) == 40 - mapped
+    if restart is not None:
+        assert steps[restart].restart == "stamp jump"
+        assert steps[restart].previous_map is not None
+        assert mapper.scans == 40 - restart
+
+
 def two_sensors(speed: float = 1.0) -> list[Frame]:
     """Return frames of a lidar at 10 Hz and of a corner radar in between, of one vehicle that turns."""
     frames = []

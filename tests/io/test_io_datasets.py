@@ -161,7 +161,8 @@ def test_stamps_are_dates_or_seconds(tmp_path):
     assert np.diff(stamps) == pytest.approx(0.1)
     path.write_text("0.000000e+00\n1.039014e-01\n")
     assert read_kitti_stamps(path).tolist() == [0, 0.1039014]
-    for last in ("noon", "nan", "1e400"):
+    zones = ("2011-09-26 13:02:25Z", "2011-09-26 13:02:25+02", "2011-09-26T13:02:25+02 00", "2011-09-26T13+02 25")
+    for last in ("noon", "nan", "1e400", *zones):
         path.write_text(f"0.1\n{last}\n")
         refused("line 2 of .* must be a time", read_kitti_stamps, path, error=OgmError)
     path.write_text("0.1\n\n0.3\n")
@@ -244,6 +245,13 @@ def range_image(**changed):
     for key, value in changed.items():
         image[0, 1, int(key[1:])] = value
     return image
+
+
+def test_signalling_nan_where_there_is_no_range_is_read_without_warnings(tmp_path):
+    image = range_image().astype("<f4")
+    image.view("<u4")[1, 2] = 0x7F800001
+    np.save(tmp_path / "0.npy", image)
+    assert len(read_range_image(tmp_path / "0.npy", NUSCENES_ELEVEN, "nuscenes", intensity_max=255).points) == 3
 
 
 def test_a_range_image_is_read_with_its_axes(tmp_path):

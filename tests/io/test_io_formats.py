@@ -176,6 +176,43 @@ def test_las_has_times(cloud, tmp_path):
 # ---- numpy arrays
 
 
+BODY = np.float32([[1, 2, 3], [4, 5, 6]])
+
+
+@each("head", [
+        "COLUMNS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\n",
+        "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nPOINTS 2\n",
+        "columns x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\n",
+    ])  # fmt: skip
+def test_pcd_headers_as_pcl_takes_them(head, tmp_path):
+    (tmp_path / "a.pcd").write_bytes(f"{head}DATA binary\n".encode() + BODY.tobytes())
+    np.testing.assert_array_equal(read_points(tmp_path / "a.pcd")[:, :3], BODY)
+
+
+@each("value", ["nan", "12.0", "-nan", "4294967296", "-1", "1e3"])
+def test_a_whole_number_of_a_pcd_that_is_none_costs_no_scan(value, tmp_path):
+    head = "FIELDS x y z ring id\nSIZE 4 4 4 2 4\nTYPE F F F U U\nWIDTH 2\nHEIGHT 1\nDATA ascii\n"
+    (tmp_path / "a.pcd").write_text(f"{head}1 2 3 0 7\n4 5 6 1 {value}\n")
+    scan = read_scan(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(scan.points[:, :3], BODY)
+    assert scan.ring.tolist() == [0, 1]
+
+
+@each("kind", ["int64", "uint64"])
+@each("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply_properties_of_64_bits(kind, encoding, tmp_path):
+    properties = "".join(f"property float {name}\n" for name in "xyz") + f"property {kind} t\n"
+    head = f"ply\nformat {encoding} 1.0\nelement vertex 2\n{properties}end_header\n"
+    order = ">" if "big" in encoding else "<"
+    rows = np.zeros(2, [(name, f"{order}f4") for name in "xyz"] + [("t", f"{order}{'iu'[kind[0] == 'u']}8")])
+    rows["x"], rows["y"], rows["z"], rows["t"] = *BODY.T, [17 * 10**17, 17 * 10**17 + 10**8]
+    text = "".join(" ".join(map(str, row)) + "\n" for row in rows.tolist()).encode()
+    (tmp_path / "a.ply").write_bytes(head.encode() + (text if encoding == "ascii" else rows.tobytes()))
+    scan = read_scan(tmp_path / "a.ply")
+    np.testing.assert_array_equal(scan.points[:, :3], BODY)
+    np.testing.assert_allclose(scan.time, [0, 0.1])
+
+
 def test_npy_of_three_values_has_no_intensity(cloud, tmp_path):
     np.save(tmp_path / "a.npy", cloud[:, :3].astype(np.float64))
     scan, facts = read_scan_file(tmp_path / "a.npy")

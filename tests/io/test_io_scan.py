@@ -202,17 +202,12 @@ def test_intensity_scale_follows_type_then_values(raw, expected, scale, tmp_path
 
 def test_intensity_max_is_used_as_given(tmp_path, caplog):
     path = feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=np.float32([0, 500, 3000]))
-    refused("intensities up to 3000, wanted at most 255: give as intensity_max", read_scan, path)
     with caplog.at_level(logging.INFO, logger="ogm"):
         scan = read_scan(path, intensity_max=1000.0)
     np.testing.assert_allclose(scan.points[:, 3], [0, 0.5, 1])
-    assert "1 intensities above 1000" in caplog.text
-
-
-def test_intensity_of_a_known_format_is_checked(tmp_path):
-    (tmp_path / "a.bin").write_bytes(np.float32([[1, 2, 3, 77]]).tobytes())
-    refused("up to 77, wanted at most 1", read_points, tmp_path / "a.bin")
-    assert read_points(tmp_path / "a.bin", intensity_max=154)[0, 3] == 0.5
+    assert "1 of 3 intensities outside of 0 ... 1000" in caplog.text
+    np.testing.assert_allclose(read_points(path, intensity_max=(-500.0, 1500.0))[:, 3], [0.25, 0.5, 1])
+    refused("two rising numbers", read_points, path, intensity_max=(1.0, 1.0))
 
 
 def test_a_guessed_scale_is_logged_where_it_divides(tmp_path, caplog):
@@ -222,19 +217,54 @@ def test_a_guessed_scale_is_logged_where_it_divides(tmp_path, caplog):
         read_scan(feather(tmp_path / "c.feather", x=ONES, y=ONES, z=ONES, intensity=9 * ONES), intensity_max=9)
         assert not caplog.records
         read_scan(feather(tmp_path / "d.feather", x=ONES, y=ONES, z=ONES, intensity=9 * ONES))
-    assert "intensities up to 9 are divided by 255; give intensity_max" in caplog.text
+    assert "intensities are divided by 255; give intensity_max" in caplog.text
 
 
-def test_intensity_below_zero_is_refused(save):
-    refused("down to -0.5", read_points, save(np.float32([[1, 2, 3, -0.5]])))
+@each("raw, expected, scale", [
+        (np.float32([0, 500, 3000]), np.float32([0, 500, 3000]) / 65535, 65535),  # photons
+        (np.float64([0, 1.01, 0.5]), [0, 1, 0.5], 1),
+        (np.r_[np.linspace(0, 1, 400), 1e30, 5.0], np.r_[np.linspace(0, 1, 400), 1, 1], 1),
+        (np.float32([-150, -75, 0]), [0, 0.5, 1], 0),  # decibels
+        (np.float32([-0.5, 0.25, 1]), [0, 0.25, 1], 1),
+        (np.int32([0, 1, 200_000]), [0, 1 / 196_000, 1], 196_000),
+    ])  # fmt: skip
+def test_unusual_intensities_cost_no_scan(raw, expected, scale, tmp_path):
+    ones = np.ones(len(raw), "f4")
+    scan, facts = read_scan_file(feather(tmp_path / "a.feather", x=ones, y=ones, z=ones, intensity=raw))
+    np.testing.assert_allclose(scan.points[:, 3], expected, atol=0.011)
+    assert facts.intensity_max == pytest.approx(scale, rel=0.02, abs=2)
 
 
-@each("high", [1.01, 255.5])
-def test_intensity_just_above_the_scale_is_refused(high, tmp_path):
-    path = tmp_path / ("a.bin" if high < 2 else "a.feather")
-    (tmp_path / "a.bin").write_bytes(np.float32([[1, 2, 3, high]]).tobytes())
-    feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=high * ONES)
-    refused("give as intensity_max", read_points, path)
+def test_decibels_beside_a_reflectivity_are_not_used(tmp_path):
+    both = {"intensity": np.float32([-60, -50, -40]), "reflectivity": np.uint8([0, 51, 255])}
+    points = read_points(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, **both))
+    np.testing.assert_allclose(points[:, 3], [0, 0.2, 1], rtol=1e-6)
+
+
+@each("rows, ending, message", [
+        (np.float32([[1, 2, -3, 0.5, 7.5]] * 16), ".bin", "intensities down to -3, .* name it after its rows"),
+        (np.float32([[1, 2, 3, 0.5, 7]] * 16), ".bin", "whole numbers as every fifth value: .* name it .pcd.bin"),
+        (np.float32([[1, 2, 3, 0.5, 0.1, 7]] * 10), ".pcd.bin", "rings from 0.1 to 7 as fifth values"),
+        (np.float32([[1, 2, -3, 0.5]] * 10), ".pcd.bin", "rings from -3 to 2 as fifth values"),
+    ])  # fmt: skip
+def test_rows_of_another_length_are_no_points(rows, ending, message, tmp_path):
+    path = tmp_path / f"a{ending}"
+    path.write_bytes(rows.tobytes())
+    refused(message, read_points, path)
+
+
+def test_intensities_of_a_known_format_may_be_larger(tmp_path):
+    (tmp_path / "a.bin").write_bytes(np.float32([[1, 2, 3, 51], [1, 2, 3, 1]]).tobytes())
+    np.testing.assert_allclose(read_points(tmp_path / "a.bin")[:, 3], [0.2, 1 / 255], rtol=1e-6)
+    assert read_points(tmp_path / "a.bin", intensity_max=102)[0, 3] == 0.5
+
+
+def test_a_point_absurdly_far_costs_itself_alone(cloud, save):
+    rows = cloud.copy()
+    rows[3, 1], rows[5, 0], rows[7, 2] = 3e30, -2e5, np.finfo(np.float32).max
+    scan, facts = read_scan_file(save(rows))
+    assert facts.dropped == 3
+    np.testing.assert_array_equal(scan.points, np.delete(cloud, [3, 5, 7], axis=0))
 
 
 # ---- ring and time
@@ -253,8 +283,9 @@ def test_an_origin_is_three_numbers(origin, save):
 
 
 @each("ring", [-1.0, 0.5, 70_000.0])
-def test_a_ring_is_a_whole_number(ring, save):
-    refused("rings from", read_points, save(np.float32([[1, 2, 3, 0, ring]])))
+def test_wrong_rings_are_left_out(ring, save, caplog):
+    assert read_scan(save(np.float32([[1, 2, 3, 0, 4], [1, 2, 3, 0, ring]]))).ring is None
+    assert "are no whole numbers from 0 to 65535; all rings are left out" in caplog.text
 
 
 @each("name, times, expected, stamp", [
@@ -279,20 +310,48 @@ def timed(path, times):
     return feather(path / "a.feather", x=ONES, y=ONES, z=ONES, timestamp=times)
 
 
-@each("times, unit, stamp", [
-        (1.7e18 + np.float64([0, 5e7, 1e8]), 1e-9, 1.7e9),  # as the driver of Livox writes them
-        (np.float64([0, 5e7, 1e8]), 1e-9, None),
-        (np.float32([0, 5e4, 1e5]), 1e-6, None),
-        (np.float32([0, 50, 100]), 1e-3, None),
-        (np.uint64([0, 10**10 + 1, 2 * 10**10]), 5e-12, None),
+SWEEP = np.linspace(0, 0.1, 101)  # [s]
+
+
+@each("times, stamp", [
+        (1.7e18 + 1e9 * SWEEP, 1.7e9),  # as the driver of Livox writes them
+        (1e9 * SWEEP, None),
+        ((1e6 * SWEEP).astype("f4"), None),
+        (1.2e11 + 1e9 * SWEEP, 120.0),  # since power-on
+        (7.2e9 + 1e6 * SWEEP, 7200.0),
+        (1e3 * SWEEP, None),
+        ((2**32 - 6e7 + 1e9 * SWEEP).astype("u8").astype("u4"), None),  # a counter of ns begins anew
+        ((3600 - 0.04 + SWEEP) % 3600, 3599.96),  # a clock of an hour
+        (np.round((3600 - 0.04 + SWEEP) % 3600 * 1e6), 3599.96),
     ])  # fmt: skip
-def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_given(times, unit, stamp, tmp_path):
-    path = timed(tmp_path, times)
-    refused(r"times that last .* give as time_unit \[s\].* 1e-9 for nanoseconds", read_scan, path)
-    scan = read_scan(path, time_unit=unit)
-    np.testing.assert_allclose(scan.time, [0, 0.05, 0.1], atol=1e-6)
+def test_times_of_any_clock_and_unit_count_from_the_earliest(times, stamp, tmp_path):
+    ones = np.ones(len(times), "f4")
+    scan = read_scan(feather(tmp_path / "a.feather", x=ones, y=ones, z=ones, timestamp=times))
+    first = 0.0 if stamp is None and times.dtype != np.uint32 else scan.time.min()
+    np.testing.assert_allclose(scan.time - first, SWEEP, atol=1e-6)
     assert scan.stamp == (None if stamp is None else pytest.approx(stamp))
-    np.testing.assert_array_equal(read_points(path, time_unit=unit), scan.points)
+
+
+@each("wrong", [np.nan, np.inf, 0.0, -1e9, 1e300])
+@each("clock", [1.7e9, 40.0, 3.5])
+def test_a_single_wrong_time_costs_its_point_alone_its_time(wrong, clock, tmp_path, caplog):
+    ones, times = np.ones(101, "f4"), clock + SWEEP
+    times[[0, 50, 51]] = wrong
+    scan = read_scan(feather(tmp_path / "a.feather", x=ones, y=ones, z=ones, timestamp=times))
+    expected = np.clip(SWEEP, 0.001, None)
+    np.testing.assert_allclose(scan.time - scan.time.min(), expected - 0.001, atol=1e-6)
+    assert "3 of 101 times are no number or far from the others" in caplog.text
+
+
+@each("times", [np.uint64([0, 10**10 + 1, 2 * 10**10]), np.float64([3, 60, 600e9]), np.float32([5, np.nan, np.nan])])
+def test_times_of_no_sweep_are_left_out(times, tmp_path, caplog):
+    path = timed(tmp_path, times)
+    scan = read_scan(path)
+    assert scan.time is None
+    assert len(scan) == 3
+    assert "left out" in caplog.text
+    if np.isfinite(times).all():
+        assert read_scan(path, time_unit=1e-9).time is not None
 
 
 def test_whole_microseconds_are_remarked_unless_their_unit_is_given(tmp_path, caplog):
@@ -317,6 +376,14 @@ def test_a_long_recording_is_read_if_its_unit_is_given(tmp_path):
 
 
 # ---- names of fields
+
+
+def test_of_two_fields_with_one_meaning_the_first_counts(tmp_path, caplog):
+    fields = {"Intensity": ONES / 2, "scalar_intensity": ONES, "time": 0 * ONES, "Time": ONES}
+    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, **fields))
+    np.testing.assert_array_equal(scan.points[:, 3], 0.5)
+    np.testing.assert_array_equal(scan.time, 0)
+    assert "Intensity, scalar_intensity, time, Time, of which the first counts" in caplog.text
 
 
 @each("place, intensity, ring, time", [

@@ -22,12 +22,31 @@ _NAMES = ("x", "y", "z", "intensity", "ring")
 
 def parse_kitti(data: bytes, path: Path) -> Table:
     """Read KITTI ``.bin``: x, y, z, reflectance 0 to 1 as float32."""
-    return Table("KITTI", _float_rows(data, path, 4), intensity_max=1.0)
+    columns = _float_rows(data, path, 4)
+    if not len(data) % 20 and columns["intensity"].max(initial=0) > 1 and _are_rings(np.frombuffer(data, "<f4")[4::5]):
+        raise OgmError(
+            f"{path} has intensities up to {columns['intensity'].max():g} as rows of 4 float32, and whole numbers as "
+            "every fifth value: it has rows of 5 (nuScenes), name it .pcd.bin"
+        )
+    return Table("KITTI", columns, intensity_max=1.0, headerless=True)
 
 
 def parse_nuscenes(data: bytes, path: Path) -> Table:
     """Read nuScenes ``.pcd.bin``: x, y, z, intensity 0 to 255, ring as float32."""
-    return Table("nuScenes", _float_rows(data, path, 5), intensity_max=255.0)
+    columns = _float_rows(data, path, 5)
+    if not _are_rings(columns["ring"]):
+        raise OgmError(
+            f"{path} has rings from {columns['ring'].min():g} to {columns['ring'].max():g} as fifth values, wanted "
+            "whole numbers from 0 to 65535: it has rows of another number of values, 4 in KITTI's .bin"
+        )
+    return Table("nuScenes", columns, intensity_max=255.0, headerless=True)
+
+
+def _are_rings(values: np.ndarray) -> bool:
+    """Return whether nearly all values may be numbers of lasers."""
+    with np.errstate(invalid="ignore"):
+        whole = (values >= 0) & (values < 2**16) & (values == np.floor(values))
+    return bool(np.count_nonzero(whole) >= 0.95 * values.size)
 
 
 def _float_rows(data: bytes, path: Path, width: int) -> dict[str, np.ndarray]:

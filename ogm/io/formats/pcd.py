@@ -72,7 +72,8 @@ def _split(data: bytes, path: Path) -> tuple[_Header, memoryview]:
 
 
 def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
-    """Hold the header's lines against each other."""
+    """Hold the header's lines against each other; COLUMNS stands for FIELDS, and HEIGHT is 1 by default, as in PCL."""
+    entries = {"HEIGHT": ["1"], **({"FIELDS": entries["COLUMNS"]} if "COLUMNS" in entries else {}), **entries}
     if missing := [key for key in ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT") if not entries.get(key)]:
         raise OgmError(f"{path} has no {', '.join(missing)} in its header: it is damaged or no PCD file")
     names = entries["FIELDS"]
@@ -162,7 +163,7 @@ _ORDER = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
-    "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
+    "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import logging
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,8 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ogm.io.notices import notice
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
+
+log: logging.Logger = logging.getLogger(__name__)
 
 POSITION = ("x", "y", "z")
 INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")  # the first that is there counts
@@ -37,6 +41,8 @@ class Table(NamedTuple):
         Raw intensity that means 1 in this format; None where the format does not define it.
     fields : tuple of str
         The names of all that the file holds, where `columns` has not all of it; else empty.
+    headerless : bool
+        Whether nothing in the file states how many values a row has.
     """
 
     format: str
@@ -44,6 +50,7 @@ class Table(NamedTuple):
     shape: tuple[int, int] | None = None
     intensity_max: float | None = None
     fields: tuple[str, ...] = ()
+    headerless: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,7 +73,7 @@ def plain(name: str) -> str:
 
 
 def refuse_doubles(names: Iterable[str], path: Path | str) -> None:
-    """Raise where two fields have one name, or one meaning but for capitals and ``scalar_``.
+    """Raise where two fields are one coordinate, but for capitals and ``scalar_``; of other fields the first counts.
 
     Parameters
     ----------
@@ -76,12 +83,15 @@ def refuse_doubles(names: Iterable[str], path: Path | str) -> None:
         The file's name, for messages.
     """
     names = list(names)
-    exact, known = Counter(names), Counter(plain(name) for name in names if plain(name) in KNOWN)
-    if doubled := [name for name in names if exact[name] > 1 or known[plain(name)] > 1]:
+    count = Counter(plain(name) for name in names)
+    if doubled := [name for name in names if plain(name) in POSITION and count[plain(name)] > 1]:
         raise OgmError(
             f"{path} has the fields {', '.join(doubled)[:200]}, wanted one of each name (capitals and scalar_ "
             "make no difference): write the file with one of them, or rename the other"
         )
+    if doubled := [name for name in names if plain(name) in KNOWN and count[plain(name)] > 1]:
+        text = "%s has the fields %s, of which the first counts: capitals and scalar_ make no difference"
+        notice(log, "doubled fields", text, path, ", ".join(doubled)[:200])
 
 
 def binary_columns(
@@ -106,11 +116,12 @@ def binary_columns(
     check_size(record * points, points, body, path)
     if not points:
         return {field.name: np.empty(0, field.type) for field in fields}
-    columns, offset = {}, 0
+    columns: dict[str, np.ndarray] = {}
+    offset = 0
     for field in fields:
         if field.count > 0:
             stride = field.length if planar else record
-            columns[field.name] = np.ndarray((points,), field.type, body, offset, (stride,))
+            columns.setdefault(field.name, np.ndarray((points,), field.type, body, offset, (stride,)))
         offset += field.length * (points if planar else 1)
     return columns
 
@@ -126,21 +137,33 @@ def text_columns(fields: list[Field], points: int, body: memoryview, path: Path)
     check_size(2 * per_line * points - 1, points, body, path)  # a digit and a blank for each number
     if not points:
         return {field.name: np.empty(0, field.type) for field in fields}
-    row = np.dtype([(str(i), field.type, (field.count,)) for i, field in enumerate(fields)])
-    filled = (line for line in io.TextIOWrapper(io.BytesIO(body), "ascii", "replace") if line.strip())
-    lines = itertools.islice(filled, points)
-    first = list(itertools.islice(lines, 1))  # loadtxt warns of no line at all
-    table = np.empty(0, row)
     try:
-        if first:
-            table = np.loadtxt(itertools.chain(first, lines), row, comments=None, ndmin=1)
+        try:
+            table = _rows([field.type for field in fields], fields, points, body)
+        except ValueError:  # nan or 12.0 where the header promises whole numbers
+            loose = [field.type if field.type.kind == "f" else np.dtype(np.float64) for field in fields]
+            table = _rows(loose, fields, points, body)
     except (ValueError, OverflowError) as error:
         raise OgmError(f"{path} has a line that is not {per_line} numbers as its header promises: {error}") from error
     if len(table) < points:
         raise OgmError(
             f"{path} has {len(table)} lines of points, its header promises {points}: it is cut short or damaged"
         )
-    return {field.name: table[str(i)][:, 0] for i, field in enumerate(fields)}
+    columns: dict[str, np.ndarray] = {}
+    for i, field in enumerate(fields):
+        columns.setdefault(field.name, table[str(i)][:, 0])
+    return columns
+
+
+def _rows(types: list[np.dtype], fields: list[Field], points: int, body: memoryview) -> np.ndarray:
+    """Read lines of numbers as records of some types."""
+    row = np.dtype([(str(i), kind, (field.count,)) for i, (kind, field) in enumerate(zip(types, fields, strict=True))])
+    filled = (line for line in io.TextIOWrapper(io.BytesIO(body), "ascii", "replace") if line.strip())
+    lines = itertools.islice(filled, points)
+    first = list(itertools.islice(lines, 1))  # loadtxt warns of no line at all
+    if not first:
+        return np.empty(0, row)
+    return np.loadtxt(itertools.chain(first, lines), row, comments=None, ndmin=1)
 
 
 def check_size(needed: int, points: int, body: memoryview, path: Path) -> None:

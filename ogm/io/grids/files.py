@@ -14,7 +14,7 @@ from ogm.io.grids.map_server import MapMode, read_map_server, write_map_server
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import check_scientific, read_scientific, write_scientific
 from ogm.io.images import open_image
-from ogm.io.logs import LOG_ENDINGS
+from ogm.io.logs import LOG_ENDINGS, log_ending
 from ogm.io.messages.grids import AnyGrid, evidential
 from ogm.io.reading import optional, parse_array, read_bytes
 from ogm.storage.archive import stated_format
@@ -112,7 +112,9 @@ def check_grid_output(
         check_crs(crs, path)
 
 
-def read_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None = None) -> EvidentialGrid:
+def read_grid(
+    path: FilePath, area: GridSpec | None = None, *, topic: str | None = None, free_thresh: float | None = None
+) -> EvidentialGrid:
     """Read the masses of free and occupied, in the coordinates of the frame that they were written in.
 
     Parameters
@@ -121,13 +123,15 @@ def read_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None
         What `write_grid` writes, and other programs' files of these formats: ``.yaml`` of map_server, whose occupancy
         values become masses without unknown, but for cells that are unknown; ``.tif``, ``.nc`` and ``.zarr`` with bands
         or variables free and occupied; ``.mcap``, ``.db3`` and ``.bag`` with OccupancyGrid, GridMap or foxglove.Grid,
-        of which the last counts; ``.png`` as the paper's released code exports it: red 255 times the mass of
-        occupied, green that of free, row 0 the front, column 0 the left; ``.npy`` with masses of free and occupied,
-        (nx, ny, 2) float, index (0, 0) behind on the right, as everywhere in `ogm`.
+        of which the last counts, with the OccupancyGridUpdates after it; ``.png`` as the paper's released code exports
+        it: red 255 times the mass of occupied, green that of free, row 0 the front, column 0 the left; ``.npy`` with
+        masses of free and occupied, (nx, ny, 2) float, index (0, 0) behind on the right, as everywhere in `ogm`.
     area : GridSpec, optional
         Area of ``.npy`` and ``.png``, which do not hold it; their cells may be coarser or finer.
     topic : str, optional
         Of logs; by default the one with grids, or ``/map`` if there are several.
+    free_thresh : float, optional
+        Of ``.yaml``: replaces the file's. 0.196 where a warning states that unknown cells are read as free.
 
     Raises
     ------
@@ -139,7 +143,7 @@ def read_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None
     ImportError
         If the package of the format is missing.
     """
-    found = read_any_grid(path, area, topic=topic)
+    found = read_any_grid(path, area, topic=topic, free_thresh=free_thresh)
     if isinstance(found, LayeredGrid):
         raise OgmError(
             f"{path} holds layers, {', '.join(found.layers) or 'none'}, and no masses: LayeredGrid.load reads it"
@@ -147,29 +151,35 @@ def read_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None
     return evidential(found)
 
 
-def read_any_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None = None) -> AnyGrid | LayeredGrid:
+def read_any_grid(
+    path: FilePath, area: GridSpec | None = None, *, topic: str | None = None, free_thresh: float | None = None
+) -> AnyGrid | LayeredGrid:
     """Read all that a file holds of a grid: a `DynamicGrid` with its velocities, a `LayeredGrid`, else the masses.
 
     Parameters and errors as for `read_grid`.
     """
     if Path(path).suffix.lower() == ".npz" and Path(path).is_file() and stated_format(path) == LAYERED_FORMAT:
         return LayeredGrid.load(path)
-    placed = read_placed_grid(path, area, topic=topic)
+    placed = read_placed_grid(path, area, topic=topic, free_thresh=free_thresh)
     with error_context(path):
         return placed.upright
 
 
-def read_placed_grid(path: FilePath, area: GridSpec | None = None, *, topic: str | None = None) -> PlacedGrid:
+def read_placed_grid(
+    path: FilePath, area: GridSpec | None = None, *, topic: str | None = None, free_thresh: float | None = None
+) -> PlacedGrid:
     """Read a grid with its place in a frame, which may be turned. Parameters and errors as for `read_grid`.
 
     Where a file holds all of a `DynamicGrid`, that is its grid.
     """
     path = Path(path)
-    ending = path.suffix.lower()
+    ending = log_ending(path) or path.suffix.lower()
     if ending not in (*MAP_ENDINGS, ".npy"):
         raise OgmError(f"{path} is no grid that can be read; wanted {', '.join((*MAP_ENDINGS, '.npy'))}")
     if topic is not None and ending not in LOG_ENDINGS:
         raise ValueError(f"topic is for {', '.join(LOG_ENDINGS)} alone, got {topic!r} for {path}")
+    if free_thresh is not None and ending not in _YAML:
+        raise ValueError(f"free_thresh (--free-thresh) is for .yaml files alone, got {free_thresh} for {path}")
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
     if path.is_dir() != (ending == ".zarr") or not (path.is_file() or path.is_dir()):
@@ -179,18 +189,18 @@ def read_placed_grid(path: FilePath, area: GridSpec | None = None, *, topic: str
     try:
         # what is damaged may hold any number, and libraries warn of what is refused below
         with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
-            return _read(path, area, topic)
+            return _read(path, area, topic, free_thresh)
     except ValueError as error:
         message = str(error)
         raise OgmError(message if str(path) in message else f"{path}: {message}") from error
 
 
-def _read(path: Path, area: GridSpec | None, topic: str | None) -> PlacedGrid:
+def _read(path: Path, area: GridSpec | None, topic: str | None, free_thresh: float | None) -> PlacedGrid:
     ending = path.suffix.lower()
-    if ending in LOG_ENDINGS:
+    if log_ending(path):
         return read_logged(path, topic)
     if ending in _YAML:
-        return read_map_server(path)
+        return read_map_server(path, free_thresh)
     if ending in _TIFF:
         return read_geotiff(path)
     if ending in _SCIENTIFIC:

@@ -3,13 +3,15 @@
 import logging
 import struct
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal, Self, get_args
 
+from ogm.grid import EvidentialGrid
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.logs import LogMessage, LogReader, LogWriter, open_log
-from ogm.io.messages.grids import grid_from_occupancy_grid, occupancy_grid
+from ogm.io.messages.grids import cells_from_update, grid_from_occupancy_grid, occupancy_grid
 from ogm.io.messages.layers import foxglove_grid, grid_from_foxglove_grid, grid_from_grid_map, grid_map
 from ogm.io.messages.plain import stamp_seconds, tf_message
 from ogm.io.reading import optional
@@ -31,6 +33,7 @@ _READERS = {
     "foxglove.Grid": grid_from_foxglove_grid,
     "foxglove_msgs/msg/Grid": grid_from_foxglove_grid,
 }
+_UPDATE, _UPDATES = "map_msgs/msg/OccupancyGridUpdate", "_updates"  # type, and end of the topic's name
 
 
 class GridLog:
@@ -107,7 +110,7 @@ def check_logged(path: Path, message: str) -> None:
 
 
 def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
-    """Read the last grid of a log.
+    """Read the last grid of a log; of an OccupancyGrid on ``/map`` with all later updates on ``/map_updates``.
 
     Parameters
     ----------
@@ -123,13 +126,36 @@ def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
             message = log.message(refs[-1])
             for warning in log.warnings:
                 _log.warning("%s", warning)
-        if message.type not in _READERS:
-            raise OgmError(f"{topic} of {path} has messages of {message.type}, wanted {', '.join(_READERS)}")
-        return _placed(message)
+            if message.type not in _READERS:
+                raise OgmError(f"{topic} of {path} has messages of {message.type}, wanted {', '.join(_READERS)}")
+            placed = _placed(message)
+            return _updated(placed, log, f"{topic}{_UPDATES}", refs[-1].log_time * 1e-9, path)
     except (OgmError, AttributeError, TypeError, SyntaxError) as error:  # a log defines its own types
         if isinstance(error, OgmError) and str(path) in str(error):
             raise
         raise OgmError(f"{path}: the last message of {topic} is damaged: {error}") from error
+
+
+def _updated(placed: PlacedGrid, log: LogReader, topic: str, start: float, path: Path) -> PlacedGrid:
+    """Return a grid with the updates of a topic that were recorded after it, each of which replaces some cells."""
+    if topic not in log.topics or log.topics[topic].type != _UPDATE or not isinstance(placed.grid, EvidentialGrid):
+        return placed
+    grid, stamp, lost, applied = placed.grid, placed.stamp, list[str](), 0
+    mass = grid.mass.copy()
+    for ref in log.iter_refs([topic], start):
+        try:
+            x, y, part, stamp = cells_from_update(log.message(ref).decode(), grid.spec.shape, stamp)
+        except OgmError as error:
+            lost.append(str(error))
+            continue
+        mass[x : x + part.shape[0], y : y + part.shape[1]] = part
+        applied += 1
+    if lost:
+        _log.warning("%s: %d updates of %s are left out: %s", path, len(lost), topic, lost[0])
+    if not applied:
+        return placed
+    _log.info("%s: %d updates of %s are applied", path, applied, topic)
+    return replace(placed, grid=EvidentialGrid(grid.spec, mass), stamp=stamp)
 
 
 def _topic(log: LogReader, path: Path) -> str:
@@ -142,6 +168,11 @@ def _topic(log: LogReader, path: Path) -> str:
     if found:
         raise OgmError(f"{path} has grids of {', '.join(found)}: give one as topic (--topic)")
     there = ", ".join(f"{name} ({facts.type})" for name, facts in log.topics.items())
+    if any(facts.type == _UPDATE and facts.count for facts in log.topics.values()):
+        raise OgmError(
+            f"{path} has updates of a map, but no whole map that they change, only {there}: begin to record before the "
+            "map is published, or publish it anew"
+        )
     raise OgmError(f"{path} has no grids ({', '.join(_READERS)}), only {there or 'nothing'}: make them by ogm fuse")
 
 

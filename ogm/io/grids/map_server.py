@@ -6,6 +6,7 @@ threshold as known). scale: the same thresholds, linear in between, transparent 
 unknown above 100.
 """
 
+import logging
 import os
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -20,6 +21,8 @@ from ogm.io.messages.grids import mass_from_occupancy, occupancy_values
 from ogm.io.reading import is_file_name
 from ogm.state import predict_state
 from ogm.storage.files import OgmError, atomic_write
+
+_log = logging.getLogger(__name__)
 
 MapMode = Literal["trinary", "scale", "raw"]
 _GREYS = np.array([205, 254, 0], np.uint8)  # of CellState.UNKNOWN, FREE, OCCUPIED
@@ -88,9 +91,21 @@ def _rows(cells: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(cells.T[::-1])
 
 
-def read_map_server(path: Path) -> PlacedGrid:
-    """Read a map of map_server. Values become masses as `ogm.io.messages.grids.mass_from_occupancy` makes them."""
+def read_map_server(path: Path, free_thresh: float | None = None) -> PlacedGrid:
+    """Read a map of map_server. Values become masses as `ogm.io.messages.grids.mass_from_occupancy` makes them.
+
+    Parameters
+    ----------
+    path : Path
+    free_thresh : float, optional
+        Replaces that of the file. With 0.25, which nav2's map_saver wrote up to 2025, its own grey of unknown cells is
+        free, for nav2 and here; with 0.196 it is unknown.
+    """
     header = _header(path)
+    if free_thresh is not None:
+        if not 0 <= free_thresh <= header.occupied:
+            raise ValueError(f"free_thresh must be from 0 to occupied_thresh, {header.occupied:g}, got {free_thresh}")
+        header = header._replace(free=free_thresh)
     mass = mass_from_occupancy(np.ascontiguousarray(_values(header)[::-1].T))
     return placed_at({"free": mass[..., 0], "occupied": mass[..., 1]}, header.resolution, header.corner)
 
@@ -169,7 +184,17 @@ def _values(header: _Header) -> NDArray[np.int8]:
     total = colours[0].astype(np.uint16)
     for one in colours[1:]:
         total += one
-    values = _value_table(header, len(colours) * highest)[total]
+    table = _value_table(header, len(colours) * highest)
+    values = table[total]
+    unknown = int(_GREYS[0]) * len(colours) * highest // 255  # the grey of unknown cells, as all map_savers write it
+    if header.mode == "trinary" and not header.negate and table[unknown] == 0:
+        share = np.count_nonzero(total == unknown) / total.size
+        if share > 0:
+            _log.warning(
+                "%s: free_thresh %g makes %.3g %% of the cells free, which have the grey of unknown cells (205), as in "
+                "nav2: free_thresh 0.196 (--free-thresh) reads them as unknown",
+                header.image, header.free, 100 * share,
+            )  # fmt: skip
     if alpha is not None and header.mode == "scale":
         values[alpha < highest] = -1
     return values

@@ -7,8 +7,8 @@
 ...         cloud = message.decode()
 """
 
-from ogm.io.logs.definitions import LOG_ENDINGS
+from ogm.io.logs.definitions import LOG_ENDINGS, log_ending
 from ogm.io.logs.reader import LogMessage, LogReader, TopicFacts, open_log
 from ogm.io.logs.writer import LogWriter
 
-__all__ = ["LOG_ENDINGS", "LogMessage", "LogReader", "LogWriter", "TopicFacts", "open_log"]
+__all__ = ["LOG_ENDINGS", "LogMessage", "LogReader", "LogWriter", "TopicFacts", "log_ending", "open_log"]

@@ -19,8 +19,8 @@ from ogm.storage.limits import current_limits, too_large
 
 DB3_MAGIC = b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_INDEX = (
-    "SELECT topic_id, timestamp, id FROM messages WHERE typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer'"
+_INDEX = "SELECT topic_id, timestamp, id FROM messages WHERE " + " AND ".join(
+    f"typeof({name}) = 'integer'" for name in ("topic_id", "timestamp", "id")
 )
 _ROWS = 10_000  # of the index that become one array
 

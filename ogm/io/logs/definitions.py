@@ -18,6 +18,7 @@ Place = tuple[int, int]
 """Where a message lies: two numbers that its file understands."""
 
 LOG_ENDINGS = (".mcap", ".db3", ".bag")
+_UNFINISHED = ".active"  # that recorders add to the name until a log is finished
 
 
 class Channel(NamedTuple):
@@ -82,6 +83,12 @@ class RandomAccess:
         return os.pread(self._file, size, start)
 
 
+def log_ending(path: Path) -> str:
+    """Return the ending of a log's name in small letters, also of ``drive.bag.active``; "" for what is no log."""
+    ending = Path(path.name.lower().removesuffix(_UNFINISHED)).suffix
+    return ending if ending in LOG_ENDINGS else ""
+
+
 def log_files(folder: Path) -> list[Path]:
     """Return the parts of a log that lie in a folder, with part 2 before part 10.
 
@@ -90,15 +97,20 @@ def log_files(folder: Path) -> list[Path]:
     OgmError
         If they are of several kinds.
     """
-    files = [one for one in folder.iterdir() if one.suffix.lower() in LOG_ENDINGS and one.is_file()]
-    if len({one.suffix.lower() for one in files}) > 1:
+    files = [one for one in folder.iterdir() if log_ending(one) and one.is_file()]
+    if len({log_ending(one) for one in files}) > 1:
         names = ", ".join(sorted(one.name for one in files))
         raise OgmError(f"{folder} holds logs of several kinds ({names}): give one of them")
     return sorted(files, key=lambda one: [int(p) if p.isdecimal() else p for p in re.split(r"(\d+)", one.name)])
 
 
 def ros2_name(name: str) -> str:
-    """Return a type's name as ROS 2 writes it: sensor_msgs/PointCloud2 is sensor_msgs/msg/PointCloud2."""
+    """Return a type's name as ROS 2 writes it: sensor_msgs/PointCloud2 is sensor_msgs/msg/PointCloud2.
+
+    A name of DDS is known, too: sensor_msgs::msg::dds_::PointCloud2_.
+    """
+    if "::dds_::" in name:
+        name = name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")
     package, slash, rest = name.partition("/")
     return f"{package}/msg/{rest}" if slash and "/" not in rest else name
 
@@ -114,6 +126,8 @@ _BOTH = {
     "radar_msgs/msg/RadarReturn": "float32 range\nfloat32 azimuth\nfloat32 elevation\nfloat32 doppler_velocity\n"
     "float32 amplitude",
     "radar_msgs/msg/RadarScan": "std_msgs/Header header\nRadarReturn[] returns",
+    "map_msgs/msg/OccupancyGridUpdate": "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\n"
+    "int8[] data",
     **{f"{package}/msg/{name}": text for package in ("livox_ros_driver", "livox_ros_driver2")
        for name, text in _LIVOX.items()},
 }  # fmt: skip
@@ -146,7 +160,7 @@ def message_types(ros: int) -> Any:
     ----------
     ros : {1, 2}
         Those of Noetic, or of the latest ROS 2, with those of velodyne_msgs, livox_ros_driver, livox_ros_driver2,
-        radar_msgs, grid_map_msgs, and of ROS 1 tf2_msgs and tf.
+        radar_msgs, map_msgs, grid_map_msgs, and of ROS 1 tf2_msgs and tf.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -158,7 +172,7 @@ def message_types(ros: int) -> Any:
 
 
 def decode(channel: Channel, raw: bytes | memoryview) -> Any:
-    """Decode a message by the definition in its log, or by `message_types` if there is none.
+    """Decode a message by the definition in its log, or by `message_types` if that is missing or wrong.
 
     Raises
     ------
@@ -166,34 +180,47 @@ def decode(channel: Channel, raw: bytes | memoryview) -> Any:
         If it is no ROS message, its type is not known, or its bytes do not fit the type.
     """
     optional("rosbags", Path(channel.topic), "ros")
+    if (ros := {"ros1": 1, "cdr": 2}.get(channel.encoding)) is None:
+        raise OgmError(f"messages of {channel.type} are {channel.encoding or 'of no encoding'}, wanted those of ROS")
+    if channel.definition:
+        try:
+            return _decoded(_types_of(channel.type, channel.definition, channel.format), channel.type, ros, raw)
+        except OgmError:
+            if channel.type not in message_types(ros).fielddefs:
+                raise
+    return _decoded(message_types(ros), channel.type, ros, raw)
+
+
+def _decoded(store: Any, name: str, ros: int, raw: bytes | memoryview) -> Any:
+    """Decode a message by the types of a store."""
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
 
-    if (ros := {"ros1": 1, "cdr": 2}.get(channel.encoding)) is None:
-        raise OgmError(f"messages of {channel.type} are {channel.encoding or 'of no encoding'}, wanted those of ROS")
     try:
-        store = (
-            _types_of(channel.type, channel.definition, channel.format) if channel.definition else message_types(ros)
-        )
-        if channel.type not in store.fielddefs:
-            raise OgmError(f"the type {channel.type} is not known, and the log does not define it")
-        return (store.deserialize_ros1 if ros == 1 else store.deserialize_cdr)(memoryview(raw), channel.type)
+        if isinstance(store, str):
+            raise OgmError(store)
+        if name not in store.fielddefs:
+            raise OgmError(f"the type {name} is not known, and the log does not define it")
+        return (store.deserialize_ros1 if ros == 1 else store.deserialize_cdr)(memoryview(raw), name)
     except (SerdeError, TypesysError, KeyError, ValueError, AssertionError, IndexError, struct.error) as error:
-        raise error if isinstance(error, OgmError) else OgmError(f"it is no whole {channel.type}: {error}") from error
+        raise error if isinstance(error, OgmError) else OgmError(f"it is no whole {name}: {error}") from error
 
 
 @lru_cache(maxsize=256)
 def _types_of(name: str, definition: str, form: str) -> Any:
-    """Return a typestore of the types that one definition holds."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+    """Return a typestore of the types that one definition holds, or why it cannot be read, in words."""
+    from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
-    if "idl" not in form:
-        store.register(get_types_from_msg(definition, name))
-        return store
-    parts = [one.partition("\n")[2] for one in definition.split(_IDL_MARK)[1:]] or [definition]
-    types: dict[str, Any] = {}
-    for part in parts:
-        types |= get_types_from_idl(part.removesuffix("=" * 80 + "\n"))
-    store.register(types)
+    try:
+        if "idl" not in form:
+            store.register(get_types_from_msg(definition, name))
+            return store
+        parts = [one.partition("\n")[2] for one in definition.split(_IDL_MARK)[1:]] or [definition]
+        types: dict[str, Any] = {}
+        for part in parts:
+            types |= get_types_from_idl(part.removesuffix("=" * 80 + "\n"))
+        store.register(types)
+    except (TypesysError, KeyError, ValueError, AssertionError, IndexError) as error:
+        return f"it is no whole {name}: {error}"
     return store

@@ -193,7 +193,7 @@ class LogReader:
         channel, raw = self._read(ref, _HEAD)
         try:
             return _head(channel, raw)
-        except (struct.error, UnicodeDecodeError, IndexError) as error:
+        except (struct.error, IndexError) as error:
             where = f"{self.paths[ref.file]}: a message of {channel.topic} ({channel.type})"
             raise OgmError(f"{where} begins with no header that can be read: {error}") from error
 
@@ -255,7 +255,11 @@ def _head(channel: Channel, raw: bytes | memoryview) -> MessageHead:
         raise OgmError(f"{channel.topic} is {channel.encoding or 'of no encoding'}, wanted ROS messages")
     if length > _HEAD - 16:
         raise struct.error(f"its frame has a name of {length} bytes")
-    return MessageHead(sec * 10**9 + nanosec, sec + nanosec * 1e-9, bytes(raw[start:end]).decode().lstrip("/"))
+    return MessageHead(
+        sec * 10**9 + nanosec,
+        sec + nanosec * 1e-9,
+        bytes(raw[start:end]).decode("utf-8", "replace").strip("\0").lstrip("/"),
+    )
 
 
 _KINDS: dict[bytes, Callable[[Path], LogFile]] = {MCAP_MAGIC: McapFile, DB3_MAGIC: Db3File, BAG_MAGIC: BagFile}

@@ -1,5 +1,6 @@
 """Point clouds and radar detections: ``PointCloud2`` to a scan and back, ``RadarScan`` and Continental's lists."""
 
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,11 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.formats.table import Table, refuse_doubles
+from ogm.io.columns import IntensityScale
+from ogm.io.formats.table import POSITION, Table, plain, refuse_doubles
 from ogm.io.messages.plain import as_bytes, describe_message, header, reads_message, stamp_seconds
+from ogm.io.notices import notice
 from ogm.io.scan_table import Axes, scan_from_table
 from ogm.scan import Scan
 from ogm.storage.files import OgmError, error_context
+
+log: logging.Logger = logging.getLogger(__name__)
 
 # sensor_msgs/PointField.datatype; from 9 on only in releases of ROS 2 since 2025
 _TYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8", "i8", "u8", "u1"), start=1))
@@ -25,7 +30,7 @@ def scan_from_point_cloud2(
     message: Any,
     *,
     axes: Axes = "flu",
-    intensity_max: float | None = None,
+    intensity_max: IntensityScale | None = None,
     time_unit: float | None = None,
     no_returns: bool = True,
 ) -> Scan:
@@ -51,23 +56,36 @@ def scan_from_point_cloud2(
         (nearer to the stamp than to 0; they may count s, ms, us or ns), which are before the stamp if that is of the
         sweep's end; or times since the stamp, which are taken as they are; or times of another clock, which count
         from the earliest. Where the header has no stamp (0), the earliest time of a clock becomes the stamp.
+        A field that lies outside of its point, or has an unknown type, is left out, with a warning in the log.
         `Scan.doppler` is a field ``doppler``, ``doppler_velocity``, ``radial_velocity``, ``range_rate`` or
         ``velocity`` [m/s], positive away from the sensor as the message has to have it; `Scan.rcs` is ``rcs`` [dBsm].
 
     Raises
     ------
     OgmError
-        If sizes contradict each other, a field lies outside of its point, x, y or z is missing, or numbers are
-        of no scan.
+        If sizes contradict each other, x, y or z is missing or lies outside of its point, or most coordinates are of
+        no scan.
     ValueError
         If an option makes no sense.
     """
-    where = describe_message(message, "PointCloud2")
-    table = Table("PointCloud2", *_columns(message, where))
+    table, where = cloud_table(message)
     if not no_returns:
         table = table._replace(shape=None)
     stamp = stamp_seconds(message.header.stamp)
     return scan_from_table(table, where, axes, intensity_max=intensity_max, time_unit=time_unit, stamp=stamp)[0]
+
+
+@reads_message
+def cloud_table(message: Any) -> tuple[Table, str]:
+    """Return the fields of a point cloud message as columns, and a name of the message, for errors.
+
+    Raises
+    ------
+    OgmError
+        If sizes contradict each other, or x, y or z lies outside of its point.
+    """
+    where = describe_message(message, "PointCloud2")
+    return Table("PointCloud2", *_columns(message, where)), where
 
 
 def _columns(message: Any, where: str) -> tuple[dict[str, NDArray[Any]], tuple[int, int] | None]:
@@ -86,26 +104,32 @@ def _columns(message: Any, where: str) -> tuple[dict[str, NDArray[Any]], tuple[i
     fields = [field for field in message.fields if field.name not in _PADDING]
     refuse_doubles((field.name for field in fields), where)
     order = ">" if message.is_bigendian else "<"
-    columns = {}
+    columns: dict[str, NDArray[Any]] = {}
     for field in fields:
-        if int(field.datatype) not in _TYPES:
-            raise OgmError(
-                f"{where} has datatype {field.datatype} for {field.name}, wanted 1 to {len(_TYPES)}: it is damaged"
-            )
-        kind = np.dtype(order + _TYPES[int(field.datatype)])
-        offset, count = int(field.offset), max(int(field.count), 1)  # old drivers write a count of 0 for 1
-        if not height * width:
-            columns[field.name] = np.empty(0, kind)
-            continue
-        if offset < 0 or offset + count * kind.itemsize > step:
-            raise OgmError(
-                f"{where} has {field.name} at byte {offset}, {count} times {kind.itemsize} bytes, wanted it inside of "
-                f"point_step {step}: it is damaged"
-            )
-        columns[field.name] = np.ndarray((height, width), kind, data, offset, (row_step, step)).reshape(-1)
+        if not height * width and int(field.datatype) in _TYPES:
+            columns.setdefault(field.name, np.empty(0, order + _TYPES[int(field.datatype)]))
+        elif not (damage := _damage(field, step)):
+            place, kind = int(field.offset), order + _TYPES[int(field.datatype)]
+            column = np.ndarray((height, width), kind, data, place, (row_step, step)).reshape(-1)
+            columns.setdefault(field.name, column)
+        elif plain(field.name) in POSITION:
+            raise OgmError(f"{where} has {damage}: it is damaged")
+        else:
+            notice(log, f"field {field.name}", "%s has %s: the field is left out", where, damage)
     if not columns and not height * width:
         columns = {name: np.empty(0, np.float32) for name in "xyz"}
     return columns, (height, width) if height > 1 and width > 1 else None
+
+
+def _damage(field: Any, step: int) -> str:
+    """Return why a field cannot be read from points of some bytes, in words; "" if it can."""
+    if int(field.datatype) not in _TYPES:
+        return f"datatype {field.datatype} for {field.name}, wanted 1 to {len(_TYPES)}"
+    size = np.dtype(_TYPES[int(field.datatype)]).itemsize
+    offset, count = int(field.offset), max(int(field.count), 1)  # old drivers write a count of 0 for 1
+    if 0 <= offset <= step - count * size:
+        return ""
+    return f"{field.name} at byte {offset}, {count} times {size} bytes, wanted it inside of point_step {step}"
 
 
 def point_cloud2(scan: Scan, *, frame_id: str, stamp: float | None = None) -> SimpleNamespace:

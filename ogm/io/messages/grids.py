@@ -9,7 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
-from ogm.io.messages.plain import describe_message, header, pose_message, reads_message, ros_stamp, transform_of_pose
+from ogm.io.messages.plain import (
+    describe_message,
+    header,
+    pose_message,
+    reads_message,
+    ros_stamp,
+    stamp_seconds,
+    transform_of_pose,
+)
 from ogm.pose import check_pose, inverse, pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError, error_context
@@ -172,6 +180,49 @@ def grid_from_occupancy_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.f
     origin, T = split_corner(transform_of_pose(info.origin, where))
     mass = mass_from_occupancy(data.reshape(height, width).T)
     return EvidentialGrid(spec_of(info.resolution, (width, height), origin, where), mass), T
+
+
+@reads_message
+def cells_from_update(
+    message: Any, shape: tuple[int, int], stamp: float | None
+) -> tuple[int, int, NDArray[np.float32], float | None]:
+    """Return the cells that a ``map_msgs/OccupancyGridUpdate`` replaces in a map.
+
+    Parameters
+    ----------
+    message : object
+        With the fields of the message.
+    shape : (int, int)
+        Cells of the map.
+    stamp : float or None
+        Time of the map [s].
+
+    Returns
+    -------
+    x, y : int
+        Index of the first cell.
+    mass : (width, height, 2) float32
+        See `mass_from_occupancy`.
+    stamp : float or None
+        Time of the updated map [s]: that of the message, unless it has none.
+
+    Raises
+    ------
+    OgmError
+        If sizes contradict each other, or cells lie outside of the map.
+    """
+    where = describe_message(message, "OccupancyGridUpdate")
+    x, y, width, height = (int(getattr(message, name)) for name in ("x", "y", "width", "height"))
+    data = np.asarray(message.data)
+    if data.dtype.kind not in "iu" or data.size != width * height:
+        raise OgmError(f"{where} has {data.size} values of {data.dtype}, wanted int8 for {width} x {height} cells")
+    if min(x, y) < 0 or x + width > shape[0] or y + height > shape[1]:
+        raise OgmError(
+            f"{where} has {width} x {height} cells from ({x}, {y}) on, wanted them inside of the map's {shape[0]} x "
+            f"{shape[1]}"
+        )
+    mass = mass_from_occupancy(data.reshape(height, width).T)
+    return x, y, mass, stamp_seconds(message.header.stamp) or stamp
 
 
 def corner_pose(spec: GridSpec, T_frame_grid: ArrayLike | None = None) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 import array
 import functools
 import importlib
+import logging
 import math
 from collections.abc import Callable, Iterable
 from types import SimpleNamespace
@@ -11,10 +12,13 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.io.notices import notice
 from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
 from ogm.pose import check_pose, check_stamp, matrix_to_quaternion
 from ogm.storage.files import OgmError, error_context
+
+log: logging.Logger = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -118,18 +122,27 @@ def as_bytes(data: Any, where: str) -> NDArray[np.uint8]:
 def transforms_from_tf(message: Any) -> list[StampedTransform]:
     """Return the transforms of a ``tf2_msgs/TFMessage`` (``/tf``, ``/tf_static``), or of one ``TransformStamped``.
 
+    Of several, those that are damaged are left out, with a warning in the log.
+
     Raises
     ------
     OgmError
-        If a position is not finite, or a quaternion has not length 1.
+        If all are damaged: a position is not finite, or a quaternion has not length 1.
     """
     several = message.transforms if hasattr(message, "transforms") else [message]
-    result = []
+    result, errors = [], list[OgmError]()
     for one in several:
-        where = describe_message(one, "TransformStamped")
-        child = str(one.child_frame_id).lstrip("/")
-        T = _rigid(one.transform.translation, one.transform.rotation, f"{where}, of {child}")
-        result.append(StampedTransform(frame_of(one), child, stamp_seconds(one.header.stamp), T))
+        try:
+            where = describe_message(one, "TransformStamped")
+            child = str(one.child_frame_id).lstrip("/")
+            T = _rigid(one.transform.translation, one.transform.rotation, f"{where}, of {child}")
+            result.append(StampedTransform(frame_of(one), child, stamp_seconds(one.header.stamp), T))
+        except OgmError as error:
+            errors.append(error)
+            if len(errors) == len(several):
+                raise
+    for damage in errors:
+        notice(log, "damaged transform", "%s: the transform is left out", damage)
     return result
 
 

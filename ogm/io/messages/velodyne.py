@@ -2,9 +2,12 @@
 
 import logging
 import re
+import socket
 import struct
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -13,11 +16,14 @@ from numpy.typing import NDArray
 
 from ogm.io.formats.table import Table
 from ogm.io.messages.plain import as_bytes, describe_message, reads_message, stamp_seconds
+from ogm.io.notices import notice
 from ogm.io.reading import optional
 from ogm.io.scan_table import directions_without_return, scan_from_table
 from ogm.pose import check_stamp
 from ogm.scan import Scan
 from ogm.storage.files import FilePath, OgmError, error_context
+
+log: logging.Logger = logging.getLogger(__name__)
 
 # Names of Velodynes, and those that velodyne-decoder has for them
 VELODYNE_MODELS = {
@@ -117,6 +123,11 @@ class VelodyneDecoder:
     def scan(self, packets: Sequence[Packet], stamp: float, no_returns: bool, where: str) -> Scan:
         """Return the scan of some packets; its times count from `stamp`."""
         library = self.library
+        product, number = Counter(packet.data[-1] for packet in packets).most_common(1)[0]
+        if number < len(packets) and product in _PRODUCTS:  # the library ends at the first that is damaged
+            text = "%s: %d of %d packets are damaged and left out"
+            notice(log, "damaged packets", text, where, len(packets) - number, len(packets))
+            packets = [packet for packet in packets if packet.data[-1] == product]
         with error_context(f"{where} has packets that do not decode", Exception):
             vector = library.PacketVector([library.VelodynePacket(*packet) for packet in packets])
             first, points = library.ScanDecoder(self.config).decode(vector)
@@ -141,15 +152,18 @@ def _directions(columns: dict[str, NDArray[Any]]) -> NDArray[np.float32] | None:
 
 
 def _model_of(packets: Sequence[Packet], where: str) -> str:
-    """Return the model that the factory bytes at the end of all packets name."""
-    ends = {packet.data[-2:] for packet in packets}
-    known = {_PRODUCTS.get(end[1]) for end in ends if end[0] in _RETURNS}
-    if len(ends) > 2 or len(known) != 1 or None in known or not all(end[0] in _RETURNS for end in ends):
+    """Return the model that the factory bytes at the end of most packets name."""
+    ends = Counter(packet.data[-2:] for packet in packets)
+    known = Counter[str]()
+    for end, number in ends.items():
+        if end[0] in _RETURNS and end[1] in _PRODUCTS:
+            known[_PRODUCTS[end[1]]] += number
+    if not known or 2 * known.most_common(1)[0][1] <= len(packets):  # single packets may be damaged
         raise OgmError(
             f"{where} has packets whose last bytes name no model ({', '.join(sorted(end.hex() for end in ends)[:4])}): "
             f"give as model one of {', '.join(VELODYNE_MODELS)}"
         )
-    return VELODYNE_MODELS[str(known.pop())]
+    return VELODYNE_MODELS[known.most_common(1)[0][0]]
 
 
 def _known_model(model: str) -> str:
@@ -160,8 +174,6 @@ def _known_model(model: str) -> str:
         raise ValueError(f"there is no model {model!r}: give one of {', '.join(VELODYNE_MODELS)}")
     return names[plain]
 
-
-log: logging.Logger = logging.getLogger(__name__)
 
 _MOST = 20_000  # packets of one turn: that of the largest sensor has some 2500
 _LONGEST = 2**24  # [byte] of a packet or a block, as Wireshark has it
@@ -253,10 +265,9 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
     with open(path, "rb") as file:
         try:
             packets = dpkt.pcap.UniversalReader(_BoundedReads(file))
-            linux = packets.datalink() == dpkt.pcap.DLT_LINUX_SLL
+            layer = _link_layer(packets.datalink(), path, dpkt)
         except (ValueError, EOFError, struct.error, dpkt.Error) as error:
             raise OgmError(f"{path} is no network capture ({error}): is its name right?") from error
-        layer = dpkt.sll.SLL if linux else dpkt.ethernet.Ethernet
         try:
             for stamp, raw in packets:
                 data, sender = _payload(layer, raw, dpkt)
@@ -266,23 +277,54 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
                 if sender != found:
                     raise OgmError(f"{path} has packets of several sensors, {found} and {sender}: give one as source")
                 try:
-                    yield Packet(check_stamp(float(stamp)), data)
+                    packet = Packet(check_stamp(float(stamp)), data)
                 except ValueError as error:
-                    raise OgmError(f"{path} has a packet whose {error}") from error
+                    notice(log, "wrong stamp", "%s has a packet whose %s; it is left out", path, error)
+                    continue
+                yield packet
         except (EOFError, dpkt.Error) as error:
             log.warning("%s is cut short: %s", path, error)
 
 
-def _payload(layer: Any, raw: bytes, dpkt: Any) -> tuple[bytes | None, str]:
+def _link_layer(number: int, path: Path, dpkt: Any) -> Callable[[bytes], Any]:
+    """Return what decodes the packets of a capture, by the number of its link layer.
+
+    Raises
+    ------
+    OgmError
+        If it is another than Ethernet, Linux cooked (``-i any``), IP without a link, and the loopback.
+    """
+    pcap = dpkt.pcap
+    raw = (12, 14, 101, pcap.DLT_IPV4, pcap.DLT_IPV6)  # DLT_RAW differs between systems
+    layers: dict[int, Callable[[bytes], Any]] = {
+        pcap.DLT_EN10MB: dpkt.ethernet.Ethernet,
+        pcap.DLT_LINUX_SLL: dpkt.sll.SLL,
+        pcap.DLT_LINUX_SLL2: dpkt.sll2.SLL2,
+        **dict.fromkeys((pcap.DLT_NULL, pcap.DLT_LOOP), dpkt.loopback.Loopback),
+        **dict.fromkeys(raw, partial(_ip, dpkt)),
+    }
+    if number not in layers:
+        raise OgmError(f"{path} is a capture of link layer {number}, wanted Ethernet, Linux cooked or raw IP")
+    return layers[number]
+
+
+def _ip(dpkt: Any, data: bytes) -> Any:
+    """Return a packet of IP without a link layer."""
+    return (dpkt.ip6.IP6 if data[:1] and data[0] >> 4 == 6 else dpkt.ip.IP)(data)
+
+
+def _payload(layer: Callable[[bytes], Any], raw: bytes, dpkt: Any) -> tuple[bytes | None, str]:
     """Return the innermost bytes of a packet of the network, and who sent them."""
     try:
         packet = layer(raw)
-    except dpkt.Error:
+    except (dpkt.Error, struct.error, IndexError):
         return None, ""
     address, port = "", 0
     while hasattr(packet, "data"):
         if isinstance(packet, dpkt.ip.IP):
             address = ".".join(map(str, packet.src))
+        elif isinstance(packet, dpkt.ip6.IP6):
+            address = f"[{socket.inet_ntop(socket.AF_INET6, packet.src)}]"
         elif isinstance(packet, dpkt.udp.UDP):
             port = packet.dport
         packet = packet.data

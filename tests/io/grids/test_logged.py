@@ -1,6 +1,7 @@
 """Grids in logs, read by other libraries: mcap-ros2-support, rosbags."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.messages import StampedTransform, occupancy_grid
 from ogm.io.messages.grids import occupancy_values
+from ogm.io.messages.plain import header
 from ogm.pose import pose
 from ogm.storage.files import OgmError
 
@@ -115,6 +117,47 @@ def test_the_last_map_of_a_topic_is_read(tmp_path: Path) -> None:
     with open_log(tmp_path / "maps.mcap") as log:
         assert log.topics["/map"].count == 4
         assert log.topics["/map"].rate == pytest.approx(1.0)
+
+
+def update(x: int, y: int, values: Any, stamp: float = 5.0) -> SimpleNamespace:
+    """Return an update of a map by values (width, height)."""
+    values = np.array(values, np.int8)
+    width, height = values.shape
+    return SimpleNamespace(header=header(stamp, "map"), x=x, y=y, width=width, height=height, data=values.T.reshape(-1))
+
+
+@each("ending", ENDINGS)
+def test_updates_change_the_map_that_was_recorded_before_them(
+    tmp_path: Path, ending: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, topic = tmp_path / f"maps{ending}", "/local/costmap"
+    whole = occupancy_grid(EvidentialGrid.vacuous(SPEC), frame_id="map", stamp=1.0)
+    updates = [
+        (0.5, update(0, 0, [[100]])),  # of the map before
+        (2.0, update(1, 2, [[0, 100, -1], [100, 100, 100]], 2.0)),
+        (3.0, update(7, 3, [[0, 0], [100, 100]], 3.0)),
+        (4.0, update(8, 4, [[0, 0], [100, 100]], 4.0)),  # beyond the border
+        (5.0, update(-1, 0, [[0]])),
+    ]
+    with LogWriter(path) as log:
+        log.write(topic, "nav_msgs/msg/OccupancyGrid", whole, 0.0)
+        for time, message in updates:
+            log.write(f"{topic}_updates", "map_msgs/msg/OccupancyGridUpdate", message, time)
+            if time == 0.5:
+                log.write(topic, "nav_msgs/msg/OccupancyGrid", whole, 1.0)
+    placed = read_placed_grid(path)
+    values = np.full(SPEC.shape, -1)
+    values[1:3, 2:5] = [[0, 100, -1], [100, 100, 100]]
+    values[7:9, 3:5] = [[0, 0], [100, 100]]
+    assert np.array_equal(occupancy_values(placed.grid), values)
+    assert placed.stamp == 3.0
+    assert "2 updates of /local/costmap_updates are left out" in caplog.text
+
+
+def test_updates_without_a_map_are_named(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "maps.mcap") as log:
+        log.write("/map_updates", "map_msgs/msg/OccupancyGridUpdate", update(0, 0, [[1]]), 1.0)
+    refused("has updates of a map, but no whole map", read_grid, tmp_path / "maps.mcap", error=OgmError)
 
 
 def test_several_topics_ask_for_one(tmp_path: Path) -> None:

@@ -86,6 +86,27 @@ def test_unknown_stays_unknown_as_the_default(tmp_path: Path) -> None:
     assert set((tmp_path / "map.pgm").read_bytes()[-12:]) == {205}
 
 
+@each("thresh, greys, share", [
+        (0.25, [205, 205, 254, 0], 50.0), (0.25, [254, 0, 254, 0], None), (0.196, [205, 205, 254, 0], None),
+        (0.3, [205, 254, 254, 254], 25.0),
+    ])  # fmt: skip
+def test_unknown_cells_that_the_thresholds_make_free_are_named(
+    tmp_path: Path, thresh: float, greys: list[int], share: float | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    Image.fromarray(np.array([greys], np.uint8)).save(tmp_path / "a.pgm")
+    text = f"image: a.pgm\nmode: trinary\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\nfree_thresh: {thresh}\n"
+    (tmp_path / "a.yaml").write_text(f"{text}occupied_thresh: 0.65\n")
+    values = occupancy_values(read_grid(tmp_path / "a.yaml"))[:, 0]
+    assert values.tolist() == list(load_map(tmp_path / "a.yaml").data)
+    assert (share is not None) == ("the grey of unknown cells" in caplog.text)
+    if share is not None:
+        assert f"makes {share:g} % of the cells free," in caplog.text
+    unknown = occupancy_values(read_grid(tmp_path / "a.yaml", free_thresh=0.196))[:, 0]
+    assert unknown.tolist() == [{205: -1, 254: 0, 0: 100}[grey] for grey in greys]
+    refused("free_thresh must be from 0 to", read_grid, tmp_path / "a.yaml", free_thresh=0.7)
+    refused("free_thresh .* is for .yaml files alone", read_grid, tmp_path / "a.npz", free_thresh=0.1)
+
+
 @settings(max_examples=30)
 @given(
     st.integers(1, 7), st.integers(1, 7), st.integers(0, 2**32 - 1), st.sampled_from(MODES),

@@ -2,6 +2,7 @@
 
 import io
 import re
+import sqlite3
 import struct
 from collections.abc import Callable
 from contextlib import suppress
@@ -203,3 +204,17 @@ def test_an_encrypted_bag_is_refused(write: Callable[..., Path]) -> None:
         content[:13] + struct.pack("<I", len(header)) + header + struct.pack("<I", padding) + bytes(padding) + rest
     )
     refused("is encrypted", open_log, path, error=OgmError)
+
+
+@each(
+    "row", ["NULL,1,1,x'00'", "'abc',1,1,x'00'", "1.5,1,1,x'00'", "2,'a',1,x'00'", "2,1,'b',x'00'", "2,NULL,NULL,NULL"]
+)
+def test_a_row_of_a_db3_without_whole_numbers_is_left_out(tmp_path: Path, row: str) -> None:
+    with sqlite3.connect(tmp_path / "a.db3") as base:
+        base.executescript(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
+            "CREATE TABLE messages(id, topic_id, timestamp, data BLOB);"
+            "INSERT INTO topics VALUES(1, '/map', 'nav_msgs/msg/OccupancyGrid', 'cdr');"
+            f"INSERT INTO messages VALUES(7, 1, 1, x'00'); INSERT INTO messages VALUES({row});"
+        )
+    assert len(open_log(tmp_path / "a.db3").refs()) == 1

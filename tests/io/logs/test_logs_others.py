@@ -294,3 +294,39 @@ def test_types_that_are_nowhere_defined_are_named(tmp_path: Path) -> None:
         pytest.raises(OgmError, match="/tf cannot be read: the type our_msgs/msg/Own is not known"),
     ):
         next(log.messages()).decode()
+
+
+# --- Logs that are a little wrong ---------------------------------------------------------------------
+
+
+@each("kind, text, encoding", [
+        (CLOUD, CLOUD, "ros2msg"),  # the name alone
+        (CLOUD, "uint8 wrong\n", "ros2msg"),
+        (CLOUD, "std_msgs/Header header\n", "ros2msg"),  # without the definition of a part
+        (CLOUD, "module { nothing", "ros2idl"),
+        (CLOUD, "\0\1", "ros2msg"),
+        ("sensor_msgs::msg::dds_::PointCloud2_", "", ""),
+    ])  # fmt: skip
+def test_a_wrong_definition_of_a_known_type_is_not_needed(tmp_path: Path, kind: str, text: str, encoding: str) -> None:
+    with LogWriter(tmp_path / "good.mcap") as log:
+        log.write("/points", CLOUD, drive()[1][2], START)
+    raw = bytes(next(iter(open_log(tmp_path / "good.mcap").messages(["/points"]))).raw)
+    with open(tmp_path / "bad.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "x")
+        schema = writer.register_schema(kind, encoding, text.encode())
+        writer.add_message(writer.register_channel("/points", "cdr", schema), 10**9, raw, 10**9)
+        writer.finish()
+    (message,) = open_log(tmp_path / "bad.mcap").messages()
+    assert message.type == CLOUD
+    assert np.array_equal(scan_from_point_cloud2(message.decode()).points, scan(0).points)
+
+
+@each("name", ["a.bag", "a.mcap", "a.db3"])
+def test_a_log_that_was_not_finished_is_read(write: Callable[..., Path], name: str) -> None:
+    from ogm.datasets import open_dataset
+
+    path = write(name, "", 200)
+    active = path.rename(path.parent / f"{name}.active")
+    assert len(open_dataset(active)) == len(open_dataset(active.parent)) == SCANS
+    active.unlink()

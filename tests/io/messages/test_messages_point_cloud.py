@@ -188,10 +188,12 @@ def test_simulated_time_that_begins_at_zero(start):
     np.testing.assert_allclose(relative.time, seconds, atol=1e-9)
 
 
-def test_times_of_an_unlikely_unit_are_refused():
-    _, raw = sweep(1e-6, "f8")
-    with pytest.raises(OgmError, match=r"PointCloud2 of lidar at 1700000000.000000 s has times that last .* time_unit"):
-        scan_from_point_cloud2(message(columns(64) | {"time": raw}))
+def test_times_of_another_clock_may_count_in_any_unit():
+    for unit in (1.0, 1e-3, 1e-6, 1e-9):
+        seconds, raw = sweep(unit, "f8")
+        scan = scan_from_point_cloud2(message(columns(64) | {"time": 120 / unit + raw}))
+        assert scan.stamp == 1_700_000_000.0
+        np.testing.assert_allclose(scan.time, seconds - seconds.min(), atol=1e-6)
 
 
 def test_fields_of_radars():
@@ -201,8 +203,10 @@ def test_fields_of_radars():
     np.testing.assert_array_equal(scan.rcs, -3)
     for name in ("velocity", "range_rate", "doppler_velocity", "radial_velocity"):
         assert scan_from_point_cloud2(message(columns() | {name: radar["doppler"]})).doppler[7] == 7
-    radar["doppler"][3] = np.nan
-    assert scan_from_point_cloud2(message(columns() | radar)).doppler is None
+    radar["doppler"][3], radar["RCS"][4] = np.inf, np.nan  # unknown at one detection
+    scan = scan_from_point_cloud2(message(columns() | radar))
+    assert np.flatnonzero(np.isnan(scan.doppler)).tolist() == [3]
+    assert np.flatnonzero(np.isnan(scan.rcs)).tolist() == [4]
 
 
 def test_axes_and_intensity():
@@ -265,14 +269,12 @@ def wrong(**changes):
         (wrong(width=-1), "width -1"),
         (wrong(fields=[]), "fields none, wanted x, y, z"),
         (wrong(fields=message(columns()).fields[:2]), "fields x, y, wanted x, y, z"),
-        (wrong(fields=[*message(columns()).fields, field(9)]),
-         "has t at byte 9, 1 times 4 bytes, wanted it inside of point_step 12"),
-        (wrong(fields=[*message(columns()).fields, field(0, count=4)]), "4 times 4"),
-        (wrong(fields=[*message(columns()).fields, field(0, 0)]), "datatype 0"),
+        (wrong(fields=[*message(columns()).fields[:2], field(9, name="z")]),
+         "has z at byte 9, 1 times 4 bytes, wanted it inside of point_step 12"),
+        (wrong(fields=[*message(columns()).fields[:2], field(0, count=4, name="z")]), "4 times 4"),
+        (wrong(fields=[*message(columns()).fields[:2], field(0, 0, name="z")]), "datatype 0"),
         (wrong(fields=[*message(columns()).fields, *message(columns()).fields]), "one of each name"),
         (message({name: np.full(3, 1e6, "f4") for name in "xyz"}), "coordinates up to 1e[+]06 m"),
-        (message(columns(intensity=np.full(60, 4000, "f4"))), "intensity_max"),
-        (message(columns(ring=np.full(60, 0.5, "f4"))), "rings"),
         (wrong(header=SimpleNamespace(stamp=3.0, frame_id="a")), "a stamp must have sec and nanosec"),
         (SimpleNamespace(), "PointCloud2 must have a header with stamp and frame_id, got SimpleNamespace"),
     ])  # fmt: skip
@@ -280,6 +282,17 @@ def test_wrong_messages_are_refused_in_words(broken, error):
     with pytest.raises(OgmError, match=error) as caught:
         scan_from_point_cloud2(broken)
     assert str(caught.value).count("PointCloud2") <= 1
+
+
+@each("broken", [field(13), field(-4), field(0, count=4), field(0, 0), field(0, 99), field(2**31, name="intensity")])
+def test_a_damaged_field_that_is_not_needed_is_left_out(broken, caplog):
+    given = message(columns(ring=np.arange(60, dtype="u2")))
+    given.fields.append(broken)
+    scan = scan_from_point_cloud2(given)
+    np.testing.assert_array_equal(scan.points[:, :3], np.column_stack(list(columns().values())[:3]))
+    np.testing.assert_array_equal(scan.ring, np.arange(60))
+    assert scan.time is None
+    assert "the field is left out" in caplog.text
 
 
 def test_options_that_make_no_sense():

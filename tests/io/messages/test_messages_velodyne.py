@@ -170,7 +170,8 @@ def capture(path, packets, sources=("192.168.1.201",), link=1):
             ip = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + source + b"\xff" * 4 + udp
             ethernet = b"\xff" * 6 + b"\1\2\3\4\5\6" + b"\x08\x00" + ip
             sll = struct.pack(">HHH8sH", 0, 1, 6, b"", 0x0800) + ip
-            raw = ethernet if link == 1 else sll
+            sll2 = struct.pack(">HHiHBB8s", 0x0800, 0, 1, 1, 0, 6, b"") + ip
+            raw = {1: ethernet, 113: sll, 276: sll2, 0: struct.pack("<I", 2) + ip}.get(link, ip)
             file.write(struct.pack("<IIII", 1000 + k // 1000, k % 1000 * 1000, len(raw), len(raw)) + raw)
 
 
@@ -190,8 +191,23 @@ def test_what_is_left_at_the_end_is_no_scan(recorded, tmp_path, caplog):
     assert len(list(scans_from_pcap(path))) == 2
     capture(path, packets[:100])
     refused("drive.pcap has no whole turn of the sensor, only 23", list, scans_from_pcap(path), error=OgmError)
-    capture(path, packets[:302], link=113)  # "any" device of Linux
-    assert len(list(scans_from_pcap(path))) == 2
+
+
+@each("link", [1, 113, 276, 101, 12, 228, 0])  # Ethernet, the "any" device of Linux (two versions), IP alone, loopback
+def test_captures_of_all_link_layers(link, tmp_path):
+    path = tmp_path / "drive.pcap"
+    firings = [np.full(600, 100 * n % 36000, "<u2").tobytes() + b"\0\0\0\0\x37\x22" for n in range(725)]
+    packets = [b"\xff\xee" + one[:2] + one[4:] for one in firings]
+    damaged = [one[:-1] + b"\x99" if n == 7 else one for n, one in enumerate(packets)]
+    capture(path, damaged, link=link)
+    assert len(list(scans_from_pcap(path, no_returns=False))) == 2
+
+
+def test_captures_of_other_link_layers_are_refused(tmp_path):
+    capture(tmp_path / "drive.pcap", [b"x"], link=127)
+    refused(
+        "capture of link layer 127, wanted Ethernet", list, scans_from_pcap(tmp_path / "drive.pcap"), error=OgmError
+    )
 
 
 def test_several_sensors_in_one_capture(recorded, tmp_path):

@@ -1,0 +1,288 @@
+"""Clocks of a log: where stamps go back, jump or are wrong against the order in which messages were recorded."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+BACK = 0.5  # [s] by which stamps fall behind the log time in one step, and go back, where a clock was put back
+AHEAD = 60.0  # [s] by which stamps run ahead of the log time in one step where a clock was put ahead
+AGREE = 3  # scans in a row that agree with each other, from which a clock is believed to be another
+LATE = 10.0  # [s] behind the newest stamp, up to which a single scan is late and not wrong
+_NEAR = 2.0  # [s] of log time within which topics that are cut are cut together
+_SPEEDS = (0.5, 2.0)  # of stamps against log time, between which they are taken for 1
+_APART = 1000.0  # [s] between two parts on the time line: more than any transform is interpolated over
+_SLACK = 1.0  # [s] by which messages of one time are recorded one after the other
+_COARSE = 2.0**-9  # [s] the least step of stamps that are too coarse: that of 32 bits is a power of 2
+_START = 10.0  # [s] after 0, up to which the scan after one of stamp 0 shows that its clock began at 0
+STRAY = -1
+"""Part of a scan with a stamp that agrees with no other."""
+
+
+class ClockFinding(NamedTuple):
+    """A fault of the clock of a topic.
+
+    Attributes
+    ----------
+    kind : str
+        "clock put back", "clock put ahead", "wrong stamps", "missing stamps" or "coarse stamps".
+    what : str
+        The fault, in words.
+    where : str
+        Topic and log time.
+    way_out : str
+        What becomes of it, and what the user can do.
+    """
+
+    kind: str
+    what: str
+    where: str
+    way_out: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.what}; {self.way_out}"
+
+
+def clock_parts(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the part of a drive that each message of a topic belongs to, by its clock; `STRAY` for wrong stamps.
+
+    A part ends where stamps go back while log time goes on (a simulation or a recording that began anew, a clock that
+    was put back), or run far ahead of it, and at least three stamps in a row then agree with each other. Fewer are
+    wrong stamps. A single stamp of up to 10 s behind the newest is that of a late message.
+
+    Parameters
+    ----------
+    log_times : (K,) float64
+        When messages were recorded [s], in rising order.
+    stamps : (K,) float64
+        Of their headers [s]; NaN where unset.
+
+    Returns
+    -------
+    (K,) int64
+        Parts count from 0, in the order of log time.
+    """
+    parts = np.full(len(stamps), STRAY)
+    known = np.flatnonzero(np.isfinite(stamps))
+    speed = _speed(log_times[known], stamps[known])
+    if speed is None:
+        parts[known] = 0
+        return parts
+    t, s = (log_times * speed).tolist(), stamps.tolist()
+
+    def follows(k: int, last: int) -> bool:
+        """Return whether message k has a stamp of the clock of an earlier message."""
+        step, passed = s[k] - s[last], t[k] - t[last]
+        return not (step < 0 and passed - step > BACK) and step - passed <= AHEAD
+
+    def drift(k: int, last: int) -> float:
+        """Return by how much stamps went apart from log time between two messages [s]."""
+        return float(abs(s[k] - s[last] - t[k] + t[last]))
+
+    part, newest = 0, -1
+    waiting: list[int] = []  # messages that do not follow the newest of the part, but each other
+    for k in known.tolist():
+        catches_up = bool(waiting) and follows(k, waiting[-1]) and drift(k, waiting[-1]) < drift(k, newest)
+        if newest < 0 or (follows(k, newest) and not catches_up):
+            parts[k] = part
+            newest = k if newest < 0 or s[k] >= s[newest] else newest
+            waiting = []
+            continue
+        waiting = [*waiting, k] if waiting and follows(k, waiting[-1]) else [k]
+        if 0 < s[newest] - s[k] <= LATE:
+            parts[k] = part  # a late message, unless more follow
+        if len(waiting) == AGREE:
+            alone = np.flatnonzero(parts == part)
+            alone = alone[alone < waiting[0]]
+            if len(alone) < AGREE:  # before a driver had its clock set
+                parts[alone] = STRAY
+            else:
+                part += 1
+            parts[waiting] = part
+            newest, waiting = waiting[-1], []
+    return parts
+
+
+def _speed(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> float | None:
+    """Return how fast stamps run against log time; None where log times do not tell the order of messages."""
+    steps, passed = np.diff(stamps), np.diff(log_times)
+    if len(steps) < AGREE or not np.count_nonzero(passed > 0) > len(passed) / 2:
+        return None
+    speed = float(np.median(steps[passed > 0] / passed[passed > 0]))
+    return speed if speed > _SPEEDS[1] or 0 < speed < _SPEEDS[0] else 1.0
+
+
+def joint_parts(
+    log_times: Sequence[NDArray[np.float64]], parts: Sequence[NDArray[np.int64]]
+) -> list[NDArray[np.int64]]:
+    """Return the parts of several topics as those of one drive, which ends a part where one of them does.
+
+    Parameters
+    ----------
+    log_times : sequence of (K,) float64
+        Of each topic [s].
+    parts : sequence of (K,) int64
+        Of `clock_parts`.
+
+    Returns
+    -------
+    list of (K,) int64
+    """
+    starts = [
+        (float(times[np.argmax(own == number)]), topic, number)
+        for topic, (times, own) in enumerate(zip(log_times, parts, strict=True))
+        for number in range(1, int(own.max(initial=0)) + 1)
+    ]
+    cuts: list[list[tuple[float, int, int]]] = []
+    for start in sorted(starts):
+        if cuts and start[0] - cuts[-1][-1][0] <= _NEAR and start[1] not in [one[1] for one in cuts[-1]]:
+            cuts[-1].append(start)
+        else:
+            cuts.append([start])
+    joined = []
+    for topic, (times, own) in enumerate(zip(log_times, parts, strict=True)):
+        passed = np.zeros(len(own), np.int64)
+        for cut in cuts:
+            mine = [number for _, one, number in cut if one == topic]
+            passed += own >= mine[0] if mine else times >= cut[0][0]
+        joined.append(np.where(own == STRAY, STRAY, passed))
+    return joined
+
+
+def _begun_at_zero(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return stamps, in the order of log time, with 0 instead of NaN where a clock began at 0 with that message."""
+    unset = np.isnan(stamps)
+    after = np.append(stamps[1:], np.nan)
+    with np.errstate(invalid="ignore"):
+        return np.where(unset & (after > 0) & (after < _START), 0.0, stamps)
+
+
+def clock_findings(
+    topic: str, log_times: NDArray[np.float64], stamps: NDArray[np.float64], parts: NDArray[np.int64]
+) -> list[ClockFinding]:
+    """Return the faults of the clock of a topic, worst first.
+
+    Parameters
+    ----------
+    topic : str
+    log_times, stamps : (K,) float64
+        Arguments of `clock_parts`.
+    parts : (K,) int64
+        Result of `clock_parts`.
+    """
+    found = []
+    known = np.isfinite(stamps)
+    s, t = stamps[known], log_times[known]
+    same = (np.diff(s) == 0) & (np.diff(t) > 0)
+    if len(same) >= AGREE and 2 * np.count_nonzero(same) > len(same) and not (s % _COARSE).any():
+        different = np.unique(s)
+        what = f"{len(s)} scans have {len(different)} different stamps in {t[-1] - t[0]:.3g} s"
+        way = "they are too coarse for poses: record or convert the log anew with whole stamps (64 bits)"
+        found.append(ClockFinding("coarse stamps", what, topic, way))
+    numbers = [n for n in np.unique(parts) if n != STRAY]
+    for before, after in zip(numbers, numbers[1:], strict=False):
+        last, first = np.flatnonzero(parts == before)[-1], np.flatnonzero(parts == after)[0]
+        old, new, passed = stamps[parts == before].max(), stamps[first], log_times[first] - log_times[last]
+        back = new < old
+        what = f"stamps {'go back' if back else 'jump'} from {old:.6f} to {new:.6f} s while {passed:.3g} s pass"
+        way = "the drive is cut there into parts, of which --sequence picks one"
+        where = f"{topic} at log time {log_times[first]:.3f} s"
+        found.append(ClockFinding("clock put back" if back else "clock put ahead", what, where, way))
+    strays = known & (parts == STRAY)
+    if strays.any():
+        k = int(np.argmax(strays))
+        what = f"{np.count_nonzero(strays)} of {len(stamps)} stamps agree with no other, the first is {stamps[k]:.6f} s"
+        where = f"{topic} at log time {log_times[k]:.3f} s"
+        found.append(ClockFinding("wrong stamps", what, where, "these scans are left out"))
+    if not known.all():
+        what = f"{np.count_nonzero(~known)} of {len(stamps)} headers have no stamp (0)"
+        way = "these scans are left out" if known.any() else "poses cannot be looked up: estimate them (--odometry)"
+        found.append(ClockFinding("missing stamps", what, topic, way))
+    return found
+
+
+class DriveClock:
+    """Clock of the scans of a log: the parts of the drive, and one time line on which no two parts overlap.
+
+    Parameters
+    ----------
+    topics : sequence of K str
+        Topic of each scan, in the order of log time.
+    log_times, stamps : (K,) float64
+        Of the scans [s]; a stamp is NaN where the header has none.
+
+    Attributes
+    ----------
+    stamps : (K,) float64
+        [s]; 0 instead of NaN where a clock began at 0 with the scan.
+    parts : (K,) int64
+        Part of each scan, from 0; `STRAY` for scans that are left out.
+    findings : list of ClockFinding
+        Faults, worst first.
+    """
+
+    def __init__(self, topics: Sequence[str], log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> None:
+        self.stamps, self.parts = stamps.copy(), np.zeros(len(stamps), np.int64)
+        rows = {
+            name: np.array([n for n, topic in enumerate(topics) if topic == name]) for name in dict.fromkeys(topics)
+        }
+        for mine in rows.values():
+            self.stamps[mine] = _begun_at_zero(stamps[mine])
+        own = [clock_parts(log_times[mine], self.stamps[mine]) for mine in rows.values()]
+        self.findings = [
+            finding
+            for (name, mine), parts in zip(rows.items(), own, strict=True)
+            for finding in clock_findings(name, log_times[mine], self.stamps[mine], parts)
+        ]
+        if np.isnan(self.stamps).all():
+            return
+        for mine, parts in zip(
+            rows.values(), joint_parts([log_times[mine] for mine in rows.values()], own), strict=True
+        ):
+            self.parts[mine] = parts
+        self._spans, self._offsets = [], []  # log times of each part [s], and log time minus stamp
+        self._shifts, end = [], -np.inf
+        for number in range(int(self.parts.max()) + 1):
+            mine = self.parts == number
+            first, last = float(self.stamps[mine].min()), float(self.stamps[mine].max())
+            shift = float(np.ceil(end + _APART - first)) if first < end + _APART else 0.0
+            self._shifts.append(shift)
+            end = max(end, last + shift)
+            self._spans.append((float(log_times[mine].min()), float(log_times[mine].max())))
+            self._offsets.append(float(np.median(log_times[mine] - self.stamps[mine])))
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the drive has several parts."""
+        return int(self.parts.max(initial=0)) > 0
+
+    def shifted(self, stamps: NDArray[np.float64], parts: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return stamps of some parts on the time line, (M,) [s]."""
+        return stamps + np.array(self._shifts)[parts] if self.is_cut else stamps
+
+    def on_line(self, log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the stamps of the messages of another topic on the time line, (M,) [s].
+
+        The part of a message is that of the scans that were recorded at its time. Near a cut it is the part whose scans
+        were recorded as long after their stamps, apart from the usual delay of the topic.
+
+        Parameters
+        ----------
+        log_times, stamps : (M,) float64
+            [s]
+        """
+        if not self.is_cut or not len(stamps):
+            return stamps
+        (first, last), offsets = np.array(self._spans).T, np.array(self._offsets)
+        part = np.clip(np.searchsorted(first, log_times, "right") - 1, 0, None)
+        behind = log_times - stamps
+        behind = behind - np.median(behind - offsets[part])
+        best, found = np.full(len(stamps), np.inf), part.copy()
+        for n, offset in enumerate(offsets):
+            possible = (n == part) | ((n == part - 1) & (log_times <= first[part] + _SLACK))
+            if n:
+                possible |= (n == part + 1) & (log_times >= last[n - 1] - _SLACK)
+            distance = np.where(possible, np.abs(behind - offset), np.inf)
+            found, best = np.where(distance < best, n, found), np.minimum(distance, best)
+        return np.asarray(stamps + np.array(self._shifts)[found])
