@@ -4,8 +4,8 @@
     python tests/fuzz/run.py --one FOUND            # reads one input again and shows its traceback
     python tests/fuzz/run.py --again FOLDER         # reads all inputs that are kept in a folder
 
-`--inputs` is of each target, `--minutes` of all together; what comes first ends a target. Input k of a target is a pure
-function of the seed, the target's name and k. A failure is one of
+`--inputs` is of each target, `--minutes` of processor time of all together, in equal shares; what
+comes first ends a target. Input k of a target is a pure function of the seed, the target's name and k. A failure is one of
 
   crash         the process died by a signal, or left without an answer
   hang          more than 2 s of processor time, or five minutes on the clock
@@ -77,8 +77,11 @@ def processor_time(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def run_batch(make: Maker, source: Source, row: Row, numbers: range, end: float, found: Found) -> int:
-    """Read inputs in a process of their own until one fails to return; return the number of the next input."""
+def run_batch(make: Maker, source: Source, row: Row, numbers: range, seconds: float, found: Found) -> tuple[int, float]:
+    """Read inputs in a process of their own until one fails to return.
+
+    Return the number of the next input, and the processor time that the inputs took [s].
+    """
     watch = Watch()
     read, write = os.pipe()
     process = os.fork()
@@ -87,7 +90,7 @@ def run_batch(make: Maker, source: Source, row: Row, numbers: range, end: float,
         code = 1
         try:
             work(
-                make, source, numbers, end, watch,
+                make, source, numbers, seconds, watch,
                 lambda one: os.write(write, json.dumps(one).encode() + b"\n") and None,
             )  # fmt: skip
             code = 0
@@ -114,7 +117,7 @@ def run_batch(make: Maker, source: Source, row: Row, numbers: range, end: float,
             os.kill(process, signal.SIGKILL)
     told += _drained(read)
     os.close(read)
-    number, _, _, accepted, refused, peak, after = watch.get() or (-1, 0, 0, 0, 0, 0, numbers.start)
+    number, _, spent, accepted, refused, peak, after = watch.get() or (-1, 0, 0.0, 0, 0, 0, numbers.start)
     row.accepted, row.refused, row.peak = row.accepted + accepted, row.refused + refused, max(row.peak, peak)
     for line in told.splitlines():
         at, kind, what = json.loads(line)
@@ -127,7 +130,7 @@ def run_batch(make: Maker, source: Source, row: Row, numbers: range, end: float,
         found(number, "hang" if killed else "crash", killed or f"signal {status & 127}, code {status >> 8}")
         after = number + 1
     row.inputs += after - numbers.start
-    return after
+    return after, spent
 
 
 def tell(pipe: int, one: Any) -> None:
@@ -144,15 +147,16 @@ def _drained(pipe: int) -> bytes:
 
 
 def fuzz(make: Maker, row: Row, source: Source, inputs: int, seconds: float, keep: str = "") -> None:
-    """Read inputs of a target, as many as wanted or as the time allows; keep the first of each failure."""
+    """Read inputs of a target, as many as wanted or as the processor time allows; keep the first of each failure."""
     begun, number = time.monotonic(), 0
 
     def found(at: int, kind: str, what: str) -> None:
         if row.add(kind, what, at) and keep:
             keep_input(make, source, at, Path(f"{keep}.{at}"))
 
-    while number < inputs and time.monotonic() - begun < seconds:
-        number = run_batch(make, source, row, range(number, min(number + BATCH, inputs)), begun + seconds, found)
+    while number < inputs and seconds > 0:
+        number, spent = run_batch(make, source, row, range(number, min(number + BATCH, inputs)), seconds, found)
+        seconds -= spent
     row.seconds += time.monotonic() - begun
 
 
@@ -200,7 +204,9 @@ def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--inputs", type=int, default=10**9, help="of each target")
-    parser.add_argument("--minutes", type=float, default=None, help="of all targets together; by default 1")
+    parser.add_argument(
+        "--minutes", type=float, default=None, help="of processor time of all targets, in equal shares; by default 1"
+    )
     parser.add_argument("--target", default="*", help="a pattern, such as 'grid-*'")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--one", type=Path, help="a kept input, or TARGET.SEED.NUMBER")
@@ -226,9 +232,8 @@ def main() -> int:
             importlib.import_module(package)  # once, not in every process
     print(f"{'target':26}" + "".join(f"{name:>9}" for name in HEAD), flush=True)
     rows: list[Row] = []
-    end = time.monotonic() + 60 * minutes
-    for k, name in enumerate(names):
-        share = (end - time.monotonic()) / (len(names) - k)  # what earlier ones left is for later ones
+    share = 60 * minutes / len(names)
+    for name in names:
         rows.append(Row(name))
         if given.again:
             fuzz(makers[name], rows[-1], kept_files(kept[name]), len(kept[name]), share)

@@ -136,8 +136,10 @@ def place(error: BaseException) -> str:
     return f"{type(error).__name__} in {' > '.join(where)}" + (f": {error}" if type(error) is AssertionError else "")
 
 
-def work(make: Maker, source: Source, numbers: range, end: float, watch: Watch, tell: Callable[[Any], None]) -> None:
-    """Read inputs one after the other and tell the failures; `end` is on the clock."""
+def work(
+    make: Maker, source: Source, numbers: range, seconds: float, watch: Watch, tell: Callable[[Any], None]
+) -> None:
+    """Read inputs one after the other and tell the failures; `seconds` are of processor time, from the first input on."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     logging.disable(logging.CRITICAL)
@@ -155,11 +157,12 @@ def work(make: Maker, source: Source, numbers: range, end: float, watch: Watch, 
         have = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (have + ROOM, have + ROOM))
         memory, failed, most, number, first = Memory(), 0, 0, numbers.start, numbers.start
+        ready = time.process_time()
         for number in numbers:
             changed = source(target, number)
             if not target.in_memory:
                 lay(folder, changed)
-            begun, before = time.monotonic(), memory.begin()
+            before = memory.begin()
             done = number - first - refused[0] - failed
             watch.set(number, time.process_time(), done, refused[0], most, number)
             failures = judge(target, folder, changed, refused)
@@ -172,6 +175,8 @@ def work(make: Maker, source: Source, numbers: range, end: float, watch: Watch, 
                 tell([number, kind, what])
             if not target.in_memory:
                 lay(folder, {one: target.files[one] for one in changed})
-            if begun > end:
+            if time.process_time() - ready > seconds:
                 break
-        watch.set(-2, 0.0, number + 1 - first - refused[0] - failed, refused[0], most, number + 1)
+        watch.set(
+            -2, time.process_time() - ready, number + 1 - first - refused[0] - failed, refused[0], most, number + 1
+        )
