@@ -5,7 +5,8 @@
     python tests/fuzz/run.py --again FOLDER         # reads all inputs that are kept in a folder
 
 `--inputs` is of each target, `--minutes` of processor time of all together, in equal shares; what
-comes first ends a target. Input k of a target is a pure function of the seed, the target's name and k. A failure is one of
+comes first ends a target. Input k of a target is a pure function of the seed, the target's name and k. A failure
+is one of
 
   crash         the process died by a signal, or left without an answer
   hang          more than 2 s of processor time, or five minutes on the clock

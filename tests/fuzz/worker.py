@@ -139,7 +139,7 @@ def place(error: BaseException) -> str:
 def work(
     make: Maker, source: Source, numbers: range, seconds: float, watch: Watch, tell: Callable[[Any], None]
 ) -> None:
-    """Read inputs one after the other and tell the failures; `seconds` are of processor time, from the first input on."""
+    """Read inputs one after the other and tell the failures; `seconds` are of processor time."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     logging.disable(logging.CRITICAL)
