@@ -18,7 +18,6 @@ from ogm.simulation.mesh import Mesh, box, merge
 from ogm.simulation.shape_scan import MOUNT, SPEC, rectangle, scan_shapes
 
 needs("open3d", "onnxruntime")
-pytestmark = pytest.mark.xdist_group("promise")
 
 HALF_LIVES = (2.0, float("inf"))
 STEP = 0.1  # [s]
