@@ -176,22 +176,23 @@ def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
 
 @kernel
 def _is_edge(one: int, other: int, apart: float, hits: Hits) -> bool:
-    """Tell whether two rays, `apart` [rad], hit surfaces behind one another, and not one or two that meet.
+    """Return whether two rays, `apart` [rad], hit surfaces behind one another: not one that slants, nor two that meet.
 
     Surfaces meet where one, continued as a plane, reaches the distance of the other between the rays. A plane that is
     hit at distance d and incidence a has distance D on the next ray, with ``|D - d| <= apart * D * tan(a)``.
     """
     near, far = (one, other) if hits.distance[one] < hits.distance[other] else (other, one)
-    gap = 1.0 * hits.distance[far] - hits.distance[near]
+    gap: float = 1.0 * hits.distance[far] - hits.distance[near]
     if not gap > EDGE:  # also if both hit nothing
         return False
     c = max(1.0 * hits.cosine[near], 1e-3)
-    slant = BEND * apart * math.sqrt(max(1 - c * c, 0.0)) / c
+    slant: float = BEND * apart * math.sqrt(max(1 - c * c, 0.0)) / c
     if gap == math.inf:
         return slant < 1
     c = max(1.0 * hits.cosine[far], 1e-3)
     back = BEND * apart * math.sqrt(max(1 - c * c, 0.0)) / c
-    return gap > EDGE + max(slant * hits.distance[far], back * hits.distance[near])
+    reach: float = max(slant * hits.distance[far], back * hits.distance[near])
+    return gap > EDGE + reach
 
 
 @kernel
