@@ -18,6 +18,7 @@ GLANCE = 2.0  # strength of a specular reflection seen head-on, of a white targe
 FINE, COARSE = 0.8, 20.0  # [m] patches of a surface that differ in reflectivity
 VARIETY = 0.1  # that no table of materials holds: what static surfaces differ more by
 EDGE = 0.15  # [m] a smaller step of the range between neighbouring rays is no edge
+BEND = 1.5  # times the step that a plane would show, up to which surfaces meet: ground bends
 PULSE = 0.6  # [m] returns closer together than this melt into one
 SMEAR = 2.5  # [m] returns closer together than this may do so
 SMEARED = 0.15  # share of those that do
@@ -174,16 +175,38 @@ def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
 
 
 @kernel
-def _share_light(i: int, distance: Array, strength: Array, device: Device, seed: int) -> tuple[float, float, int]:
+def _is_edge(one: int, other: int, apart: float, hits: Hits) -> bool:
+    """Return whether two rays, `apart` [rad], hit surfaces behind one another: not one that slants, nor two that meet.
+
+    Surfaces meet where one, continued as a plane, reaches the distance of the other between the rays. A plane that is
+    hit at distance d and incidence a has distance D on the next ray, with ``|D - d| <= apart * D * tan(a)``.
+    """
+    near, far = (one, other) if hits.distance[one] < hits.distance[other] else (other, one)
+    gap: float = 1.0 * hits.distance[far] - hits.distance[near]
+    if not gap > EDGE:  # also if both hit nothing
+        return False
+    c = max(1.0 * hits.cosine[near], 1e-3)
+    slant: float = BEND * apart * math.sqrt(max(1 - c * c, 0.0)) / c
+    if gap == math.inf:
+        return slant < 1
+    c = max(1.0 * hits.cosine[far], 1e-3)
+    back = BEND * apart * math.sqrt(max(1 - c * c, 0.0)) / c
+    reach: float = max(slant * hits.distance[far], back * hits.distance[near])
+    return gap > EDGE + reach
+
+
+@kernel
+def _share_light(i: int, hits: Hits, strength: Array, device: Device, seed: int) -> tuple[float, float, int]:
     """Return distance, strength and source of the light of ray i, whose beam's edge may lap over to neighbours."""
+    distance = hits.distance
     d, p, source = 1.0 * distance[i], 1.0 * strength[i], i
     for side in range(4):
         other, pair, half = _neighbour(i, side, device)
         if half <= 0:
             continue
-        gap = abs(distance[other] - distance[i])
-        if not gap > EDGE:  # also if both hit nothing
+        if not _is_edge(i, other, device.divergence / (2 * half), hits):
             continue
+        gap = abs(distance[other] - distance[i])
         edge = uniform(pair, seed)  # where it lies between the two rays' middles
         if i > other:
             edge = 1 - edge
@@ -225,7 +248,7 @@ def receive(hits: Hits, strength: Array, device: Device, air: Air, steady: Array
     for i in range(device.layers * device.columns):
         image.range[i], image.intensity[i], image.object[i], image.material[i] = 0, 0, -1, NOTHING
         layer = i // device.columns
-        d, p, source = _share_light(i, hits.distance, strength, device, seed)
+        d, p, source = _share_light(i, hits, strength, device, seed)
         m, owner = hits.material[source], hits.object[source]
         if m == FOLIAGE:  # leaves fill part of the beam
             p *= 0.1 + 0.9 * uniform(8 * i, seed + 2)

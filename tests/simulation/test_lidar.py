@@ -245,6 +245,16 @@ def test_edges_are_mixed_only_by_beams_that_are_wide() -> None:
     assert between(replace(VLP, divergence=0.0015)) < between(VLP)
 
 
+@each("name", ["vlp-32c", "os1-64"])
+def test_a_plane_has_no_edges_however_much_it_slants(name: str) -> None:
+    """Layers meet far ground metres apart, yet no return of it lies above it."""
+    spec = replace(LIDARS[name], range_noise=0.0, range_bias=0.0)
+    ground = box([-3000, -3000, -1], [3000, 3000, 0], Material.MARKING)
+    points, *_ = to_points(scan(Scene(ground, threads=1), spec, T, rng()), spec)
+    assert len(points) > 10_000
+    assert np.abs(points[:, 2] + 1.9).max() < 0.02
+
+
 # --- losses and strengths ---
 
 
