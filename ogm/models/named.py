@@ -31,7 +31,7 @@ GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-rele
 LITE = "lite"
 COMBINED = "combined"
 COMBINATION: dict[str, Any] = {  # of `ray` and `lite`, fitted to simulated validation towns, see docs/deep.md
-    "reliability": (StateReliability(free=1.0, occupied=0.5), StateReliability(free=0.79, occupied=1.0)),
+    "reliability": (StateReliability(free=1.0, occupied=0.8), StateReliability(free=0.79, occupied=1.0)),
     "free_gates": (FreeGate(share=0.0, low=0.63, high=0.65), FreeGate(share=0.75, low=0.0, high=0.23)),
 }
 MODELS = {  # name: description
