@@ -63,8 +63,8 @@ def receive_frames(
     """Yield the frames that come over a TCP connection, one connection at a time.
 
     A connection replaces the one before with its first valid header, so that a driver that was restarted need not wait
-    and health checks, which send nothing, disturb nobody. A message that is wrong ends its connection alone. Whoever can connect is trusted to send points: listen on the loopback address, or
-    on a network of your own.
+    and health checks, which send nothing, disturb nobody. A message that is wrong ends its connection alone. Whoever
+    can connect is trusted to send points: listen on the loopback address, or on a network of your own.
 
     Parameters
     ----------
