@@ -23,8 +23,7 @@ _TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a
 
 def namespace(array: Any, name: str = "mass") -> Any:
     """Return the module, numpy or torch, that `array` belongs to; refuse everything else."""
-    if isinstance(array, np.ma.MaskedArray):
-        raise TypeError(f"{name} must not be a masked array, as masks are ignored here; fill it: {name}.filled(0)")
+    refuse_masked(array, name)
     if isinstance(array, np.ndarray | np.generic):
         return np
     torch = sys.modules.get("torch")
@@ -33,6 +32,12 @@ def namespace(array: Any, name: str = "mass") -> Any:
     raise TypeError(
         f"{name} must be a numpy array or a torch tensor, got {type(array).__name__}; wrap it: np.asarray({name})"
     )
+
+
+def refuse_masked(array: Any, name: str) -> None:
+    """Raise TypeError for a masked array: its mask would be dropped, and what it hides used."""
+    if isinstance(array, np.ma.MaskedArray):
+        raise TypeError(f"{name} must not be a masked array, as masks are ignored here; fill it: {name}.filled(0)")
 
 
 def dtype_name(array: Any) -> str:

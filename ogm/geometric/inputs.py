@@ -12,7 +12,7 @@ from ogm.scan import Mount, Scan, check_mount, mount_of
 
 _log = logging.getLogger(__name__)
 
-_REACH = 1e6  # [m] also keeps what follows from overflowing
+REACH = 1e6  # [m] also keeps what follows from overflowing
 
 
 def check_sensor_in_grid(spec: GridSpec, mount: Mount | None) -> None:
@@ -44,7 +44,7 @@ def check_within(name: str, value: float, low: float, high: float) -> None:
 
 def usable_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which points are finite and within 1000 km, (N,); log how many are not."""
-    usable = np.asarray((np.abs(points[:, :3]) < _REACH).all(axis=1))
+    usable = np.asarray((np.abs(points[:, :3]) < REACH).all(axis=1))
     if invalid := len(points) - int(np.count_nonzero(usable)):
         _warn(invalid, len(points))
     return usable
@@ -86,7 +86,7 @@ def _transform_and_drop(points: Any, T: Any, footprint: Any) -> Any:
     r10, r11, r12, ty = T[1]
     r20, r21, r22, tz = T[2]
     x_min, x_max, y_min, y_max = footprint
-    limit = np.float32(_REACH)
+    limit = np.float32(REACH)
     xyz = np.empty((3, points.shape[0]), np.float32)
     kept, invalid, ego = 0, 0, 0
     for n in range(points.shape[0]):

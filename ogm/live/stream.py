@@ -85,36 +85,34 @@ def receive_frames(
     """
     stop, count = stop or Event(), 0
     listener.setblocking(False)
-    silent: list[_Connection] = []  # without a header so far
-    sender: _Connection | None = None
+    connections: list[_Connection] = []
+    sender: _Connection | None = None  # of the scans; the others have sent no header so far
     told: set[tuple[str, str]] = set()
     try:
         while not stop.is_set():
-            connections = [*silent, sender] if sender else silent
-            ready = select.select([listener, *connections], [], [], POLL)[0]
+            waiting: list[socket.socket | _Connection] = [listener, *connections]
+            ready = select.select(waiting, [], [], POLL)[0]
             if listener in ready and (accepted := _accept(listener)) is not None:
-                silent.append(accepted)
-                if len(silent) > MAX_SILENT:
-                    silent.pop(0).end("")
-            for connection in ready:
-                if connection is not sender and connection not in silent:
-                    continue  # the listener, or closed since
+                connections.append(accepted)
+                if len(connections) > MAX_SILENT + 1:
+                    oldest = next(one for one in connections if one is not sender)
+                    connections.remove(oldest)
+                    oldest.end("")
+            for connection in [one for one in connections if one in ready]:
+                if connection not in connections:
+                    continue  # replaced by the one before
                 try:
                     message = connection.receive()
                 except (OgmError, OSError) as error:
-                    line = connection.end(str(error))
-                    if connection is sender:
-                        sender = None
-                        on_end(line)
-                        continue
-                    silent.remove(connection)
-                    if connection.begun and (connection.host, str(error)) not in told:
-                        told.add((connection.host, str(error)))
+                    connections.remove(connection)
+                    line, key = connection.end(str(error)), (connection.host, str(error))
+                    if connection is sender or (connection.begun and key not in told):
+                        told.add(key)
                         on_end(line)
                     continue
-                if connection in silent and connection.sends:
-                    silent.remove(connection)
-                    if sender is not None:
+                if connection.sends and connection is not sender:
+                    if sender is not None and sender in connections:
+                        connections.remove(sender)
                         on_end(sender.end("replaced by a new one"))
                     sender = connection
                 if message is not None:
@@ -124,7 +122,7 @@ def receive_frames(
                         scan, mount, None, None, T_map_sensor=T, stamp=scan.stamp, name=f"scan {count}", sequence="live"
                     )
     finally:
-        for connection in [*silent, sender] if sender else silent:
+        for connection in connections:
             connection.end("")
 
 

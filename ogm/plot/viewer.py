@@ -75,7 +75,8 @@ def write_view(
     Raises
     ------
     ValueError
-        If the name does not end in ``.html``, `layers` has other cells than `grid`, or there is no layer.
+        If the name does not end in ``.html``, the numbers of the grid are no masses, `layers` has other cells than
+        `grid`, or there is no layer.
 
     Notes
     -----
@@ -92,6 +93,7 @@ def write_view(
     if isinstance(grid, LayeredGrid):
         layers = grid
     else:
+        grid.check()
         masses = grid.to_evidential() if isinstance(grid, DynamicGrid) else grid
         stored.append(_Stored(("free", "occupied"), partial(_mass_rows, masses), halve_mass, 0, 0.0, 1 / FULL))
         shown += mass_layers(0)

@@ -86,6 +86,8 @@ def fuse_drive(
         run.map_all(progress(steps), movie, maps)
         if run.last is None:
             raise (KeyboardInterrupt if run.interrupted else ValueError("no scan could be mapped; nothing is written"))
+        for path in outputs.given().values():  # the folder may have been removed
+            path.parent.mkdir(parents=True, exist_ok=True)
         if outputs.map is not None and not is_log:
             write_grid(outputs.map, run.placed)
         if outputs.poses is not None:
