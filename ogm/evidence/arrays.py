@@ -10,6 +10,8 @@ for tensors, where reading a value would stall the GPU and stop tracing: use `ch
 
 import sys
 from collections.abc import Callable
+from functools import reduce
+from operator import add
 from typing import Any, TypeVar
 
 import numpy as np
@@ -254,8 +256,9 @@ def per_cell(value: Any, mass: Array) -> Array:
 def _outside(values: Any) -> Any:
     """Return how far each cell lies outside: below zero, or above one in sum. NaN fails every comparison."""
     xp = namespace(values)
-    below = -(values.min(-1) if xp is np else values.amin(-1))
-    above = values.sum(-1) - 1
+    states = [values[..., k] for k in range(values.shape[-1])]  # reductions of an axis of two are ten times as slow
+    below = -reduce(xp.minimum, states)
+    above = reduce(add, states) - 1
     return xp.where(below > above, below, above)
 
 
