@@ -232,7 +232,7 @@ def test_an_interrupt_does_not_wait_for_clients() -> None:
 
 def test_a_missing_sdk_is_named_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    refused(r"ogm-toolkit\[live\]", FoxglovePublisher, error=ImportError, port=0)
+    refused(r"pip install .*\[live\]", FoxglovePublisher, error=ImportError, port=0)
 
 
 # Never falling behind.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import install_line
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.placed import PlacedGrid, nanometres
@@ -312,6 +313,6 @@ def _need(path: Path, verb: str) -> Any:
     for_format = "zarr" if path.suffix.lower() == ".zarr" else "netCDF4"
     if find_spec(for_format) is None:
         raise ImportError(
-            f'{path} cannot be {verb} without the package {for_format}: pip install "ogm-toolkit[geo]"', name=for_format
+            f"{path} cannot be {verb} without the package {for_format}: {install_line('geo')}", name=for_format
         )
     return xarray
