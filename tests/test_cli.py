@@ -13,7 +13,7 @@ from typer.main import get_command
 
 from ogm import EvidentialGrid
 from ogm.cli import app
-from ogm.cli.console import distinct
+from ogm.cli.console import distinct, with_options
 
 
 @pytest.fixture
@@ -50,6 +50,55 @@ def test_map_writes_the_grid_and_its_picture(scan: Path, tmp_path: Path, model: 
     assert ("sensor height 1.70 m, estimated" in result.output) == (model != "height-band-released")
     assert EvidentialGrid.load(out).at(8.1, 0.1).occupied > 0.15
     assert picture.exists()
+
+
+UNKNOWN = {  # change of the points, and what is told
+    (1000, (0, 0, 0)): "in millimetres? Divide them by 1000",
+    (1, (1500, -800, 115)): "in map coordinates, around (1500, -800, 113) m? Give --sensor-position, or points",
+    (1, (0, 0, -15)): "the ground is expected at z -1.70 m: check --sensor-height and --axes",
+    (3, (0, 0, 0)): "",
+    (1, (0, 60, 0)): "in map coordinates, around (0, 60, -2) m?",
+}
+
+
+@each("change", UNKNOWN)
+def test_a_scan_that_shows_nothing_is_an_error_that_tells_where_its_points_lie(
+    scan: Path, tmp_path: Path, change: tuple[int, tuple[int, int, int]]
+) -> None:
+    points = np.fromfile(scan, np.float32).reshape(-1, 4)
+    points[:, :3] = points[:, :3] * change[0] + np.float32(change[1])
+    other = scan.with_name("other.bin")
+    points.tofile(other)
+    words = ("--ism", "ray", "--sensor-height", 1.7, "--out", tmp_path / "o.npz", *SMALL)
+    if UNKNOWN[change]:
+        refused_command(f"{UNKNOWN[change]}", "map", other, *words)
+        assert not (tmp_path / "o.npz").exists()
+    else:  # the ground is seen too high, but some of it is on the grid
+        assert "written" in completed("map", other, *words).output
+
+
+def test_default_names_replace_no_other_grid(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("map", scan, "--ism", "ray", "--sensor-height", 1.7)
+    for _ in range(2):
+        assert "written wall.npz, wall.png" in completed(*words, *SMALL).output
+    before = [Path(name).read_bytes() for name in ("wall.npz", "wall.png")]
+    refused_command("wall.npz is there already, of something else: give --out and --picture", *words)
+    Path("wall.npz").unlink()
+    refused_command("wall.png is there already", *words, *SMALL)
+    assert Path("wall.png").read_bytes() == before[1]
+
+
+def test_messages_have_the_words_of_the_command_line(scan: Path, tmp_path: Path) -> None:
+    assert with_options("give `sensor_height` [m], `window=rolling`, or `ogm fuse`; see `Scan.time`, `topic`") == (
+        "give --sensor-height [m], --window rolling, or `ogm fuse`; see `Scan.time`, --topic"
+    )
+    for words, message in (
+        (("map", scan, "--topic", "/a"), "--topic and --frame are for logs"),
+        (("map", scan, "--sensor", "radar"), "--sensor is for data sets"),
+        (("fuse", scan, "--out", tmp_path / "m.npz"), "give --poses (KITTI, KITTI-360, TUM), or --odometry kiss-icp"),
+    ):
+        refused_command(message, *words)
 
 
 def test_map_many_goes_on_after_a_bad_file(scan: Path, tmp_path: Path) -> None:

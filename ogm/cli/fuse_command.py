@@ -8,7 +8,7 @@ from rich.progress import track
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, out, print_facts, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, out, print_facts, report_errors, stderr
 from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
 from ogm.cli.options import File
 from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS
@@ -29,7 +29,6 @@ _MODELS = (
     "Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of `ogm calibrate`; "
     "of radars: radar, deep-radar; of both: ray+radar, lite+deep-radar, ..."
 )
-Model = Annotated[str, Option(help=_MODELS)]
 UsualModel = Annotated[
     str | None,
     Option(help=f"{_MODELS} [default: combined; ray where the network is not installed or does not suit the grid]"),
@@ -181,7 +180,7 @@ def fuse(
         dataset,
         outputs,
         options,
-        tell=lambda text: stderr.print(f"ogm: {text}", markup=False),
+        tell=complain,
         progress=lambda steps: track(steps, "mapping", len(dataset), console=stderr, transient=True),
     )
     print_facts(run.facts())
@@ -223,7 +222,7 @@ def _fuse_each(
             done += not one.error
             code = max(code, 2 if one.error else one.facts["code"])
             for text in [one.error] if one.error else one.facts["messages"]:
-                stderr.print(f"ogm: {one.name}: {text}", markup=False)
+                complain(f"{one.name}: {text}")
             rows[one.name] = "nothing is written" if one.error else f"{one.facts['scans']}, {one.facts['path']}"
             rows[one.name] += ", was finished before" if one.reused else ""
     except KeyboardInterrupt:

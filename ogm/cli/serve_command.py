@@ -12,9 +12,10 @@ import typer
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import first_call, out, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, first_call, out, report_errors
 from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
-from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Model, Odometry, Poses, Rule
+from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Odometry, Poses, Rule, UsualModel
+from ogm.extras import import_extra
 from ogm.storage.files import error_text
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def serve(
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
     first: First = None,
-    ism: Model = "ray",
+    ism: UsualModel = None,
     axes: options.Axes = "flu",
     sensor_height: options.SensorHeight = None,
     sensor_position: options.SensorPosition = None,
@@ -85,9 +86,10 @@ def serve(
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
+    import_extra("foxglove", "live")  # before kernels are compiled
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
-    model = load_model(with_radar(ism), spec)
+    model = load_model(with_radar(chosen_model(ism, spec)), spec)
     mapper = make_mapper(rule or "cautious", rolling_window(spec), half_life)
     if warning := adding_rule_warning(rule or "cautious"):
         _print(warning)
@@ -144,7 +146,7 @@ def _example(dataset: "Dataset") -> "Frame | None":
 
 def _print(line: object) -> None:
     """Print a line about the run, apart from its result."""
-    stderr.print(f"ogm: {line}", markup=False)
+    complain(str(line))
 
 
 def _listener(place: str) -> socket.socket:

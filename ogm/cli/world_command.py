@@ -8,7 +8,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import out, print_facts, report_errors, stderr
+from ogm.cli.console import chosen_model, out, print_facts, report_errors, stderr
+from ogm.cli.fuse_command import UsualModel
+from ogm.extras import import_extra
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -30,7 +32,6 @@ OutUrl = Annotated[str, Option("--out", help="The map: a new folder, s3://bucket
 PosesOf = Annotated[list[Path] | None, Option(help="Poses of each data set, in order: KITTI, TUM, .csv, .g2o.")]
 Calib = Annotated[Path | None, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
-Ism = Annotated[str, Option(help="Sensor model, as of `ogm fuse`.")]
 Rule = Annotated[str, Option(help="Combine by: cautious, dempster, cumulative. For a new map.")]
 Trust = Annotated[float, Option("--drive-reliability", help="Discount of each drive's map, (0, 1]. For a new map.")]
 Tile = Annotated[int, Option(help="Cells along a side of a tile, a power of two. For a new map.")]
@@ -50,7 +51,7 @@ def build(
     poses: PosesOf = None,
     calib: Calib = None,
     rate: Rate = 10.0,
-    ism: Ism = "ray",
+    ism: UsualModel = None,
     axes: options.Axes = "flu",
     length: options.Length = None,
     width: options.Width = None,
@@ -75,8 +76,9 @@ def build(
 
     if poses is not None and len(poses) != len(datasets):
         raise ValueError(f"give --poses once per data set, or never: got {len(poses)} for {len(datasets)}")
+    import_extra("zarr", "world")  # before scans are read
     spec = GridSpec.centered(length, width, resolution)
-    model = load_model(with_radar(ism), spec)
+    model = load_model(with_radar(chosen_model(ism, spec)), spec)
     opened = [(path, _open(path, axes, poses[n] if poses else None, calib, rate)) for n, path in enumerate(datasets)]
     drives = drives_of(opened)
     try:
@@ -92,6 +94,8 @@ def build(
         )
     with world, _progress() as show:
         build_world(world, drives, model, length=submap_length, workers=workers, scheduler=scheduler, progress=show)
+        if not world.tiles():
+            raise ValueError(f"{out_url} stays empty: no scan shows anything on the grid; `ogm map` of one tells why")
         world.build_overviews()
         _print(world)
 

@@ -151,11 +151,11 @@ def _recording(paths: list[Any], options: OpenOptions) -> Recording:
     recording = next((one for one in found if one is not None), None)
     own = () if recording is None else recording.own_options
     if options.sensors and "sensors" not in own:
-        raise ValueError(f"sensors (--sensor) is for data sets that `ogm simulate` made, which {path} is not")
+        raise ValueError(f"`sensors` is for data sets that `ogm simulate` made, which {path} is not")
     if (options.topic or options.frame is not None) and "topic" not in own:
-        raise ValueError(f"topic and frame (--topic, --frame) are for logs ({', '.join(LOG_ENDINGS)}), got {path}")
+        raise ValueError(f"`topic` and `frame` are for logs ({', '.join(LOG_ENDINGS)}), got {path}")
     if options.split is not None and "split" not in own:
-        raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
+        raise ValueError(f"`split` is for data sets that `ogm simulate` made, which {path} is not")
     if recording is None:
         grids = "it holds grids: give spec, their cells, to open them"
         raise OgmError(
@@ -171,16 +171,14 @@ def _check(recording: Recording, options: OpenOptions) -> None:
     turned = not np.array_equal(rotation_to_flu(options.axes), np.eye(3))
     if recording.known_axes and (turned or options.units):
         raise ValueError(
-            f"{path} ({recording.format}) has known axes and units; leave out axes, intensity_max and time_unit "
-            "(--axes, --intensity-max, --time-unit), or give its scans as files"
+            f"{path} ({recording.format}) has known axes and units; leave out `axes`, `intensity_max` "
+            "and `time_unit`, or give its scans as files"
         )
     if recording.known_truth and options.truth:
-        raise ValueError(
-            f"truth (--truth) is for recordings; {path} ({recording.format}) holds its truth itself: leave it out"
-        )
+        raise ValueError(f"`truth` is for recordings; {path} ({recording.format}) holds its truth itself: leave it out")
     if recording.known_mount and options.sensor_height is not None:
-        raise ValueError(f"{path} states its sensor's height; leave out sensor_height (--sensor-height)")
+        raise ValueError(f"{path} states its sensor's height; leave out `sensor_height`")
     if options.sensor_position is not None and (recording.known_mount or recording.known_axes):
         raise ValueError(
-            f"the points of {path} ({recording.format}) are in the sensor's frame; leave out sensor_position"
+            f"the points of {path} ({recording.format}) are in the sensor's frame; leave out `sensor_position`"
         )

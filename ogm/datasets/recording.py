@@ -219,7 +219,7 @@ class Recording(ABC):
         if not (heights := [height for height in estimates if height is not None]):
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
-                "so its height is not known: give sensor_height [m] (--sensor-height)"
+                "so its height is not known: give `sensor_height` [m]"
             )
         height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
         return plausible_sensor_height(height, f"{group} in {self.path}")

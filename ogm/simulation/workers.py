@@ -238,7 +238,7 @@ def _explained(store: Store) -> Iterator[None]:
         if number in (errno.ENOSPC, errno.EDQUOT):
             what, way = "the disk is full", "free some of it"
         elif type(error).__name__ in DIED:
-            what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer --workers"
+            what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer `workers`"
         else:
             raise
         way += f", then `ogm simulate {store.path} --resume`"

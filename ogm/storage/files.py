@@ -13,6 +13,7 @@ import secrets
 import shutil
 import stat
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,7 +40,7 @@ def error_text(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, MemoryError) and (type(error) is not MemoryError or not error.args):
-        return "out of memory: use a coarser --resolution, a smaller grid or fewer points"
+        return "out of memory: use a coarser `resolution`, a smaller grid or fewer points"
     return " ".join(str(error).split()) or type(error).__name__
 
 
@@ -79,6 +80,17 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO[
         os.fsync(file.fileno())
         target.parent.mkdir(parents=True, exist_ok=True)
         os.replace(name(), target)
+
+
+def check_writable(path: FilePath, what: str) -> None:
+    """Make the folder of an output; raise OSError, before any work, if the output cannot be written there."""
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        target, _ = replaced_path(path)
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise OSError(f"{what} cannot be written into {Path(path).parent}: {error_text(error)}") from error
 
 
 def replaced_path(path: FilePath) -> tuple[Path, int | None]:

@@ -107,7 +107,7 @@ def deaths_explained(finished: str) -> Iterator[None]:
             raise
         raise OSError(
             f"workers died ({type(error).__name__}), as when memory runs out; {finished} that were finished are kept: "
-            "the same command goes on, perhaps with fewer --workers"
+            "the same command goes on, perhaps with fewer `workers`"
         ) from error
 
 

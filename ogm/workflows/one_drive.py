@@ -57,7 +57,7 @@ def fuse_drive(
     Raises
     ------
     ValueError
-        If the drive has no poses, or no scan could be mapped.
+        If the drive has no poses, no scan could be mapped, or no scan shows anything on the grid.
     KeyboardInterrupt
         If it was interrupted before the first scan was mapped.
     """
@@ -65,7 +65,7 @@ def fuse_drive(
     o = options or FuseOptions()
     dataset = posed(dataset, o.odometry, o.rate, o.first)[0]
     if o.deskew and not dataset.motion_distorted:
-        raise ValueError("leave out --deskew: the points of this dataset are not (or not all) distorted by motion")
+        raise ValueError("leave out `deskew`: the points of this dataset are not (or not all) distorted by motion")
     if warning := adding_rule_warning(o.rule):
         tell(warning)
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
@@ -86,6 +86,7 @@ def fuse_drive(
         run.map_all(progress(steps), movie, maps)
         if run.last is None:
             raise (KeyboardInterrupt if run.interrupted else ValueError("no scan could be mapped; nothing is written"))
+        run.check_shown()
         for path in outputs.given().values():  # the folder may have been removed
             path.parent.mkdir(parents=True, exist_ok=True)
         if outputs.map is not None and not is_log:
@@ -155,7 +156,7 @@ def posed(
     known, how = sum(ref.T_map_sensor is not None for ref in dataset.refs), dataset.facts.get("poses")
     if not known:
         raise ValueError(
-            f"the scans have no poses{f' ({how})' if how else ''}: give --poses FILE (KITTI, KITTI-360, TUM), or "
-            "--odometry kiss-icp to estimate them"
+            f"the scans have no poses{f' ({how})' if how else ''}: give `poses` (KITTI, KITTI-360, TUM), or "
+            "`odometry=kiss-icp` to estimate them"
         )
     return dataset[:first], how or f"{known} of {len(dataset)} scans, of the dataset"

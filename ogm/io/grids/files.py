@@ -185,7 +185,7 @@ def read_placed_grid(path: FilePath, area: GridSpec | None = None, *, topic: str
     if path.is_dir() != (ending == ".zarr") or not (path.is_file() or path.is_dir()):
         raise OgmError(f"{path} is a {'folder' if path.is_dir() else 'file or a device'}, which a {ending} is not")
     if ending in (".npy", ".png") and area is None:
-        raise OgmError(f"{path} does not hold its area: give it (a GridSpec; --length and --width [m])")
+        raise OgmError(f"{path} does not hold its area: give `length` and `width` [m] of its `area`")
     try:
         # what is damaged may hold any number, and libraries warn of what is refused below
         with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):

@@ -140,7 +140,7 @@ def _topic(log: LogReader, path: Path) -> str:
     if "/map" in found:
         return "/map"
     if found:
-        raise OgmError(f"{path} has grids of {', '.join(found)}: give one as topic (--topic)")
+        raise OgmError(f"{path} has grids of {', '.join(found)}: give one as `topic`")
     there = ", ".join(f"{name} ({facts.type})" for name, facts in log.topics.items())
     raise OgmError(f"{path} has no grids ({', '.join(_READERS)}), only {there or 'nothing'}: make them by ogm fuse")
 
