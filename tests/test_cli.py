@@ -9,11 +9,17 @@ import pytest
 from cases import each
 from commands import completed, ogm, refused_command
 from moving import street
+from PIL import Image
 from typer.main import get_command
 
-from ogm import EvidentialGrid
+from ogm import EvidentialGrid, GridSpec
 from ogm.cli import app
 from ogm.cli.console import distinct, with_options
+from ogm.io import write_grid, write_poses
+from ogm.models import Calibration
+from ogm.plot.viewer import write_view
+from ogm.pose import Trajectory, pose
+from ogm.world import WorldMap
 
 
 @pytest.fixture
@@ -189,6 +195,41 @@ def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
     result = ogm("info", tmp_path / "o.npz")
     assert "64 x 64 of 0.5 m" in result.output
     assert "unknown" in result.output
+
+
+def test_info_reads_what_ogm_writes(tmp_path: Path) -> None:
+    spec = GridSpec(0.5, (20, 16), (-5.0, -4.0))
+    grid, poses = EvidentialGrid.vacuous(spec), np.array([pose(k) for k in range(4)])
+    wanted = dict.fromkeys(("m.yaml", "m.tif", "m.nc", "m.zarr", "m.npz"), "20 x 16 of 0.5 m")
+    for name in (*wanted, "m.mcap", "m.db3", "m.png"):
+        write_grid(tmp_path / name, grid)
+    write_poses(tmp_path / "p.csv", Trajectory(range(4), poses))
+    write_view(tmp_path / "m.html", grid)
+    Image.new("RGB", (6, 4)).save(tmp_path / "photo.jpg")
+    Calibration("ray", {"p_miss": 0.6}).save(tmp_path / "ray.json")
+    with WorldMap.create(tmp_path / "world", 0.5, 16) as world:
+        world.integrate(EvidentialGrid(spec, np.full_like(grid.mass, 0.3)), np.eye(4))
+        world.copy_to(tmp_path / "world.zip")
+    (tmp_path / "report").mkdir()
+    (tmp_path / "report" / "report.json").write_text(
+        '{"format": "ogm.evaluation/4", "data": {"name": "town"}, "extent": "9 frames", "methods": {"ray": {}}}'
+    )
+    wanted |= {"m.mcap": "/map", "m.db3": "/map", "m.png": "picture", "m.html": "page", "photo.jpg": "6 x 4 pixels"}
+    wanted |= {
+        "p.csv": "3.0 m",
+        "ray.json": "p_miss 0.6",
+        "world": "world map",
+        "world.zip": "world map",
+        "report": "town",
+    }
+    for name, text in wanted.items():
+        assert text in completed("info", tmp_path / name).output, name
+    for name in ("report/report.json", "m.zarr/zarr.json"):
+        assert completed("info", tmp_path / name).output
+    (tmp_path / "report" / "report.json").write_text("[]")
+    (tmp_path / "world" / "zarr.json").write_text("{")
+    for name, text in {"report": "wanted an object", "world": "zarr.json", "none": "there is no"}.items():
+        refused_command(text, "info", tmp_path / name)
 
 
 def test_info_on_dynamic_and_layered_grids(tmp_path: Path) -> None:

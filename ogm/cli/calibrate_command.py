@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from rich.table import Table
 from typer import Argument, Option
 
-from ogm.cli.console import out, report_errors, stderr, ticked
+from ogm.cli.console import complain, out, report_errors, stderr, ticked
 from ogm.cli.options import FolderAxes, TruthSources, parsed_axes
 
 if TYPE_CHECKING:
@@ -65,6 +65,8 @@ def calibrate_command(
         )
     fitted.save(path)
     _print(fitted)
+    for warning in fitted.warnings:
+        complain(warning)
     out.print(f"written {path}", markup=False, soft_wrap=True)
     if not fitted.finished:
         raise KeyboardInterrupt(f"the best parameters so far are in {path}")

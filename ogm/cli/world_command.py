@@ -8,7 +8,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, out, print_facts, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, out, print_facts, report_errors, stderr
 from ogm.cli.fuse_command import UsualModel
 from ogm.extras import import_extra
 
@@ -25,6 +25,7 @@ world_app: typer.Typer = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+DOUBTFUL = 0.2  # share of contradictions beyond which drives are hardly of one place
 
 Url = Annotated[str, Argument(help="The map: a folder, a .zip (to read), or s3://bucket/prefix.", metavar="URL")]
 DataSets = Annotated[list[Path], Argument(help="Data sets, logs, or folders of scans.", metavar="DATASETS")]
@@ -98,6 +99,7 @@ def build(
             raise ValueError(f"{out_url} stays empty: no scan shows anything on the grid; `ogm map` of one tells why")
         world.build_overviews()
         _print(world)
+        _print_contradictions(world)
 
 
 @report_errors
@@ -208,6 +210,19 @@ def _print(world: "WorldMap") -> None:
         frames = sum(one.mapped for one in drive.submaps)
         facts[f"drive {name}"] = f"{frames} frames, {made} of {len(drive.submaps)} sub-maps"
     print_facts(facts)
+
+
+def _print_contradictions(world: "WorldMap") -> None:
+    """Print in how many cells the drives of a map contradict each other."""
+    from ogm.world.drives import drive_names, load_drive
+    from ogm.world.tasks import contradictions
+
+    against, common = contradictions(world.store, [load_drive(world.store, name) for name in drive_names(world.store)])
+    if common:
+        share = against / common
+        out.print(f"conflict of drives: {share:.1%} of {common} cells that two of them know", soft_wrap=True)
+        if share > DOUBTFUL:
+            complain("the drives contradict each other in many cells: check that their poses are in one frame")
 
 
 world_app.command(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ogm.extras import lazy_names
 
 if TYPE_CHECKING:
+    from ogm.workflows.describe import describe_path
     from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
     from ogm.workflows.fuse_options import FuseOptions, Outputs
     from ogm.workflows.fusion_run import FusionRun
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from ogm.workflows.scan_maps import ScanMap, map_to_files
 
 __all__ = [
-    "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap", "drives_of", "fuse_drive",
-    "fuse_drives", "map_to_files", "posed",
+    "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap", "describe_path", "drives_of",
+    "fuse_drive", "fuse_drives", "map_to_files", "posed",
 ]  # fmt: skip
 
 __getattr__ = lazy_names(__name__, {
@@ -29,4 +30,5 @@ __getattr__ = lazy_names(__name__, {
     **dict.fromkeys(("FuseInto", "fuse_drive", "posed"), "ogm.workflows.one_drive"),
     **dict.fromkeys(("ScanMap", "map_to_files"), "ogm.workflows.scan_maps"),
     "FusionRun": "ogm.workflows.fusion_run",
+    "describe_path": "ogm.workflows.describe",
 })  # fmt: skip

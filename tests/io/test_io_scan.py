@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import each, refused
 
+from ogm.datasets import open_dataset
 from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan, read_scan_file
 from ogm.io.scan import plausible_sensor_height
 from ogm.scan import Scan
@@ -73,13 +74,16 @@ def test_axes_that_are_no_rotation_are_refused(axes, message, cloud, save):
     refused(message, read_points, save(cloud), axes)
 
 
-def test_reading_nuscenes_with_its_axes_unturned_is_remarked(cloud, tmp_path, caplog):
+def test_files_of_nuscenes_are_turned(cloud, tmp_path):
     path = tmp_path / "cloud.pcd.bin"
     path.write_bytes(np.column_stack([cloud, np.zeros(60)]).astype(np.float32).tobytes())
-    read_points(path, "nuscenes")
-    assert not caplog.records
-    read_points(path)
-    assert 'axes="nuscenes"' in caplog.text
+    turned, as_it_is = read_points(path, "nuscenes"), read_points(path, ("+x", "+y", "+z"))
+    np.testing.assert_array_equal(turned[:, :2], as_it_is[:, [1, 0]] * [1, -1])
+    np.testing.assert_array_equal(read_points(path), turned)
+    for paths in (path, tmp_path):
+        dataset = open_dataset(paths, sensor_height=1.8)
+        assert dataset.recording.axes == "nuscenes"
+        np.testing.assert_array_equal(dataset[0].scan.points, turned)
 
 
 # ---- origin and reach

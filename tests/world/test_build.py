@@ -17,6 +17,7 @@ from ogm.storage.files import OgmError
 from ogm.world import Progress, WorldMap, build_world, rebuild_world
 from ogm.world.drives import drive_names, load_drive
 from ogm.world.stores import erase, keys
+from ogm.world.tasks import contradictions
 
 Place = Callable[[], dict[str, Any]]
 DRIVES = {
@@ -235,6 +236,20 @@ def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
         assert (counted["count"] > 0).sum() > 3000
         rebuild_world(world, {"a": {k: drive.pose(k) for k in range(len(drive))}})  # and back: nothing has been lost
         assert world.window(AROUND) == before
+
+
+def test_the_conflict_of_drives_is_that_of_their_cells(tmp_path: Path) -> None:
+    with WorldMap.create(tmp_path / "map", **OPTIONS) as world:
+        build_world(world, {name: DRIVES["a"] for name in ("a", "b")}, RandomGrids(), length=15.0)
+        drives = [load_drive(world.store, name) for name in drive_names(world.store)]
+        against, common = contradictions(world.store, drives)
+        assert against == 0 < common
+        assert contradictions(world.store, drives[:1]) == (0, 0)
+    with WorldMap.create(tmp_path / "other", **OPTIONS) as world:
+        build_world(world, {name: DRIVES[name] for name in ("a", "b")}, RandomGrids(), length=15.0)
+        drives = [load_drive(world.store, name) for name in drive_names(world.store)]
+        against, common = contradictions(world.store, drives)
+        assert 0.2 < against / common < 0.6
 
 
 def test_drives_that_make_no_sense_are_refused(copied: WorldMap, tmp_path: Path, make_grid: Callable) -> None:
