@@ -143,6 +143,11 @@ def test_a_folder_is_mapped_scan_by_scan(scan: Path, tmp_path: Path) -> None:
     for name in ("a_0.bin", "a_1.bin"):
         (drive / name).write_bytes(scan.read_bytes())
     out = tmp_path / "new" / "grids"
+    completed("map", drive, "--out", out, "--first", 1, *SMALL)
+    assert [path.name for path in out.iterdir()] == ["a_0.npz"]
+    for command in ("map", "fuse", "serve", "calibrate", "evaluate"):
+        refused_command("--first must be at least 1, got 0", command, drive, "--first", 0)
+    refused_command("--first must be at least 1", "world", "build", drive, "--out", tmp_path / "w", "--first", 0)
     completed("map", drive, "--out", out, *SMALL)
     assert sorted(path.name for path in out.iterdir()) == ["a_0.npz", "a_1.npz"]
     ogm("map", scan, "--out", tmp_path / "one.npz", *SMALL)

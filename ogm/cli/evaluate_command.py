@@ -11,7 +11,18 @@ from rich.text import Text
 from typer import Argument, Option
 
 from ogm.cli.console import chosen_model, distinct, out, printable, report_errors, stderr, ticked
-from ogm.cli.options import FixedFrame, FolderAxes, Scheduler, Sensor, Topic, TruthSources, Workers, parsed_axes
+from ogm.cli.options import (
+    First,
+    FixedFrame,
+    FolderAxes,
+    Scheduler,
+    Sensor,
+    Topic,
+    TruthSources,
+    Workers,
+    check_first,
+    parsed_axes,
+)
 from ogm.evidence.map_rules import MAP_RULES
 from ogm.grid import GridSpec
 from ogm.storage.locks import locked
@@ -82,6 +93,7 @@ def evaluate(
     topic: Topic = None,
     fixed_frame: FixedFrame = None,
     sensor: Sensor = None,
+    first: First = None,
     samples: Annotated[int | None, Option(help="Frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, Option(help="Frames with pictures in the report.")] = 100,
@@ -116,6 +128,7 @@ def evaluate(
         import_extra(package, "evaluate")
     rules = _words(fused, "--fused", MAP_RULES)
     sources = _words(truth, "--truth", SOURCES)
+    check_first(first)
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
     spec = GridSpec.centered()
@@ -134,6 +147,7 @@ def evaluate(
         spec=spec,
         **log,  # type: ignore
     )
+    dataset = dataset[:first]
     numbers = choose_frames(dataset, samples, every, seed)
     methods = named_methods(names, rules, grids or [], spec, resample)
     result = run_evaluation(

@@ -24,7 +24,6 @@ Odometry = Annotated[str | None, Option(help="Estimate the poses from the scans:
 SavePoses = Annotated[File, Option(help="Write the poses of the scans that were mapped (.csv, or .txt for TUM).")]
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Drive = Annotated[str | None, Option(help="Drive of a data set: its name or number. [default: the first]")]
-First = Annotated[int | None, Option(help="Map the first so many scans only. [default: all]")]
 _MODELS = (
     "Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of `ogm calibrate`; "
     "of radars: radar, deep-radar; of both: ray+radar, lite+deep-radar, ..."
@@ -84,7 +83,7 @@ def fuse(
     sequence: Drive = None,
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
-    first: First = None,
+    first: options.First = None,
     sensor: options.Sensor = None,
     ism: UsualModel = None,
     axes: options.Axes = "flu",

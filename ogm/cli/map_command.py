@@ -97,6 +97,7 @@ def map_(
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
     sensor: options.Sensor = None,
+    first: options.First = None,
     out_path: Annotated[
         Path | None,
         Option(
@@ -116,6 +117,7 @@ def map_(
     from ogm.models.named import RELEASED
     from ogm.workflows import map_to_files
 
+    options.check_first(first)
     spec = GridSpec.centered(length, width, resolution)
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
     placed = {
@@ -125,7 +127,7 @@ def map_(
         "frame": fixed_frame,
         "sensors": sensor or (),
     }
-    dataset, ism = open_dataset(scans, **reading, **placed), chosen_model(ism, spec)  # type: ignore[arg-type]
+    dataset, ism = open_dataset(scans, **reading, **placed)[:first], chosen_model(ism, spec)  # type: ignore[arg-type]
     model = _model(ism, spec, sensor_height, sensor_position)
     estimated = sensor_height is None and ism != RELEASED and dataset.format.startswith(("scans", "log"))
     if out_path is None and picture is None:

@@ -14,7 +14,7 @@ from typer import Argument, Option
 from ogm.cli import options
 from ogm.cli.console import chosen_model, complain, first_call, out, report_errors
 from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
-from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Odometry, Poses, Rule, UsualModel
+from ogm.cli.fuse_command import Calibration, Drive, HalfLife, Odometry, Poses, Rule, UsualModel
 from ogm.extras import import_extra
 from ogm.storage.files import error_text
 
@@ -51,7 +51,7 @@ def serve(
     sequence: Drive = None,
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
-    first: First = None,
+    first: options.First = None,
     ism: UsualModel = None,
     axes: options.Axes = "flu",
     sensor_height: options.SensorHeight = None,

@@ -53,6 +53,7 @@ def build(
     calib: Calib = None,
     rate: Rate = 10.0,
     ism: UsualModel = None,
+    first: options.First = None,
     axes: options.Axes = "flu",
     length: options.Length = None,
     width: options.Width = None,
@@ -77,11 +78,12 @@ def build(
 
     if poses is not None and len(poses) != len(datasets):
         raise ValueError(f"give --poses once per data set, or never: got {len(poses)} for {len(datasets)}")
+    options.check_first(first)
     import_extra("zarr", "world")  # before scans are read
     spec = GridSpec.centered(length, width, resolution)
     model = load_model(with_radar(chosen_model(ism, spec)), spec)
     opened = [(path, _open(path, axes, poses[n] if poses else None, calib, rate)) for n, path in enumerate(datasets)]
-    drives = drives_of(opened)
+    drives = {name: drive[:first] for name, drive in drives_of(opened).items()}
     try:
         world = WorldMap.open(out_url, "r+")
     except FileNotFoundError:

@@ -130,7 +130,8 @@ def _poses(path: Path) -> dict[str, str]:
 
 def _object(path: Path) -> dict[str, Any]:
     """Return the object of a JSON file."""
-    record = decode_json(path.read_bytes(), path)
+    with error_context(f"{path} is no JSON", ValueError, RecursionError):
+        record = decode_json(path.read_bytes(), path)
     if not isinstance(record, dict):
         raise OgmError(f"{path} holds a {type(record).__name__}, wanted an object of JSON")
     return record

@@ -66,6 +66,7 @@ class FusionRun:
     tell: Callable[[str], object]
     last: FusionStep | None = None
     taken: list[int] = field(default_factory=list)
+    track: list[list[float]] = field(default_factory=list)  # x, y of the vehicle in the map [m]
     failed: int = 0
     ended: str = ""
     interrupted: bool = False
@@ -148,6 +149,9 @@ class FusionRun:
         if step.grid is not None and shows_nothing(step.frame.scan, step.grid):
             self.why_nothing = self.why_nothing or explain_nothing(step.frame.scan, step.grid.spec, step.frame.mount)
             self.nothing += 1
+        if step.previous_map is not None:
+            self.track.clear()
+        self.track.append(step.T_map_grid[:2, 3].tolist())  # type: ignore[index]
         self.taken.append(k)
         self.seconds.append(step.seconds)
         self.last = step

@@ -96,7 +96,9 @@ def fuse_drive(
         if outputs.picture is not None:
             run.save_picture(outputs.picture)
         if outputs.page is not None:
-            write_view(outputs.page, run.map, getattr(mapper, "conflict", None), title=f"map of {dataset.name}")
+            title, place = f"map of {dataset.name}", run.T_map_vehicle
+            conflict = getattr(mapper, "conflict", None)
+            write_view(outputs.page, run.map, conflict, title=title, T_grid_vehicle=place, track=run.track)
     return run
 
 
