@@ -63,7 +63,7 @@ def receive_frames(
     """Yield the frames that come over a TCP connection, one connection at a time.
 
     A connection replaces the one before with its first valid header, so that a driver that was restarted need not wait
-    and health checks, which send nothing, disturb nobody. A message that is wrong ends its connection alone. Whoever
+    and health checks, which send nothing, change nothing. A message that is wrong ends its connection alone. Whoever
     can connect is trusted to send points: listen on the loopback address, or on a network of your own.
 
     Parameters
@@ -87,7 +87,7 @@ def receive_frames(
     listener.setblocking(False)
     connections: list[_Connection] = []
     sender: _Connection | None = None  # of the scans; the others have sent no header so far
-    told: set[tuple[str, str]] = set()
+    reported: set[tuple[str, str]] = set()
     try:
         while not stop.is_set():
             waiting: list[socket.socket | _Connection] = [listener, *connections]
@@ -106,8 +106,8 @@ def receive_frames(
                 except (OgmError, OSError) as error:
                     connections.remove(connection)
                     line, key = connection.end(str(error)), (connection.host, str(error))
-                    if connection is sender or (connection.begun and key not in told):
-                        told.add(key)
+                    if connection is sender or (connection.begun and key not in reported):
+                        reported.add(key)
                         on_end(line)
                     continue
                 if connection.sends and connection is not sender:

@@ -206,7 +206,7 @@ def test_workers_that_die_again_and_again_are_an_error(tmp_path: Path) -> None:
     died = tmp_path / "died"
     died.mkdir()
     store = begin(tmp_path / "data", PLAN, BEAMS, {"ogm": "0"})
-    with pytest.raises(OSError, match=r"workers died .*: use fewer --workers, then `ogm simulate .*--resume`"):
+    with pytest.raises(OSError, match=r"workers died .*: use fewer `workers`, then `ogm simulate .*--resume`"):
         list(make_shards(store, PLAN, DiesOnce(died, (14, 15, 16)), workers=2))
 
 
