@@ -140,7 +140,7 @@ def test_workers_change_nothing(go):
 
 def test_a_run_is_not_overwritten(go):
     go()
-    refused("--resume", go)
+    refused("`resume`", go)
 
 
 def test_another_recipe_or_data_does_not_resume(go, recipe, frames):
