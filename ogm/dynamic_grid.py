@@ -12,13 +12,13 @@
 
 import os
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evidence import check_mass
+from ogm.evidence.arrays import refuse_masked
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid, ShownInNotebooks
 from ogm.storage.archive import open_archive, write_archive
 
@@ -46,7 +46,7 @@ class DynamicGrid(ShownInNotebooks):
     Raises
     ------
     TypeError
-        If an array is not of floats.
+        If an array is not of floats, or masked.
     ValueError
         If a shape does not fit `spec`, or masses are NaN, negative, or part of a sum above 1 by more than 1e-6.
     """
@@ -58,6 +58,7 @@ class DynamicGrid(ShownInNotebooks):
 
     def __post_init__(self) -> None:
         for name, last in (("mass", (3,)), ("velocity", (2,)), ("covariance", (2, 2))):
+            refuse_masked(getattr(self, name), name)
             array = np.asarray(getattr(self, name))
             if array.dtype.kind != "f":
                 raise TypeError(f"{name} must be a float array, got dtype {array.dtype}")
@@ -82,6 +83,10 @@ class DynamicGrid(ShownInNotebooks):
             object.__setattr__(grid, name, value)
         return grid
 
+    def check(self) -> None:
+        """Raise what the constructor would: for grids of `trusted`, or whose arrays were changed. Writers call it."""
+        type(self)(self.spec, self.mass, self.velocity, self.covariance)
+
     @property
     def free(self) -> NDArray[np.float32]:
         """Mass of free, (nx, ny) in [0, 1]."""
@@ -97,23 +102,23 @@ class DynamicGrid(ShownInNotebooks):
         """Mass of occupied by something dynamic, (nx, ny) in [0, 1]."""
         return self.mass[..., 2]
 
-    @cached_property
+    @property
     def occupied(self) -> NDArray[np.float32]:
         """Mass of occupied, (nx, ny) in [0, 1]: static + dynamic."""
         return self.static + self.dynamic
 
-    @cached_property
+    @property
     def unknown(self) -> NDArray[np.float32]:
         """Mass of the whole frame, (nx, ny) in [0, 1]: what the others leave of 1."""
         unknown: NDArray[np.float32] = np.maximum(1 - self.free - self.occupied, 0)
         return unknown
 
-    @cached_property
+    @property
     def speed(self) -> NDArray[np.float32]:
         """Length of `velocity`, (nx, ny) [m/s]."""
         return np.hypot(self.velocity[..., 0], self.velocity[..., 1])
 
-    @cached_property
+    @property
     def heading(self) -> NDArray[np.float32]:
         """Direction of `velocity`, (nx, ny), counter-clockwise from the grid's x axis [rad], in (-π, π]."""
         return np.arctan2(self.velocity[..., 1], self.velocity[..., 0])
@@ -167,8 +172,10 @@ class DynamicGrid(ShownInNotebooks):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the grid, lossless and in one step, to an ``.npz`` file that explains itself.
 
-        The archive holds ``mass``, ``velocity`` and ``covariance``, and else what `EvidentialGrid.save` writes.
+        The archive holds ``mass``, ``velocity`` and ``covariance``, and else what `EvidentialGrid.save` writes; errors
+        as there.
         """
+        self.check()
         write_archive(
             path,
             DYNAMIC_FORMAT,

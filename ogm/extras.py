@@ -3,7 +3,22 @@
 import importlib
 import sys
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
+
+
+def install_line(extra: str) -> str:
+    """Return the command that installs an extra: into the environment of a clone, or from the package index.
+
+    Parameters
+    ----------
+    extra : str
+        One or more, with commas between.
+    """
+    clone = Path(__file__).parents[1]
+    if (clone / "pyproject.toml").is_file():
+        return f'{sys.executable} -m pip install -e "{clone}[{extra}]"'
+    return f'pip install "ogm-toolkit[{extra}]"'
 
 
 def import_extra(module: str, extra: str) -> Any:
@@ -25,7 +40,7 @@ def import_extra(module: str, extra: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.split(".")[0].replace("_", "-")
-        raise ImportError(f'{package} is not installed: pip install "ogm-toolkit[{extra}]"', name=error.name) from error
+        raise ImportError(f"{package} is not installed: {install_line(extra)}", name=error.name) from error
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:

@@ -12,13 +12,13 @@ Opinion(free=0.60, occupied=0.10, unknown=0.30)
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import Opinion, check_mass, mass_to_evidence, mass_to_probability, unknown
+from ogm.evidence.arrays import refuse_masked
 from ogm.storage.archive import open_archive, write_archive
 from ogm.storage.limits import current_limits, too_large
 
@@ -27,6 +27,8 @@ __all__ = ["LAYERED_FORMAT", "CombinedGrid", "EvidentialGrid", "GridSpec", "Laye
 _FORMAT, LAYERED_FORMAT = "ogm.EvidentialGrid/1", "ogm.LayeredGrid/1"
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
 _MAX_CELLS = 2**28  # 2 GiB of masses; a file that announces more is refused before it is unpacked
+_MIN_CELL, _MAX_CELL = 1e-6, 1e6  # [m] sides of cells: beyond, products of lengths leave the range of float32
+_MAX_PLACE = 1e10  # [m] of coordinates, in which float64 resolves 2 micrometres
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class GridSpec:
     Parameters
     ----------
     resolution : float
-        Side of a cell [m].
+        Side of a cell [m], 1e-6 to 1e6.
     shape : (int, int)
         Number of cells along x and along y.
     origin : (float, float)
@@ -48,8 +50,8 @@ class GridSpec:
     Raises
     ------
     ValueError
-        If the resolution is not positive and finite, a count is not a positive whole number, or the grid has
-        more than 2**28 cells.
+        If the resolution is out of its range, a count is not a positive whole number, the grid has more than 2**28
+        cells, or it reaches beyond 1e10 m.
     """
 
     resolution: float
@@ -63,12 +65,18 @@ class GridSpec:
             raise ValueError("resolution and origin must be numbers that a float can hold [m]") from error
         if not (resolution > 0 and np.isfinite(resolution)):
             raise ValueError(f"resolution must be positive and finite [m], got {self.resolution}")
+        if not _MIN_CELL <= resolution <= _MAX_CELL:
+            raise ValueError(f"resolution must be {_MIN_CELL:g} to {_MAX_CELL:g} m, got {self.resolution}")
         if len(shape) != 2 or not all(0 < n < np.inf and n == int(n) for n in shape):
             raise ValueError(f"shape must be two positive whole numbers (nx, ny), got {self.shape}")
         if shape[0] * shape[1] > _MAX_CELLS:
             raise ValueError(f"shape {self.shape} has more than {_MAX_CELLS} cells; use coarser or fewer cells")
         if len(origin) != 2 or not np.isfinite(origin).all():
             raise ValueError(f"origin must be two finite numbers (x, y) [m], got {self.origin}")
+        if max(abs(place) + n * resolution for place, n in zip(origin, shape, strict=True)) > _MAX_PLACE:
+            raise ValueError(
+                f"a grid must lie within {_MAX_PLACE:g} m, got the origin {origin} m, cells of {resolution} m"
+            )
         object.__setattr__(self, "resolution", resolution)
         object.__setattr__(self, "shape", (int(shape[0]), int(shape[1])))
         object.__setattr__(self, "origin", (float(origin[0]), float(origin[1])))
@@ -214,7 +222,7 @@ class EvidentialGrid(ShownInNotebooks):
     Raises
     ------
     TypeError
-        If `mass` is not a float array.
+        If `mass` is not a float array, or a masked array.
     ValueError
         If the shape does not fit `spec`, or a mass is NaN, negative or part of a sum above 1 by more than
         1e-6. Nothing is repaired: see `ogm.evidence.renormalize`.
@@ -224,6 +232,7 @@ class EvidentialGrid(ShownInNotebooks):
     mass: NDArray[np.float32]
 
     def __post_init__(self) -> None:
+        refuse_masked(self.mass, "mass")
         mass = np.asarray(self.mass)
         if mass.dtype.kind != "f":
             raise TypeError(f"mass must be a float array, got dtype {mass.dtype}; convert it with .astype('float32')")
@@ -249,6 +258,10 @@ class EvidentialGrid(ShownInNotebooks):
         object.__setattr__(grid, "mass", mass)
         return grid
 
+    def check(self) -> None:
+        """Raise what the constructor would: for grids of `trusted`, or whose array was changed. Writers call it."""
+        type(self)(self.spec, self.mass)
+
     @classmethod
     def vacuous(cls, spec: GridSpec) -> Self:
         """Return the grid without any evidence: unknown = 1 everywhere."""
@@ -264,7 +277,7 @@ class EvidentialGrid(ShownInNotebooks):
         """Mass of occupied, (nx, ny) in [0, 1]."""
         return self.mass[..., 1]
 
-    @cached_property
+    @property
     def unknown(self) -> NDArray[np.float32]:
         """Mass of the whole frame, (nx, ny) in [0, 1]: 1 - free - occupied, rounding below 0 shown as 0."""
         return unknown(self.mass)
@@ -330,7 +343,15 @@ class EvidentialGrid(ShownInNotebooks):
 
         The archive holds ``mass`` (nx, ny, 2) float32, ``resolution`` and ``origin`` [m], and the texts
         ``format``, ``states`` and ``axes``. Whatever stood at `path` stays whole until the new file is.
+
+        Raises
+        ------
+        ValueError
+            If the path has another ending, or the masses are none (see `check`).
+        OSError
+            If the file cannot be written.
         """
+        self.check()
         write_archive(
             path,
             _FORMAT,
@@ -394,7 +415,7 @@ class LayeredGrid(ShownInNotebooks):
     ----------
     spec : GridSpec
     layers : mapping of str to (nx, ny) float32
-        NaN where a cell has no value. Converted to float32.
+        NaN where a cell has no value, as where an array is masked. Converted to float32.
 
     Raises
     ------
@@ -406,7 +427,12 @@ class LayeredGrid(ShownInNotebooks):
     layers: Mapping[str, NDArray[np.float32]]
 
     def __post_init__(self) -> None:
-        layers = {name: np.asarray(layer, np.float32) for name, layer in self.layers.items()}
+        layers = {
+            name: np.ma.filled(np.ma.asarray(layer, np.float32), np.nan)
+            if isinstance(layer, np.ma.MaskedArray)
+            else np.asarray(layer, np.float32)
+            for name, layer in self.layers.items()
+        }
         for name, layer in layers.items():
             if layer.shape != self.spec.shape:
                 raise ValueError(f"layer {name!r} has shape {layer.shape}, but the spec has {self.spec.shape}")

@@ -17,6 +17,7 @@ from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.evidence.arrays import refuse_masked
 from ogm.grid import EvidentialGrid, GridSpec, ShownInNotebooks
 from ogm.pose import check_pose, check_stamp
 from ogm.state import Truth
@@ -61,7 +62,7 @@ class Scan(ShownInNotebooks):
     Raises
     ------
     TypeError
-        If `points` is no float array, or `mount` no Mount.
+        If `points` is no float array, a column is a masked array, or `mount` no Mount.
     ValueError
         If `points` is not (N, 4) or (N, 3), a column has not one number per point, a time is not finite, a ring is no
         whole number from 0 to 65535, `stamp` is no time in seconds, or `doppler_interval` is not above 0.
@@ -90,6 +91,7 @@ class Scan(ShownInNotebooks):
         for name, dtype in columns.items():
             if getattr(self, name) is None:
                 continue
+            refuse_masked(getattr(self, name), name)
             column = _column(getattr(self, name), name, dtype)
             if column.shape != (len(self.points),):
                 raise ValueError(f"{name} must be ({len(self.points)},) like points, got shape {column.shape}")
@@ -182,6 +184,7 @@ def _column(given: Any, name: str, dtype: type[Any]) -> NDArray[Any]:
 
 def _checked_points(points: Any) -> NDArray[np.float32]:
     """Return points as (N, 4) float32, or refuse them with the fix."""
+    refuse_masked(points, "points")
     if not isinstance(points, np.ndarray):
         if hasattr(points, "detach"):
             raise TypeError("points is a torch tensor; give points.detach().cpu().numpy()")

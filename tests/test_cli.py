@@ -9,11 +9,17 @@ import pytest
 from cases import each
 from commands import completed, ogm, refused_command
 from moving import street
+from PIL import Image
 from typer.main import get_command
 
-from ogm import EvidentialGrid
+from ogm import EvidentialGrid, GridSpec
 from ogm.cli import app
-from ogm.cli.console import distinct
+from ogm.cli.console import distinct, with_options
+from ogm.io import write_grid, write_poses
+from ogm.models import Calibration
+from ogm.plot.viewer import write_view
+from ogm.pose import Trajectory, pose
+from ogm.world import WorldMap
 
 
 @pytest.fixture
@@ -52,6 +58,55 @@ def test_map_writes_the_grid_and_its_picture(scan: Path, tmp_path: Path, model: 
     assert picture.exists()
 
 
+UNKNOWN = {  # change of the points, and what is told
+    (1000, (0, 0, 0)): "in millimetres? Divide them by 1000",
+    (1, (1500, -800, 115)): "in map coordinates, around (1500, -800, 115) m? Give --sensor-position, or points",
+    (1, (0, 0, 15)): "the ground is expected at z 0.00 m: check --sensor-height and --axes",
+    (3, (0, 0, 0)): "",
+}
+
+
+@each("change", UNKNOWN)
+def test_a_scan_that_shows_nothing_is_an_error_that_tells_where_its_points_lie(
+    scan: Path, tmp_path: Path, change: tuple[int, tuple[int, int, int]]
+) -> None:
+    points = np.fromfile(scan, np.float32).reshape(-1, 4)
+    points[:, :3] = points[:, :3] * change[0] + np.float32(change[1])
+    other = scan.with_name("other.bin")
+    points.tofile(other)
+    words = ("--ism", "ray", "--sensor-height", 1.7, "--out", tmp_path / "o.npz", *SMALL)
+    if UNKNOWN[change]:
+        result = ogm("map", other, *words)
+        assert (result.exit_code, UNKNOWN[change] in result.output) == (2, True), result.output
+        assert not (tmp_path / "o.npz").exists()
+    else:  # the ground is seen too high, but some of it is on the grid
+        assert "written" in completed("map", other, *words).output
+
+
+def test_default_names_replace_no_other_grid(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("map", scan, "--ism", "ray", "--sensor-height", 1.7)
+    for _ in range(2):
+        assert "written wall.npz, wall.png" in completed(*words, *SMALL).output
+    before = [Path(name).read_bytes() for name in ("wall.npz", "wall.png")]
+    refused_command("wall.npz is there already, of something else: give --out and --picture", *words)
+    Path("wall.npz").unlink()
+    refused_command("wall.png is there already", *words, *SMALL)
+    assert Path("wall.png").read_bytes() == before[1]
+
+
+def test_messages_have_the_words_of_the_command_line(scan: Path, tmp_path: Path) -> None:
+    assert with_options("give `sensor_height` [m], `window=rolling`, or `ogm fuse`; see `Scan.time`, `topic`") == (
+        "give --sensor-height [m], --window rolling, or `ogm fuse`; see `Scan.time`, --topic"
+    )
+    for words, message in (
+        (("map", scan, "--topic", "/a"), "--topic and --frame are for logs"),
+        (("map", scan, "--sensor", "radar"), "--sensor is for data sets"),
+        (("fuse", scan, "--out", tmp_path / "m.npz"), "give --poses (KITTI, KITTI-360, TUM), or --odometry kiss-icp"),
+    ):
+        refused_command(message, *words)
+
+
 def test_map_many_goes_on_after_a_bad_file(scan: Path, tmp_path: Path) -> None:
     again = scan.with_name("more.bin")
     again.write_bytes(scan.read_bytes())
@@ -88,6 +143,11 @@ def test_a_folder_is_mapped_scan_by_scan(scan: Path, tmp_path: Path) -> None:
     for name in ("a_0.bin", "a_1.bin"):
         (drive / name).write_bytes(scan.read_bytes())
     out = tmp_path / "new" / "grids"
+    completed("map", drive, "--out", out, "--first", 1, *SMALL)
+    assert [path.name for path in out.iterdir()] == ["a_0.npz"]
+    for command in ("map", "fuse", "serve", "calibrate", "evaluate"):
+        refused_command("--first must be at least 1, got 0", command, drive, "--first", 0)
+    refused_command("--first must be at least 1", "world", "build", drive, "--out", tmp_path / "w", "--first", 0)
     completed("map", drive, "--out", out, *SMALL)
     assert sorted(path.name for path in out.iterdir()) == ["a_0.npz", "a_1.npz"]
     ogm("map", scan, "--out", tmp_path / "one.npz", *SMALL)
@@ -112,7 +172,7 @@ def test_without_the_network_the_model_is_ray(scan: Path, tmp_path: Path, monkey
     assert "sensor model" not in whole.output
     monkeypatch.setattr("ogm.models.named.find_spec", lambda name: None)
     alone = ogm(*words, tmp_path / "alone.npz")
-    assert 'sensor model ray: without the learned model, which `pip install "ogm-toolkit[deep]"` adds' in alone.output
+    assert "sensor model ray: without the learned model, which `" in alone.output
     assert "cells of 0.16 m, ray" in alone.output
 
 
@@ -140,6 +200,41 @@ def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
     result = ogm("info", tmp_path / "o.npz")
     assert "64 x 64 of 0.5 m" in result.output
     assert "unknown" in result.output
+
+
+def test_info_reads_what_ogm_writes(tmp_path: Path) -> None:
+    spec = GridSpec(0.5, (20, 16), (-5.0, -4.0))
+    grid, poses = EvidentialGrid.vacuous(spec), np.array([pose(k) for k in range(4)])
+    wanted = dict.fromkeys(("m.yaml", "m.tif", "m.nc", "m.zarr", "m.npz"), "20 x 16 of 0.5 m")
+    for name in (*wanted, "m.mcap", "m.db3", "m.png"):
+        write_grid(tmp_path / name, grid)
+    write_poses(tmp_path / "p.csv", Trajectory(range(4), poses))
+    write_view(tmp_path / "m.html", grid)
+    Image.new("RGB", (6, 4)).save(tmp_path / "photo.jpg")
+    Calibration("ray", {"p_miss": 0.6}).save(tmp_path / "ray.json")
+    with WorldMap.create(tmp_path / "world", 0.5, 16) as world:
+        world.integrate(EvidentialGrid(spec, np.full_like(grid.mass, 0.3)), np.eye(4))
+        world.copy_to(tmp_path / "world.zip")
+    (tmp_path / "report").mkdir()
+    (tmp_path / "report" / "report.json").write_text(
+        '{"format": "ogm.evaluation/4", "data": {"name": "town"}, "extent": "9 frames", "methods": {"ray": {}}}'
+    )
+    wanted |= {"m.mcap": "/map", "m.db3": "/map", "m.png": "picture", "m.html": "page", "photo.jpg": "6 x 4 pixels"}
+    wanted |= {
+        "p.csv": "3.0 m",
+        "ray.json": "p_miss 0.6",
+        "world": "world map",
+        "world.zip": "world map",
+        "report": "town",
+    }
+    for name, text in wanted.items():
+        assert text in completed("info", tmp_path / name).output, name
+    for name in ("report/report.json", "m.zarr/zarr.json"):
+        assert completed("info", tmp_path / name).output
+    (tmp_path / "report" / "report.json").write_text("[]")
+    (tmp_path / "world" / "zarr.json").write_text("{")
+    for name, text in {"report": "wanted an object", "world": "zarr.json", "none": "there is no"}.items():
+        refused_command(text, "info", tmp_path / name)
 
 
 def test_info_on_dynamic_and_layered_grids(tmp_path: Path) -> None:

@@ -474,7 +474,7 @@ def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, mo
         (("{data}", "--fused", "bayes"), "has no split 'sequences'"),
         (("{data}", "--fused", "bayes", "--split", "validation"), "fuses frames that follow each other"),
         (("{data}", "--fused", "best"), "--fused takes cautious"),
-        (("{data}", "--truth", "boxes"), "(--truth) is for recordings"),
+        (("{data}", "--truth", "boxes"), "--truth is for recordings"),
         (("{data}", "--truth", "hearsay"), "--truth takes boxes"),
         (("{data}", "--grids", "{nothing}"), "there is no folder"),
         (("{data}", "--grids", "{data}"), "holds no grids"),

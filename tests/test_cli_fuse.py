@@ -266,7 +266,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--poses", "{poses}", "--save-poses", "{poses}"), "would overwrite"),
         (("{scans}", "--poses", "{folder}/none.txt"), "none.txt"),
         (("{scans}", "--calib", "{poses}"), "--calib belongs to --poses"),
-        (("{scans}", "--poses", "{far}", "--window", "fixed"), "(--window rolling), or a coarser --resolution"),
+        (("{scans}", "--poses", "{far}", "--window", "fixed"), "give --window rolling, or a coarser --resolution"),
         (("{folder}", "--poses", "{poses}"), "holds no scans"),
         (("{scans}", "--sequence", "1"), "--sequence must be one of drive"),
         (("{scans}/scan_5.bin", "--sequence", "1"), "--sequence picks one of several drives"),
@@ -293,7 +293,7 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_work(
     def refused(**_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(FUSE.tempfile, "TemporaryFile", refused)
+    monkeypatch.setattr("ogm.storage.files.tempfile.TemporaryFile", refused)
     result = ogm("fuse", scans, "--poses", poses, "--out", tmp_path / "m.npz")
     assert result.exit_code == 2
     assert "the map cannot be written into" in result.output
@@ -324,6 +324,7 @@ def test_a_page_shows_the_map_and_its_conflict(scans: Path, poses: Path, tmp_pat
         assert masses[0] == masses[1]
         assert masses[0]
         assert ("free_to_occupied" in page.read_text()) == has_conflict
+        assert "vehicle at the last scan, with its path" in page.read_text()
 
 
 @pytest.fixture

@@ -3,8 +3,10 @@
 import errno
 import importlib
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -123,8 +125,25 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(
     words = ("--message", "foxglove-grid") if name == "foxglove" else ()
     result = fused(drive, tmp_path / f"m.{ending}", *words)
     assert result.exit_code == 2
-    assert f"m.{ending} cannot be written without the package {name}: pip install" in result.output
+    assert f"m.{ending} cannot be written without the package {name}: " in result.output
     assert not list(tmp_path.iterdir())
+
+
+@each("numbers, message, mapped", [
+        (range(FRAMES), "no scan shows anything, nothing is written: .*Divide them by 1000", False),
+        ([1, 2], "2 of 4 scans show nothing, the first: .*Divide them by 1000", True),
+    ])  # fmt: skip
+def test_a_drive_that_shows_nothing_is_an_error_and_a_part_of_it_one_line(
+    tmp_path: Path, numbers: Sequence[int], message: str, mapped: bool
+) -> None:
+    drive = write_drive(tmp_path, POSES, STAMPS)
+    for k in numbers:
+        points = np.fromfile(drive / f"{k}.bin", np.float32).reshape(-1, 4)
+        (points * np.float32([1000, 1000, 1000, 1])).tofile(drive / f"{k}.bin")
+    result = fused(drive, tmp_path / "m.npz")
+    assert (result.exit_code == 0) == mapped
+    assert len(re.findall(message, result.output)) == 1
+    assert (tmp_path / "m.npz").exists() == mapped
 
 
 def test_all_formats_hold_the_map_of_the_drive(drive: Path, tmp_path: Path) -> None:

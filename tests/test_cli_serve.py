@@ -95,8 +95,9 @@ def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int)
             x, y = (np.array([8.1, 1.0]) - [grid.pose.position.x, grid.pose.position.y]).tolist()
             assert fields["occupied"][int(x / 0.25), int(y / 0.25)] > 0.5  # the wall
             assert fields["free"][int((x - 4) / 0.25), int(y / 0.25)] > 0.5  # the way to it
-            process.send_signal(number)
-            stdout, stderr = process.communicate(timeout=20)
+            with socket.create_connection(("127.0.0.1", port)):  # a client that sends nothing
+                process.send_signal(number)
+                stdout, stderr = process.communicate(timeout=5)
         finally:
             process.kill()
     assert process.returncode == 0, stderr
@@ -193,5 +194,5 @@ def test_what_makes_no_sense_is_refused_in_one_line(drive: Path, tmp_path: Path)
         for words, line in refused.items():
             result = serve(*words)
             assert result.exit_code == 2, words
-            assert result.stderr.count("\n") == 1, result.stderr
-            assert re.match(f"ogm: .*{line}", result.stderr), (words, result.stderr)
+            (told,) = (text for text in result.stderr.splitlines() if not text.startswith("sensor model ray: "))
+            assert re.match(f"ogm: .*{line}", told), (words, result.stderr)

@@ -50,6 +50,48 @@ def test_a_file_appears_whole_or_not_at_all(named, mode, tmp_path, monkeypatch):
     assert path.stat().st_mode & 0o777 == 0o666 & ~umask
 
 
+@pytest.mark.parametrize("named", [False, True])
+def test_links_permissions_pipes_and_removed_folders_are_respected(named, tmp_path, monkeypatch):
+    if named:
+        monkeypatch.delattr(ogm.storage.files.os, "O_TMPFILE", raising=False)
+    real, link, dangling = (tmp_path / name for name in ("real/a", "link", "dangling"))
+    real.parent.mkdir()
+    real.write_text("old")
+    real.chmod(0o640)
+    link.symlink_to("real/a")
+    dangling.symlink_to(real.parent / "new")
+    for path in (link, dangling):
+        with atomic_write(path) as file:
+            file.write(b"x")
+        assert path.read_bytes() == b"x"
+        with whole_path(path) as temporary:
+            temporary.write_bytes(b"y")
+        assert path.is_symlink()
+        assert path.read_bytes() == b"y"
+    assert real.stat().st_mode & 0o777 == 0o640
+    folder = tmp_path / "folder"
+    folder.mkdir(mode=0o750)
+    (tmp_path / "to").symlink_to(folder)
+    with whole_path(tmp_path / "to") as path:
+        path.mkdir()
+        (path / "part").write_text("x")
+    assert (tmp_path / "to").is_symlink()
+    assert (folder / "part").read_text() == "x"
+    assert folder.stat().st_mode & 0o777 == 0o750
+    os.mkfifo(tmp_path / "pipe")
+    for write in (atomic_write, whole_path):
+        with pytest.raises(FileExistsError, match="pipe: it is a pipe or a device"), write(tmp_path / "pipe"):
+            pass
+    assert (tmp_path / "pipe").is_fifo()
+    if not named:
+        (tmp_path / "gone").mkdir()
+        with atomic_write(tmp_path / "gone" / "a") as file:
+            file.write(b"z")
+            (tmp_path / "gone").rmdir()
+        assert (tmp_path / "gone" / "a").read_bytes() == b"z"
+    assert not [one for one in os.listdir(tmp_path) if one.startswith(".ogm")]
+
+
 @each("length", [241, 242, 250, 255])
 def test_names_may_be_as_long_as_the_system_lets_them(length, tmp_path):
     path = tmp_path / ("n" * (length - 4) + ".tif")

@@ -8,7 +8,8 @@ from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ogm import EvidentialGrid, GridSpec, LayeredGrid
+from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, Mount
+from ogm.geometric import RadarISM
 
 SPEC = GridSpec(resolution=0.5, shape=(6, 4), origin=(-1.0, -2.0))
 
@@ -51,7 +52,7 @@ def test_only_defaults_are_rounded() -> None:
 
 def test_impossible_specs_are_refused() -> None:
     nan, inf = float("nan"), float("inf")
-    for resolution in (0.0, -1.0, nan, inf, 10**400):
+    for resolution in (0.0, -1.0, nan, inf, 10**400, 1e300, 1e30, 5e-324, 1e-9):
         refused("^resolution", GridSpec, resolution, (2, 2), (0, 0))
     for shape in (
         *((0, 2), (2.5, 2), (2, 2, 2), (2,), (2**14, 2**14 + 1), (2**14 + 1, 2**14)),
@@ -66,6 +67,18 @@ def test_impossible_specs_are_refused() -> None:
     for factor in (0, -1, 0.5, 1.5, nan, inf):
         refused("factor must be a positive whole number", SPEC.refined, factor)
     assert GridSpec(1.0, (2**14, 2**14), (0, 0)).length == 2**14  # the largest, of 2**28 cells
+
+
+def test_specs_beyond_sense_are_refused() -> None:
+    for spec in ((1e6, (2**14, 3), (0, 0)), (1.0, (2, 2), (1e11, 0)), (1.0, (2, 2), (0, -1e300))):
+        refused("a grid must lie within 1e.10 m", GridSpec, *spec)
+    for resolution in (1e-6, 1e6):
+        assert (
+            RadarISM(GridSpec.centered(3 * resolution, 3 * resolution, resolution), Mount(1.0))(
+                np.zeros((2, 4))
+            ).free.max()
+            <= 1
+        )
 
 
 def test_extents_are_whole_cells_to_a_millionth() -> None:
@@ -122,6 +135,17 @@ def test_the_three_masses_sum_to_one() -> None:
     np.testing.assert_allclose(grid.free + grid.occupied + grid.unknown, 1, atol=1e-6)
     np.testing.assert_allclose(grid.probability, grid.occupied + grid.unknown / 2, atol=1e-6)
     np.testing.assert_allclose(grid.evidence, 2 * grid.mass / grid.unknown[..., None], rtol=1e-4)
+
+
+def test_what_is_derived_follows_a_change_in_place() -> None:
+    grid, none = EvidentialGrid.vacuous(SPEC), np.full((*SPEC.shape, 2, 2), np.nan, np.float32)
+    moving = DynamicGrid(SPEC, np.zeros((*SPEC.shape, 3), np.float32), none[..., 0], none)
+    assert grid.unknown.all()
+    assert moving.unknown.all()
+    grid.mass[..., 1] = moving.mass[..., 2] = 1
+    assert not grid.unknown.any()
+    assert not moving.unknown.any()
+    assert moving.occupied.all()
 
 
 def test_at_returns_the_opinion_of_the_cell() -> None:

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -206,9 +206,34 @@ def test_a_port_is_free_again_and_one_in_use_is_refused_in_words() -> None:
     refused("port must be from 0", FoxglovePublisher, port=70_000)
 
 
+@each("begun", [b"", b"GET / HTTP/1.1\r\nHost: x\r\n", b"\x00" * 7])
+def test_a_client_that_never_finishes_its_handshake_does_not_hold_up_the_end(
+    begun: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ogm.live.foxglove_server.PATIENCE", 0.3)
+    publisher = FoxglovePublisher(port=0)
+    with socket.create_connection((publisher.host, publisher.port)) as client:
+        client.sendall(begun)
+        with closing(publisher), Client(publisher.port, ("/tf",)):
+            time.sleep(0.1)
+            start = time.monotonic()
+        assert time.monotonic() - start < 1.0
+        with socket.create_server((publisher.host, publisher.port)):
+            pass
+
+
+def test_an_interrupt_does_not_wait_for_clients() -> None:
+    publisher = FoxglovePublisher(port=0)
+    with socket.create_connection((publisher.host, publisher.port)):
+        time.sleep(0.1)
+        start = time.monotonic()
+        publisher.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+        assert time.monotonic() - start < 0.5
+
+
 def test_a_missing_sdk_is_named_with_the_line_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    refused(r"ogm-toolkit\[live\]", FoxglovePublisher, error=ImportError, port=0)
+    refused(r"pip install .*\[live\]", FoxglovePublisher, error=ImportError, port=0)
 
 
 # Never falling behind.
@@ -495,7 +520,6 @@ WRONG = {
     changed(112, struct.pack("<f", 1e7) * 16): "coordinates up to 1e",
     changed(0, b"")[:60]: "in the middle of a message",
     changed(0, b"")[:130]: "in the middle of a message",
-    b"": "after 0 scans: closed by the sender",
 }
 
 
@@ -550,6 +574,28 @@ def test_a_new_connection_replaces_the_one_before(listener: socket.socket) -> No
             assert first.recv(1) == b""
 
 
+def test_clients_that_send_nothing_do_not_disturb_the_driver(listener: socket.socket) -> None:
+    message, silent = changed(0, b""), stream.MAX_SILENT + 20
+    with Receiver(listener) as receiver, ExitStack() as clients, sender(listener) as driver:
+        for k in range(3):
+            driver.sendall(message)
+            until(lambda: len(receiver.frames) == k + 1)  # noqa: B023
+            sender(listener).close()  # a health check
+            for _ in range(silent // 3):  # a load balancer that keeps its connections
+                clients.enter_context(sender(listener))
+            for _ in range(2):
+                with sender(listener) as other:  # a health check of another protocol
+                    other.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            driver.sendall(message[:200])  # half of the next scan
+            time.sleep(0.02)
+            driver.sendall(message[200:])
+            until(lambda: len(receiver.frames) == k + 2)  # noqa: B023
+            receiver.frames.pop()
+        driver.sendall(message)
+        until(lambda: len(receiver.frames) == 4)
+        assert [line.rpartition(": ")[2] for line in receiver.lines] == ["it ended in the middle of a message"]
+
+
 def test_a_message_needs_a_stamp_and_a_pose() -> None:
     refused("a message needs a stamp", frame_bytes, Scan(np.zeros((1, 4), np.float32)), np.eye(4))
     refused("T_map_sensor must be rigid", frame_bytes, frame(0).scan, 2 * np.eye(4) - np.diag([0, 0, 0, 1.0]))
@@ -557,14 +603,16 @@ def test_a_message_needs_a_stamp_and_a_pose() -> None:
 
 def test_scans_from_a_socket_are_served(listener: socket.socket) -> None:
     stop, fused = threading.Event(), mapper()
+    warm_up(LShape(), fused)  # else scans are dropped while kernels are loaded
 
     def drive() -> None:
-        with sender(listener) as driver:
-            for k in range(5):
-                driver.sendall(frame_bytes(frame(k).scan, frame(k).T_map_sensor))
-                time.sleep(0.05)
-            until(lambda: fused.scans == 5)
-        stop.set()
+        try:
+            with sender(listener) as driver:
+                for k in range(5):
+                    driver.sendall(frame_bytes(frame(k).scan, frame(k).T_map_sensor))
+                    until(lambda: fused.scans == k + 1)  # noqa: B023
+        finally:
+            stop.set()
 
     driver = threading.Thread(target=drive)
     driver.start()

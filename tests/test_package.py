@@ -10,6 +10,7 @@ import pytest
 from cases import each
 
 import ogm
+from ogm.extras import install_line
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {"torch", "open3d", "matplotlib", "numba", "scipy", "lightning", "filterpy", "zarr", "dask", "typer"}
@@ -37,6 +38,12 @@ def test_import_ogm_is_quick() -> None:
         float(run("import time; t = time.perf_counter(); import ogm; print(time.perf_counter() - t)")) for _ in range(3)
     ]
     assert min(times) < 0.1
+
+
+def test_extras_are_installed_as_ogm_was(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert install_line("ros,geo") == f'{sys.executable} -m pip install -e "{ROOT}[ros,geo]"'
+    monkeypatch.setattr("ogm.extras.__file__", str(tmp_path / "ogm" / "extras.py"))
+    assert install_line("ros") == 'pip install "ogm-toolkit[ros]"'
 
 
 def test_packages_are_loaded_on_first_use() -> None:

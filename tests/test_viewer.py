@@ -22,6 +22,7 @@ from ogm.plot.moving import moving_arrows
 from ogm.plot.overview import halve_mass, mass_to_bytes
 from ogm.plot.panels import CONFLICT_LAYERS, VELOCITY_LAYERS
 from ogm.plot.viewer import TILE, write_view
+from ogm.pose import pose
 from ogm.state import CellState, predict_state
 
 SPEC = GridSpec(0.5, (14, 10), (-2.0, -2.0))
@@ -97,6 +98,20 @@ def written(path: Path, *items: Any, **words: Any) -> Parsed:
     write_view(path / "page.html", *items, **words)
     assert [file.name for file in path.iterdir()] == ["page.html"]
     return Parsed(path / "page.html")
+
+
+def test_the_page_shows_where_the_vehicle_is_and_was(tmp_path: Path) -> None:
+    track = np.stack([np.arange(5000.0), np.zeros(5000)], axis=-1)
+    page = written(tmp_path, drawn_grid(), T_grid_vehicle=pose(1.0, 2.0, 1.8, yaw=0.5), track=track)
+    assert page.data["vehicle"] == pytest.approx([1.0, 2.0, 0.5])
+    assert page.data["track"][0] == [0, 0]
+    assert page.data["track"][-1] == [4999, 0]
+    assert len(page.data["track"]) <= 2001
+    text = (tmp_path / "page.html").read_text()
+    assert "vehicle at the last scan, with its path" in text
+    page = written(tmp_path, drawn_grid())
+    assert not {"vehicle", "track"} & page.data.keys()
+    assert "vehicle at the last scan" not in (tmp_path / "page.html").read_text()
 
 
 def test_the_page_holds_all_cells_and_their_overviews(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 from rich.table import Table
 from typer import Argument, Option
 
-from ogm.cli.console import out, report_errors, stderr, ticked
-from ogm.cli.options import FolderAxes, TruthSources, parsed_axes
+from ogm.cli.console import complain, out, report_errors, stderr, ticked
+from ogm.cli.options import First, FolderAxes, TruthSources, check_first, parsed_axes
 
 if TYPE_CHECKING:
     from ogm.models import Calibration
@@ -32,6 +32,7 @@ def calibrate_command(
         str,
         Option(help="P(occupied) of a cell of which nothing is known; data: the share of occupied cells.", metavar="P"),
     ] = "data",
+    first: First = None,
     every: Annotated[int, Option(help="Use every N-th frame.", metavar="N")] = 1,
     threads: Annotated[int, Option(help="Frames that are mapped at the same time.")] = 1,
     out_path: Annotated[Path | None, Option("--out", help="The result. [default: ./MODEL.json]")] = None,
@@ -44,6 +45,7 @@ def calibrate_command(
     from ogm.calibration import calibrate
     from ogm.datasets import open_dataset
 
+    check_first(first)
     if every < 1:
         raise ValueError(f"--every must be at least 1, got {every}")
     path = Path(f"{Path(ism).stem}.json") if out_path is None else out_path
@@ -55,7 +57,7 @@ def calibrate_command(
     dataset = open_dataset(data, axes=parsed_axes(axes), split=split, default_split="train", truth=sources)
     with stderr.status("") as status:
         fitted = calibrate(
-            dataset[::every],
+            dataset[:first:every],
             ism,
             fit=None if fit is None else _bounds(fit),
             base_rate=_base_rate(base_rate),
@@ -65,6 +67,8 @@ def calibrate_command(
         )
     fitted.save(path)
     _print(fitted)
+    for warning in fitted.warnings:
+        complain(warning)
     out.print(f"written {path}", markup=False, soft_wrap=True)
     if not fitted.finished:
         raise KeyboardInterrupt(f"the best parameters so far are in {path}")

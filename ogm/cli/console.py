@@ -3,6 +3,7 @@
 import functools
 import logging
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -39,6 +40,32 @@ def printable(text: str) -> str:
     return text.translate(_CONTROL).encode("utf-8", "backslashreplace").decode()
 
 
+_OPTIONS = {  # of arguments whose options have other names
+    "calibration": "calib", "grids": "out", "learning_rate": "learning-rate", "pictures": "picture",
+    "sensors": "sensor", "setups": "sensors",
+} | {name: name.replace("_", "-") for name in (
+    "axes", "batch", "deskew", "ego_footprint", "every", "first", "frame", "free_thresh", "half_life",
+    "intensity_max", "leave_out", "length",
+    "max_range", "max_range_no_echo", "min_range", "odometry", "origin", "out",
+    "poses", "rate", "resample", "resolution", "resume", "samples", "sensor_height", "sensor_position", "split",
+    "time_unit", "topic", "truth", "width", "window", "workers",
+)}  # fmt: skip
+
+
+def with_options(text: str) -> str:
+    """Return a message of the library with its arguments, such as `time_unit`, as options of the command line."""
+    return re.sub(
+        "`([a-z_]+)(?:=([^`]*))?`",
+        lambda found: f"--{_OPTIONS[found[1]]}{f' {found[2]}' * bool(found[2])}" if found[1] in _OPTIONS else found[0],
+        text,
+    )
+
+
+def complain(text: str) -> None:
+    """Print a line about what is wrong, in the words of the command line."""
+    stderr.print(f"ogm: {with_options(text)}", markup=False)
+
+
 class SafeConsole(Console):
     """A console that prints every text `printable`, also in tables."""
 
@@ -51,8 +78,8 @@ class SafeFormatter(logging.Formatter):
     """Formats messages of the log as one `printable` text."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the text of a message."""
-        return printable(super().format(record))
+        """Return the text of a message, in the words of the command line."""
+        return printable(with_options(super().format(record)))
 
 
 out: SafeConsole = SafeConsole(highlight=False)
@@ -85,7 +112,7 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
             if received:  # processes that the same signal ended, or packages that made an error of it, are why
                 stderr.print(f"ogm: interrupted; {_WHOLE}", markup=False)
                 raise typer.Exit(130) from None
-            stderr.print(f"ogm: {error_text(error)}", markup=False)
+            complain(error_text(error))
             raise typer.Exit(1 if isinstance(error, OSError) and error.errno in OF_DISK else 2) from None
         except KeyboardInterrupt as interrupt:
             text = str(interrupt) or _WHOLE

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rich.progress import track
 
 from ogm.cli.console import out, stderr
+from ogm.cli.options import check_first
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -20,8 +21,7 @@ def check_pose_options(
         raise ValueError("--poses and --odometry exclude each other; give one")
     if calib is not None and poses is None:
         raise ValueError("--calib belongs to --poses, which is missing")
-    if first is not None and first < 1:
-        raise ValueError(f"--first must be at least 1, got {first}")
+    check_first(first)
     for path in filter(None, (poses, calib)):
         if save_poses is not None and save_poses.resolve() == path.resolve():
             raise ValueError(f"--save-poses would overwrite {path}; give another name")

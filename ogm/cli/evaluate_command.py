@@ -10,14 +10,26 @@ from rich.table import Table
 from rich.text import Text
 from typer import Argument, Option
 
-from ogm.cli.console import distinct, out, printable, report_errors, stderr, ticked
-from ogm.cli.options import FixedFrame, FolderAxes, Scheduler, Sensor, Topic, TruthSources, Workers, parsed_axes
+from ogm.cli.console import chosen_model, distinct, out, printable, report_errors, stderr, ticked
+from ogm.cli.options import (
+    First,
+    FixedFrame,
+    FolderAxes,
+    Scheduler,
+    Sensor,
+    Topic,
+    TruthSources,
+    Workers,
+    check_first,
+    parsed_axes,
+)
 from ogm.cli.sensor_options import SensorOptions, sensor_options
 from ogm.evidence.map_rules import MAP_RULES
+from ogm.grid import GridSpec
 from ogm.storage.locks import locked
 from ogm.storage.remote import as_path
 
-MODELS = ("height-band", "ray", "lite")
+MODELS = ("height-band", "ray", "lite")  # beside the default of other commands
 PRINTED = (
     "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known",
     "false_free", "missed_occupied", "from50_false_free", "from50_missed_occupied", "ece", "ece_relative",
@@ -58,8 +70,8 @@ def evaluate(
         list[str] | None,
         Option(
             help="Models: height-band, height-band-released, ray, lite, combined, radar, deep-radar, weights that `ogm "
-            "train` wrote (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite, "
-            "unless --grids are given]",
+            "train` wrote (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite "
+            "combined, unless --grids are given]",
             metavar="NAME [NAME]...",
         ),
     ] = None,
@@ -84,6 +96,7 @@ def evaluate(
     fixed_frame: FixedFrame = None,
     sensor: Sensor = None,
     sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
+    first: First = None,
     samples: Annotated[int | None, Option(help="Frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, Option(help="Frames with pictures in the report.")] = 100,
@@ -113,18 +126,18 @@ def evaluate(
     from ogm.evaluation import write_report
     from ogm.evaluation.runner import REPORT_FILES, choose_frames, named_methods
     from ogm.extras import import_extra
-    from ogm.grid import GridSpec
 
     for package in ("scipy", "matplotlib"):  # before hours of work
         import_extra(package, "evaluate")
     rules = _words(fused, "--fused", MAP_RULES)
     sources = _words(truth, "--truth", SOURCES)
+    check_first(first)
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
-    names = [*(ism or []), *(more or [])] or ([] if grids else list(MODELS))
+    spec = GridSpec.centered()
+    names = [*(ism or []), *(more or [])] or ([] if grids else usual_models(spec))
     if rules and not names:
         raise ValueError("--fused fuses the scans of models; give --ism NAME too")
-    spec = GridSpec.centered()
     others = "later" if rules else "all"
     log = {"topic": topic or (), "frame": fixed_frame, "sensors": sensor or ()}
     dataset = open_dataset(
@@ -138,6 +151,7 @@ def evaluate(
         **log,  # type: ignore
         **sensors._asdict(),
     )
+    dataset = dataset[:first]
     numbers = choose_frames(dataset, samples, every, seed)
     methods = named_methods(names, rules, grids or [], spec, resample)
     result = run_evaluation(
@@ -161,6 +175,12 @@ def evaluate(
     _print_motion(record)
     written = "   ".join(str(out_folder / name) for name in REPORT_FILES)
     out.print(f"written {written}", markup=False, soft_wrap=True)
+
+
+def usual_models(spec: GridSpec) -> list[str]:
+    """Return the models that are evaluated where none is named: geometric ones, and the default of other commands."""
+    usual = chosen_model(None, spec)
+    return list(MODELS[:2]) if usual in MODELS else [*MODELS, usual]
 
 
 def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:

@@ -8,7 +8,7 @@ from rich.progress import track
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, out, print_facts, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, out, print_facts, report_errors, stderr
 from ogm.cli.drive import check_pose_options, pick_drive, print_sensor, with_known_poses
 from ogm.cli.options import File
 from ogm.cli.sensor_options import SensorOptions, sensor_options
@@ -25,12 +25,10 @@ Odometry = Annotated[str | None, Option(help="Estimate the poses from the scans:
 SavePoses = Annotated[File, Option(help="Write the poses of the scans that were mapped (.csv, or .txt for TUM).")]
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Drive = Annotated[str | None, Option(help="Drive of a data set: its name or number. [default: the first]")]
-First = Annotated[int | None, Option(help="Map the first so many scans only. [default: all]")]
 _MODELS = (
     "Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of `ogm calibrate`; "
     "of radars: radar, deep-radar; of both: ray+radar, lite+deep-radar, ..."
 )
-Model = Annotated[str, Option(help=_MODELS)]
 UsualModel = Annotated[
     str | None,
     Option(help=f"{_MODELS} [default: combined; ray where the network is not installed or does not suit the grid]"),
@@ -87,7 +85,7 @@ def fuse(
     sequence: Drive = None,
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
-    first: First = None,
+    first: options.First = None,
     sensor: options.Sensor = None,
     ism: UsualModel = None,
     axes: options.Axes = "flu",
@@ -183,7 +181,7 @@ def fuse(
         dataset,
         outputs,
         options,
-        tell=lambda text: stderr.print(f"ogm: {text}", markup=False),
+        tell=complain,
         progress=lambda steps: track(steps, "mapping", len(dataset), console=stderr, transient=True),
     )
     print_facts(run.facts())
@@ -225,7 +223,7 @@ def _fuse_each(
             done += not one.error
             code = max(code, 2 if one.error else one.facts["code"])
             for text in [one.error] if one.error else one.facts["messages"]:
-                stderr.print(f"ogm: {one.name}: {text}", markup=False)
+                complain(f"{one.name}: {text}")
             rows[one.name] = "nothing is written" if one.error else f"{one.facts['scans']}, {one.facts['path']}"
             rows[one.name] += ", was finished before" if one.reused else ""
     except KeyboardInterrupt:

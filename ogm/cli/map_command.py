@@ -3,6 +3,7 @@
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -14,10 +15,11 @@ from rich.text import Text
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, distinct, first_call, out, report_errors, stderr, ticked
+from ogm.cli.console import chosen_model, complain, distinct, first_call, out, report_errors, stderr, ticked
 from ogm.cli.sensor_options import SensorOptions, sensor_options
 
 if TYPE_CHECKING:
+    from ogm.datasets import Dataset
     from ogm.grid import EvidentialGrid, GridSpec
     from ogm.scan import InverseSensorModel
 
@@ -96,6 +98,7 @@ def map_(
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
     sensor: options.Sensor = None,
+    first: options.First = None,
     out_path: Annotated[
         Path | None,
         Option(
@@ -116,34 +119,38 @@ def map_(
     from ogm.workflows import map_to_files
     from ogm.workflows.checks import gravest
 
+    options.check_first(first)
     spec = GridSpec.centered(length, width, resolution)
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
     chosen = {"topic": topic or (), "frame": fixed_frame, "sensors": sensor or ()}
-    dataset = open_dataset(scans, **reading, **chosen, **sensors._asdict())  # type: ignore[arg-type]
+    dataset = open_dataset(scans, **reading, **chosen, **sensors._asdict())[:first]  # type: ignore[arg-type]
     ism = chosen_model(ism, spec)
     model = _model(ism, spec, sensors.sensor_height, sensors.sensor_position)
     estimated = sensors.sensor_height is None and ism != RELEASED and dataset.format.startswith(("scans", "log"))
     if out_path is None and picture is None:
         out_path, picture = Path(), Path()
+        _check_replaced(dataset, spec)
     results = map_to_files(dataset, model, out_path, picture, title=ism, first_call=first_call)
     names = distinct([frame.name.replace("/", "_") for frame in dataset])
-    table, heights, failed = _table(), set(), False
+    table, heights, failed, done = _table(), set(), False, list[str]()
     for name, (frame, grid, seconds, error) in ticked(zip(names, results, strict=True), "mapping", len(names)):
         if grid is None:
-            stderr.print(f"ogm: {frame.name}: {error}", markup=False)
+            complain(f"{frame.name}: {error}")
             failed = True
             continue
         _row(table, name, len(frame.scan), grid, seconds)
+        done.append(frame.name.replace("/", "_"))
         if estimated:
             heights.add(f"{frame.mount.sensor_height:.2f} m")
     if ism != RELEASED:
         for finding in gravest(dataset, ism):
-            stderr.print(f"ogm: {finding}", markup=False)
+            complain(str(finding))
     if heights:
         stderr.print(f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)")
     if table.row_count:
         out.print(f"{_cells(spec)}, {ism}", markup=False, soft_wrap=True)
         out.print(table)
+        out.print(f"written {_written(done, out_path, picture)}", markup=False, soft_wrap=True)
     if failed:
         raise typer.Exit(2)
 
@@ -162,6 +169,31 @@ def _model(
         raise ValueError(f"{RELEASED} has a mount of 1.61 m built in; leave out --sensor-height")
     mount = Mount(1.61) if position is None else Mount(1.61, pose(*position), points_in="vehicle")
     return load_model(name, spec, mount)
+
+
+def _check_replaced(dataset: "Dataset", spec: "GridSpec") -> None:
+    """Refuse to replace, without a name that was given, what was not written by the same command."""
+    from ogm.grid import EvidentialGrid
+
+    for frame in dataset:
+        grid = Path(f"{frame.name.replace('/', '_')}.npz")
+        there = [path for path in (grid, grid.with_suffix(".png")) if path.exists()]
+        with suppress(ValueError, OSError):
+            if EvidentialGrid.load(grid).spec == spec:
+                continue
+        if there:
+            raise ValueError(f"{there[0]} is there already, of something else: give --out and --picture, or move it")
+
+
+def _written(names: list[str], grids: Path | None, pictures: Path | None) -> str:
+    """Return the files that were written, or their folders."""
+    parts = []
+    for path, ending in ((grids, ".npz"), (pictures, ".png")):
+        if path is not None and path.is_dir() and path.suffix != ".zarr":
+            parts.append(str(path / f"{names[0]}{ending}") if len(names) == 1 else f"{len(names)} {ending} in {path}")
+        elif path is not None:
+            parts.append(str(path))
+    return ", ".join(parts)
 
 
 def _cells(spec: "GridSpec") -> str:

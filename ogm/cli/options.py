@@ -11,6 +11,12 @@ def parsed_axes(text: str) -> str | tuple[str, ...]:
     return tuple(text.split(",")) if "," in text else text
 
 
+def check_first(first: int | None) -> None:
+    """Refuse a number of scans below 1."""
+    if first is not None and first < 1:
+        raise ValueError(f"--first must be at least 1, got {first}")
+
+
 File = Path | None
 Axes = Annotated[
     Any,
@@ -48,5 +54,6 @@ Sensor = Annotated[
     ),
 ]
 FixedFrame = Annotated[str | None, Option("--frame", help="Of a log: fixed frame. [default: map, odom, world, root]")]
+First = Annotated[int | None, Option(help="Use the first N scans only. [default: all]", metavar="N")]
 Workers = Annotated[int, Option(help="Processes of this machine.", min=1)]
 Scheduler = Annotated[str | None, Option(help="Use a Dask cluster instead: tcp://host:port.")]

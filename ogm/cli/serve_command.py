@@ -12,11 +12,12 @@ import typer
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import first_call, out, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, first_call, out, report_errors
 from ogm.cli.drive import check_pose_options, pick_drive, print_sensor, with_known_poses
-from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Model, Odometry, Poses, Rule
+from ogm.cli.fuse_command import Calibration, Drive, HalfLife, Odometry, Poses, Rule, UsualModel
 from ogm.cli.sensor_options import SensorOptions, sensor_options
 from ogm.evidence.map_rules import REVISE
+from ogm.extras import import_extra
 from ogm.storage.files import error_text
 
 if TYPE_CHECKING:
@@ -53,8 +54,8 @@ def serve(
     sequence: Drive = None,
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
-    first: First = None,
-    ism: Model = "ray",
+    first: options.First = None,
+    ism: UsualModel = None,
     axes: options.Axes = "flu",
     sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
     intensity_max: options.IntensityMax = None,
@@ -89,8 +90,10 @@ def serve(
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
+    import_extra("foxglove", "live")  # before kernels are compiled
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
+    ism = chosen_model(ism, spec)
     model = load_model(with_radar(ism), spec)
     mapper = make_mapper(rule or REVISE, rolling_window(spec), half_life)
     if warning := adding_rule_warning(rule or REVISE):
@@ -151,7 +154,7 @@ def _example(dataset: "Dataset") -> "Frame | None":
 
 def _print(line: object) -> None:
     """Print a line about the run, apart from its result."""
-    stderr.print(f"ogm: {line}", markup=False)
+    complain(str(line))
 
 
 def _listener(place: str) -> socket.socket:

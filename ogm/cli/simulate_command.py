@@ -31,7 +31,7 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[int | None, Option(help="Random seed. [default: 1]")] = None,
-    validation: Annotated[int | None, Option(help="Samples of other traffic there. [default: samples / 10]")] = None,
+    validation: Annotated[int | None, Option(help="Samples of other traffic. [default: samples / 10, or 1]")] = None,
     test: Annotated[int | None, Option(help="Samples of another town. [default: samples / 100]")] = None,
     sequences: Annotated[int | None, Option(help="Pieces of 10 s at 10 Hz, 100 samples each. [default: 0]")] = None,
     lidar: Annotated[str | None, Option(help="Lidar of all samples. [default: a mix, 85 % vlp-32c]")] = None,

@@ -1,5 +1,6 @@
 """``ogm world``: maps of a whole city, from many drives."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,10 +9,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import out, print_facts, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, out, print_facts, report_errors, stderr
+from ogm.cli.fuse_command import UsualModel
 from ogm.cli.sensor_options import SensorOptions, sensor_options
+from ogm.extras import import_extra
 
 if TYPE_CHECKING:
+    from ogm.datasets import Dataset
     from ogm.world import Progress as Event
     from ogm.world import WorldMap
 
@@ -23,6 +27,7 @@ world_app: typer.Typer = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+DOUBTFUL = 0.2  # share of contradictions beyond which drives are hardly of one place
 
 Url = Annotated[str, Argument(help="The map: a folder, a .zip (to read), or s3://bucket/prefix.", metavar="URL")]
 DataSets = Annotated[list[Path], Argument(help="Data sets, logs, or folders of scans.", metavar="DATASETS")]
@@ -30,7 +35,6 @@ OutUrl = Annotated[str, Option("--out", help="The map: a new folder, s3://bucket
 PosesOf = Annotated[list[Path] | None, Option(help="Poses of each data set, in order: KITTI, TUM, .csv, .g2o.")]
 Calib = Annotated[Path | None, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
-Ism = Annotated[str, Option(help="Sensor model, as of `ogm fuse`.")]
 Rule = Annotated[str, Option(help="Combine by: cautious, dempster, cumulative. For a new map.")]
 Trust = Annotated[float, Option("--drive-reliability", help="Discount of each drive's map, (0, 1]. For a new map.")]
 Tile = Annotated[int, Option(help="Cells along a side of a tile, a power of two. For a new map.")]
@@ -51,7 +55,8 @@ def build(
     poses: PosesOf = None,
     calib: Calib = None,
     rate: Rate = 10.0,
-    ism: Ism = "ray",
+    ism: UsualModel = None,
+    first: options.First = None,
     axes: options.Axes = "flu",
     sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
     length: options.Length = None,
@@ -70,7 +75,6 @@ def build(
     of workers. Workers of --scheduler reach data sets and map under the same paths. Where an object store is and who
     may use it is taken from AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
     """
-    from ogm.datasets import open_dataset, with_poses
     from ogm.grid import GridSpec
     from ogm.models.named import load_model, with_radar
     from ogm.workflows import drives_of
@@ -79,18 +83,19 @@ def build(
 
     if poses is not None and len(poses) != len(datasets):
         raise ValueError(f"give --poses once per data set, or never: got {len(poses)} for {len(datasets)}")
+    options.check_first(first)
+    import_extra("zarr", "world")  # before scans are read
     spec = GridSpec.centered(length, width, resolution)
+    ism = chosen_model(ism, spec)
     model = load_model(with_radar(ism), spec)
+    placed = sensors._asdict()
     opened = [
-        (path, open_dataset(path, axes=axes, default_split="sequences", **sensors._asdict())) for path in datasets
+        (path, _open(path, axes, poses[n] if poses else None, calib, rate, placed)) for n, path in enumerate(datasets)
     ]
-    if poses is not None:
-        placed = zip(opened, poses, strict=True)
-        opened = [(path, with_poses(dataset, file, calib, rate)) for (path, dataset), file in placed]
-    drives = drives_of(opened)
+    drives = {name: drive[:first] for name, drive in drives_of(opened).items()}
     for name, drive in drives.items():
         for finding in gravest(drive, ism):
-            stderr.print(f"ogm: {name}: {finding}", markup=False)
+            complain(f"{name}: {finding}")
     try:
         world = WorldMap.open(out_url, "r+")
     except FileNotFoundError:
@@ -104,8 +109,11 @@ def build(
         )
     with world, _progress() as show:
         build_world(world, drives, model, length=submap_length, workers=workers, scheduler=scheduler, progress=show)
+        if not world.tiles():
+            raise ValueError(f"{out_url} stays empty: no scan shows anything on the grid; `ogm map` of one tells why")
         world.build_overviews()
         _print(world)
+        _print_contradictions(world)
 
 
 @report_errors
@@ -176,6 +184,16 @@ def export(
     out.print(f"written {path}", markup=False)
 
 
+def _open(
+    path: Path, axes: Any, poses: Path | None, calib: Path | None, rate: float, placed: Mapping[str, Any]
+) -> "Dataset":
+    """Return a data set with its poses."""
+    from ogm.datasets import open_dataset, with_poses
+
+    dataset = open_dataset(path, axes=axes, default_split="sequences", **placed)
+    return dataset if poses is None else with_poses(dataset, poses, calib, rate)
+
+
 class _progress:  # noqa: N801  a context manager
     """A progress bar, as a function of events."""
 
@@ -208,6 +226,19 @@ def _print(world: "WorldMap") -> None:
         frames = sum(one.mapped for one in drive.submaps)
         facts[f"drive {name}"] = f"{frames} frames, {made} of {len(drive.submaps)} sub-maps"
     print_facts(facts)
+
+
+def _print_contradictions(world: "WorldMap") -> None:
+    """Print in how many cells the drives of a map contradict each other."""
+    from ogm.world.drives import drive_names, load_drive
+    from ogm.world.tasks import contradictions
+
+    against, common = contradictions(world.store, [load_drive(world.store, name) for name in drive_names(world.store)])
+    if common:
+        share = against / common
+        out.print(f"conflict of drives: {share:.1%} of {common} cells that two of them know", soft_wrap=True)
+        if share > DOUBTFUL:
+            complain("the drives contradict each other in many cells: check that their poses are in one frame")
 
 
 world_app.command(

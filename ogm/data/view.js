@@ -214,10 +214,25 @@ function decorate(x, y, w, h, [left, right, front, back]) {
   }
   context.strokeStyle = "#4a5462";
   context.strokeRect(x - 0.5, y - 0.5, w + 1, h + 1);
-  const u = COLUMNS + Y0 / RES, v = ROWS + X0 / RES;  // of x = y = 0
-  if (u >= 0 && u <= COLUMNS && v >= 0 && v <= ROWS) {
+  const screen = (px, py) => [toX(COLUMNS - (py - Y0) / RES), toY(ROWS - (px - X0) / RES)];
+  const lines = (points, styles) => {
+    for (const [colour, wide] of styles) {
+      context.strokeStyle = colour;
+      context.lineWidth = wide * unit;
+      context.beginPath();
+      for (const [from, to] of points) { context.moveTo(...from); context.lineTo(...to); }
+      context.stroke();
+    }
+  };
+  const track = (D.track || []).map(([px, py]) => screen(px, py));
+  lines(track.slice(1).map((to, k) => [track[k], to]), [["#000", 3.5], ["#fff", 1.5]]);
+  const [ox, oy] = screen(0, 0), arm = 6 * unit;
+  lines([[[ox - arm, oy], [ox + arm, oy]], [[ox, oy - arm], [ox, oy + arm]]], [["#000", 4], ["#fff", 1.5]]);
+  context.lineWidth = unit;
+  if (D.vehicle) {
+    const [px, py] = screen(D.vehicle[0], D.vehicle[1]), c = Math.cos(D.vehicle[2]), s = Math.sin(D.vehicle[2]);
     context.beginPath();
-    for (const [dx, dy] of [[0, -8], [6, 6], [-6, 6]]) context.lineTo(toX(u) + dx * unit, toY(v) + dy * unit);
+    for (const [dx, dy] of [[0, -10], [7, 7], [-7, 7]]) context.lineTo(px + (c * dx + s * dy) * unit, py + (c * dy - s * dx) * unit);
     context.closePath();
     context.fillStyle = "#fff";
     context.strokeStyle = "#000";

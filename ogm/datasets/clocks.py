@@ -197,7 +197,7 @@ def clock_findings(
         found.append(ClockFinding("wrong stamps", what, where, "these scans are left out"))
     if not known.all():
         what = f"{np.count_nonzero(~known)} of {len(stamps)} headers have no stamp (0)"
-        way = "these scans are left out" if known.any() else "poses cannot be looked up: estimate them (--odometry)"
+        way = "these scans are left out" if known.any() else "poses cannot be looked up: estimate them by `odometry`"
         found.append(ClockFinding("missing stamps", what, topic, way))
     return found
 

@@ -51,9 +51,7 @@ def sensor_frame(buffer: TransformBuffer, frame: str, vehicle: Sequence[str]) ->
         found = (
             f"lead from there to {', '.join(lidars or below)}, not to one lidar" if below else "from there are missing"
         )
-        way = (
-            "give sensor_position (--sensor-position X Y Z, in base_link), or the cloud in its sensor's frame (--topic)"
-        )
+        way = "give `sensor_position` (x, y, z in base_link), or by `topic` the cloud in its sensor's frame"
         raise OgmError(f"{where}, and transforms {found}: {way}")
     return lidars[0]
 

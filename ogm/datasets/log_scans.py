@@ -214,7 +214,7 @@ class LogScans:
         if (T := self.T_vehicle_sensor) is None:
             raise OgmError(
                 f"{self.path}: {self.transforms.missing_vehicle(list(self.by_frame))}, so that the scans of several "
-                "sensors cannot be brought together; choose one topic (--topic)"
+                "sensors cannot be brought together; choose one `topic`"
             )
         places, first = T[:, :3, 3], {scan.topic: n for n, scan in reversed(list(enumerate(self.refs)))}
         x, y = np.array([places[n, :2] for n in first.values()]).T
@@ -257,5 +257,5 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
         raise OgmError(f"{path} has no scans ({types}); its topics are {', '.join(named.values()) or 'none'}")
     usual = [name for name in scans if log.topics[name].type in _LIDAR_TYPES] or scans
     if not wanted and len(usual) > 1:
-        raise OgmError(f"{path} has several topics with scans, {listed}: choose by topic (--topic)")
+        raise OgmError(f"{path} has several topics with scans, {listed}: choose one by `topic`")
     return tuple(dict.fromkeys(wanted or usual))

@@ -189,7 +189,7 @@ class LogTransforms:
                 return frame
             except TransformError as error:
                 if not self._read_odometry():
-                    raise OgmError(f"frame (--frame) {frame} has no use: {error}") from error
+                    raise OgmError(f"`frame` {frame} has no use: {error}") from error
 
     def _is_moving(self, frame: str, sensor: str) -> bool:
         """Tell whether transforms join two frames, one of which is not static."""

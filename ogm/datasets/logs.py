@@ -57,7 +57,7 @@ class LogRecording(Recording):
         position, several = options.sensor_position, len(scans.topics) > 1
         if position is not None and (known := scans.known_place()):
             raise ValueError(
-                f"sensor_position (--sensor-position) is for points in the vehicle's frame, but those of {path} are in "
+                f"`sensor_position` is for points in the vehicle's frame, but those of {path} are in "
                 f"{known}: leave it out"
             )
         self._turns = _turns(scans, rotation_to_flu(options.axes), position is not None)
@@ -102,11 +102,11 @@ class LogRecording(Recording):
         for warning in (*scans.warnings, *scans.transforms.clock.findings):
             _log.warning("%s", warning)
         if "origin" in options.units:
-            raise ValueError(f"origin (--origin) is for files of scans in map coordinates, {scans.path} is a log")
+            raise ValueError(f"`origin` is for files of scans in map coordinates, {scans.path} is a log")
         if scans.types != {CLOUD} and options.units:
-            raise ValueError(f"{scans.path} has scans of known units; leave out intensity_max and time_unit")
+            raise ValueError(f"{scans.path} has scans of known units; leave out `intensity_max` and `time_unit`")
         if len(scans.topics) > 1 and options.sensor_position is not None:
-            raise ValueError("sensor_position (--sensor-position) is for the points of one sensor; choose one topic")
+            raise ValueError("`sensor_position` is for the points of one sensor; choose one `topic`")
         return cls(paths[0], scans, options)
 
     @cached_property
@@ -155,7 +155,7 @@ class LogRecording(Recording):
 
     def truth(self, n: int) -> NoReturn:
         """Raise OgmError: scans of several sensors have no truth."""
-        raise OgmError("truth is not made of the scans of several sensors: choose one topic (--topic)")
+        raise OgmError("truth is not made of the scans of several sensors: choose one `topic`")
 
 
 def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
@@ -220,7 +220,7 @@ def _turns(scans: LogScans, turn: NDArray[np.float64], in_vehicle: bool) -> NDAr
     if T is None:
         return np.tile(turn, (len(scans.refs), 1, 1))
     if not np.array_equal(turn, np.eye(3)):
-        raise ValueError(f"the transforms of {scans.path} state the axes of its points; leave out axes (--axes)")
+        raise ValueError(f"the transforms of {scans.path} state the axes of its points; leave out `axes`")
     return T[:, :3, :3]
 
 
@@ -292,7 +292,7 @@ class CaptureRecording(Recording):
         if len(paths) > 1:
             raise OgmError(f"{path} is a network capture; give one alone")
         if options.units:
-            raise ValueError(f"{path} has scans of known units; leave out intensity_max and time_unit")
+            raise ValueError(f"{path} has scans of known units; leave out `intensity_max` and `time_unit`")
         stamps = [scan.stamp for scan in scans_from_pcap(path, no_returns=False)]
         refs = [FrameRef(f"{n:06d}", path.stem, stamp) for n, stamp in enumerate(stamps)]
         recording = cls(path, refs, path.stem)

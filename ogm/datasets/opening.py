@@ -161,11 +161,11 @@ def _recording(paths: list[Any], options: OpenOptions) -> Recording:
     recording = next((one for one in found if one is not None), None)
     own = () if recording is None else recording.own_options
     if options.sensors and "sensors" not in own:
-        raise ValueError(f"sensors (--sensor) is for data sets that `ogm simulate` made, which {path} is not")
+        raise ValueError(f"`sensors` is for data sets that `ogm simulate` made, which {path} is not")
     if (options.topic or options.frame is not None) and "topic" not in own:
-        raise ValueError(f"topic and frame (--topic, --frame) are for logs ({', '.join(LOG_ENDINGS)}), got {path}")
+        raise ValueError(f"`topic` and `frame` are for logs ({', '.join(LOG_ENDINGS)}), got {path}")
     if options.split is not None and "split" not in own:
-        raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
+        raise ValueError(f"`split` is for data sets that `ogm simulate` made, which {path} is not")
     if recording is None:
         grids = "it holds grids: give spec, their cells, to open them"
         raise OgmError(
@@ -181,26 +181,24 @@ def _check(recording: Recording, options: OpenOptions) -> None:
     turned = not np.array_equal(rotation_to_flu(options.axes), np.eye(3))
     if recording.known_axes and (turned or options.units):
         raise ValueError(
-            f"{path} ({recording.format}) has known axes and units; leave out axes, intensity_max, time_unit, "
-            "origin (--axes, --intensity-max, --time-unit, --origin), or give its scans as files"
+            f"{path} ({recording.format}) has known axes and units; leave out `axes`, `intensity_max`, `time_unit` "
+            "and `origin`, or give its scans as files"
         )
     if recording.known_truth and options.truth:
-        raise ValueError(
-            f"truth (--truth) is for recordings; {path} ({recording.format}) holds its truth itself: leave it out"
-        )
+        raise ValueError(f"`truth` is for recordings; {path} ({recording.format}) holds its truth itself: leave it out")
     stated = [setup.topic for setup in options.setups]
     used = recording.facts.get("topics", [stated[0]] if len(stated) == 1 else [])
     if stated and "" not in stated and not set(stated) & set(used):
         raise ValueError(
-            f"the setups (--sensors) are of {', '.join(stated)}, the scans of {path} of "
+            f"the `setups` are of {', '.join(stated)}, the scans of {path} of "
             f"{', '.join(used) or 'no topic'}: name that topic, or leave topic out"
         )
     if recording.known_axes and any(setup.mount is not None for setup in options.setups):
-        raise ValueError(f"{path} ({recording.format}) states its mounts: leave mount out of the setups (--sensors)")
+        raise ValueError(f"{path} ({recording.format}) states its mounts: leave mount out of the `setups`")
     given = options.sensor_height is not None or any(one.sensor_height is not None for one in options.setups)
     if recording.known_mount and given:
-        raise ValueError(f"{path} states its sensor's height; leave out sensor_height (--sensor-height)")
+        raise ValueError(f"{path} states its sensor's height; leave out `sensor_height`")
     if options.sensor_position is not None and (recording.known_mount or recording.known_axes):
         raise ValueError(
-            f"the points of {path} ({recording.format}) are in the sensor's frame; leave out sensor_position"
+            f"the points of {path} ({recording.format}) are in the sensor's frame; leave out `sensor_position`"
         )

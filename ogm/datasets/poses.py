@@ -53,13 +53,13 @@ def with_poses(
     """
     _check_one_sensor(dataset)
     if dataset.recording.known_mount:
-        raise ValueError(f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)")
+        raise ValueError(f"{dataset.name} knows its poses; leave out `poses` (or estimate some with `odometry`)")
     T_camera_sensor = None if calibration is None else read_calibration(calibration)
     try:
         poses = read_poses(path, T_camera_sensor=T_camera_sensor)
     except ValueError as error:
         if calibration is None and "T_camera_sensor" in str(error):
-            raise ValueError(f"{error} (give calibration; on the command line: --calib calib.txt)") from error
+            raise ValueError(f"{str(error).partition('. Give')[0]}: give `calibration=calib.txt`") from error
         raise
     return _matched(dataset, _to_flu(poses, dataset.recording.axes), os.path.basename(path), rate, progress)
 
@@ -133,7 +133,7 @@ def _to_flu(poses: Poses, axes: Axes) -> Poses:
 def _check_one_sensor(dataset: Dataset) -> None:
     recording = dataset.recording
     if len({recording.place(n).name for n in range(len(recording.frames))}) > 1:
-        raise ValueError(f"{dataset.name} has scans of several sensors, poses are of one: choose one topic (--topic)")
+        raise ValueError(f"{dataset.name} has scans of several sensors, poses are of one: choose one `topic`")
 
 
 def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress: Progress) -> Dataset:
@@ -158,7 +158,7 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
     else:
         raise ValueError(
             f"{source} has {total} poses for {count} scans, and nothing tells which belongs to which: give as many, "
-            "poses with frame numbers (KITTI-360) or stamps (TUM) that the scans have too, or --odometry"
+            "poses with frame numbers (KITTI-360) or stamps (TUM) that the scans have too, or `odometry`"
         )
     has = rows >= 0
     placed = np.where(has[:, None, None], poses.poses[rows], np.nan)
@@ -204,7 +204,7 @@ def _placed(
 def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
     """Return when the scans were taken [s]: stated, or counted by a rate; None if the scans state them."""
     if not 0 < rate < np.inf:
-        raise ValueError(f"rate must be above 0 [Hz], got {rate} (--rate)")
+        raise ValueError(f"`rate` must be above 0 [Hz], got {rate}")
     refs = dataset.refs
     if dataset.recording.stamped:
         return np.array([ref.stamp for ref in refs], np.float64)

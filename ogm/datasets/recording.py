@@ -306,7 +306,7 @@ class Recording(ABC):
         if not estimates:
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
-                "so its height is not known: give sensor_height [m] (--sensor-height)"
+                "so its height is not known: give `sensor_height` [m]"
             )
         return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}")
 

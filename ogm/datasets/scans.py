@@ -182,8 +182,11 @@ class ScansRecording(ScanFiles):
             raise ValueError(f"{folder} is a folder; give one folder alone, or files")
         if not (files := in_order(paths if folder is None else _files_in(folder))):
             return None
-        recording = cls._of_files(paths, files) if folder is None else cls._of_folder(folder, files, options.axes)
-        recording.axes, recording.units = options.axes, options.units
+        axes = options.axes
+        if isinstance(axes, str) and axes == "flu" and all(ending_of(file).startswith(".pcd.bin") for file in files):
+            axes = "nuscenes"  # see `ogm.io.read_scan`
+        recording = cls._of_files(paths, files) if folder is None else cls._of_folder(folder, files, axes)
+        recording.axes, recording.units = axes, options.units
         return recording
 
     @classmethod

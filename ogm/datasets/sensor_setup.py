@@ -70,9 +70,7 @@ class SensorSetup:
                 "(--min-range, --max-range)"
             )
         if self.max_range_no_echo and math.isinf(self.max_range):
-            raise ValueError(
-                "max_range_no_echo (--max-range-no-echo) needs the greatest range: give max_range (--max-range)"
-            )
+            raise ValueError("`max_range_no_echo` needs the greatest range: give `max_range`")
         for name, count in (("mount", 6), ("ego_footprint", 4)):
             numbers = getattr(self, name)
             if numbers is not None and (len(numbers) != count or not np.isfinite(numbers).all()):

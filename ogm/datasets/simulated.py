@@ -168,7 +168,7 @@ class SimulatedRecording(Recording):
             If the dataset was made without truth, or the frame is a sweep between the lidar's scans.
         """
         if not self._observed:
-            raise OgmError("the data set was made without truth (--truth none): make one with it in a new folder")
+            raise OgmError("the data set was made without truth: make one with it in a new folder")
         if not self.has_truth(n):
             name = self.frames[n].name
             raise OgmError(f"{name} lies between the lidar's turns, whose truth is known: there is none")

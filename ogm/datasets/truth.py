@@ -65,7 +65,7 @@ class RecordedTruth:
         if missing := [name for name in wanted if name not in there]:
             raise ValueError(
                 f"{recording.path} ({recording.format}) has no {' and '.join(missing)} to make truth of; has "
-                f"{', '.join(there) or 'no labels'}. give truth=({', '.join(map(repr, there))},) or less"
+                f"{', '.join(there) or 'no labels'}. Give `truth={','.join(there)}` or less"
             )
         self.sources = tuple(name for name in SOURCES if name in (wanted or there))
         self._later = others == "later"

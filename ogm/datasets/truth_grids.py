@@ -54,8 +54,8 @@ class TruthGridsRecording(Recording):
     def read(self, n: int) -> NoReturn:
         """Raise OgmError: there are no scans."""
         raise OgmError(
-            f"{self.path} holds grids of truth, no scans: compare them with grids (--grids FOLDER), or give a data set "
-            "that has scans"
+            f"{self.path} holds grids of truth, no scans: compare them by `ogm evaluate --grids FOLDER`, or give a "
+            "dataset that has scans"
         )
 
     mount = read

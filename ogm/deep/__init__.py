@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from ogm.deep.ism import DeepISM
 from ogm.deep.polar import RadarNoise
 from ogm.deep.radar import DeepRadarISM
+from ogm.extras import install_line
 
 if TYPE_CHECKING:
     from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork
@@ -31,7 +32,7 @@ def __getattr__(name: str) -> object:
         value = getattr(importlib.import_module("ogm.deep.network"), name)
     except ImportError as error:
         raise ImportError(
-            f'networks to train lack a package ({error}): pip install "ogm-toolkit[train]"; '
+            f"networks to train lack a package ({error}): {install_line('train')}; "
             "on a machine without an NVIDIA GPU install PyTorch's CPU build first"
         ) from error
     globals()[name] = value

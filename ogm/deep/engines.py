@@ -13,6 +13,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ogm.extras import install_line
 from ogm.storage.files import OgmError
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ __all__ = ["ENGINES", "SHIPPED", "load_engine", "weights_of"]
 SHIPPED = ("lite", "radar")  # weights in the package, also exported
 ENGINES = ("onnxruntime", "openvino", "torch")
 _TORCH = (
-    'pip install "ogm-toolkit[train]" adds it (on a machine without an NVIDIA GPU install PyTorch\'s CPU build first), '
+    f"{install_line('train')} adds it (on a machine without an NVIDIA GPU install PyTorch's CPU build first), "
     "or export the weights where it is: ogm export WEIGHTS --out NAME.onnx"
 )
 

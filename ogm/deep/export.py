@@ -35,12 +35,12 @@ from ogm.deep.export_parts import ExportParts, lidar_parts, radar_parts
 from ogm.deep.network import PillarNetwork
 from ogm.deep.onnx_file import OPERATIONS, sealed, weights_sum
 from ogm.deep.radar_network import RadarNetwork
+from ogm.extras import install_line
 from ogm.storage.files import atomic_write
 
 __all__ = ["export_onnx"]
 
 _OPSET = 18
-_PIP = 'pip install "ogm-toolkit[train]"'
 
 
 def export_onnx(
@@ -133,4 +133,6 @@ def _package(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ImportError(f"ONNX needs the package {name}, which is missing ({error}): {_PIP}") from error
+        raise ImportError(
+            f"ONNX needs the package {name}, which is missing ({error}): {install_line('train')}"
+        ) from error

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import install_line
 from ogm.storage.files import OgmError
 
 Inputs = Mapping[str, NDArray[np.float32]]
@@ -166,5 +167,6 @@ def _package(name: str, extra: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        pip = f'pip install "ogm-toolkit[{extra}]"'
-        raise ImportError(f"the engine {name} needs its package, which is missing ({error}): {pip}") from error
+        raise ImportError(
+            f"the engine {name} needs its package, which is missing ({error}): {install_line(extra)}"
+        ) from error

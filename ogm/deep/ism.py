@@ -3,6 +3,7 @@
 import logging
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -249,7 +250,8 @@ class DeepISM:
         """Log a warning, once for each reason."""
         if reason not in self._warned:
             self._warned.add(reason)
-            _log.warning("unlike the training data: %s", text)
+            name = PurePath(str(self.description.get("card", ""))).stem or "DeepISM"
+            _log.warning("%s, unlike the training data: %s", name, text)
 
 
 class _Placed(NamedTuple):

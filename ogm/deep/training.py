@@ -26,6 +26,7 @@ from ogm.deep.polar import RadarGrid, RadarNoise
 from ogm.deep.radar_data import RadarDataset
 from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.deep.recipe import LOSSES, Recipe
+from ogm.extras import install_line
 from ogm.grid import GridSpec
 from ogm.scan import Frame
 
@@ -35,7 +36,7 @@ try:
     from ogm.deep.training_loop import refuse_other_run, run_training
     from ogm.deep.training_run import TrainingRun, draw_predictions
 except ImportError as error:
-    raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[train,sim]"') from error
+    raise ImportError(f"training lacks a package ({error}): {install_line('train,sim')}") from error
 
 __all__ = ["train"]
 

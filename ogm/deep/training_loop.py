@@ -111,7 +111,7 @@ def run_training(
                     raise
                 if run.consistent:
                     run.save()
-                text = f"another process of the training in {out} ended: start all again with --resume"
+                text = f"another process of the training in {out} ended: start all again with `resume`"
                 raise OSError(text) from error
     return out / "best.safetensors"
 
@@ -202,7 +202,7 @@ def _memory_advice(recipe: Recipe) -> Iterator[None]:
         killed = "alloc" in str(error) or "DataLoader worker" in str(error)  # by the operating system
         if not (isinstance(error, torch.OutOfMemoryError) or killed):
             raise
-        text = f"out of memory with batches of {recipe.batch}: use a smaller --batch, or fewer --workers"
+        text = f"out of memory with batches of {recipe.batch}: use a smaller `batch`, or fewer `workers`"
         raise MemoryError(text) from error
 
 
@@ -223,4 +223,4 @@ def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
 def refuse_other_run(out: Path, resume: bool) -> None:
     """Raise a ValueError if a folder holds a run that is not to be resumed."""
     if not resume and (out / "state.pt").exists():
-        raise ValueError(f"{out} holds a run already; go on with --resume, or give another --out")
+        raise ValueError(f"{out} holds a run already; go on with `resume`, or give another `out`")

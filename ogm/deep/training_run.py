@@ -101,7 +101,7 @@ class TrainingRun:
         self.steps = self.steps_per_epoch * recipe.epochs
         if self.steps == 0:
             need = f"one batch of {recipe.batch} for each of {fabric.world_size} processes"
-            raise ValueError(f"{training} training frames are fewer than {need}; use a smaller --batch")
+            raise ValueError(f"{training} training frames are fewer than {need}; use a smaller `batch`")
         self._setup = {
             "recipe": repr(replace(recipe, learning_rate=0.0, clip=0.0)),  # a resumed run may change these two
             "spec": repr(spec),
@@ -207,7 +207,7 @@ class TrainingRun:
             state = torch.load(path, map_location="cpu", weights_only=True)
             for name, wanted in self._setup.items():
                 if state["setup"][name] != wanted:
-                    change = f"{state['setup'][name]}, now {wanted}; give the same options and data, or another --out"
+                    change = f"{state['setup'][name]}, now {wanted}; give the same options and data, or another `out`"
                     raise ValueError(f"it was begun with another {name}: {change}")
             for name in _MODULES:
                 getattr(self, name).load_state_dict(state[name])
@@ -242,7 +242,7 @@ def nonfinite_loss_error(folder: Path, batch: TrainingBatch, loss: float, step: 
     with atomic_write(path) as file:
         arrays: Any = batch.arrays()
         np.savez_compressed(file, **arrays, state=batch.state.numpy(), numbers=np.array(batch.numbers))
-    way_out = "--resume with a smaller --learning-rate goes on from the last saved state"
+    way_out = "`resume` with a smaller `learning_rate` goes on from the last saved state"
     return FloatingPointError(f"the loss became {loss} at step {step}; the batch is in {path}; {way_out}")
 
 

@@ -70,7 +70,7 @@ class ResultCache:
                 raise OgmError(
                     f"{folder} holds {len(frames)} frames of an unfinished run with other data, methods or settings, "
                     "with files that have changed since, or by another ogm: repeat that command to resume it, give "
-                    "another --out, or delete the folder"
+                    "another `out`, or delete the folder"
                 )
             for path in frames:
                 path.unlink()

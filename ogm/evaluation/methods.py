@@ -204,7 +204,7 @@ class PrecomputedGrids:
         try:
             return resample_to(grid, spec, self.resampling)
         except ValueError as error:
-            raise ValueError(f"{path}: {error} (--resample area)") from error
+            raise ValueError(f"{path}: {error}; `resample=area` resamples them") from error
 
     def state(self) -> str:
         """Return what the results depend on besides the description and the files."""

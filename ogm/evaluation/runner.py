@@ -244,11 +244,11 @@ def choose_frames(dataset: Dataset, samples: int | None = None, every: int = 1, 
         If `every` is below 1, or there are fewer frames than `samples`.
     """
     if every < 1:
-        raise ValueError(f"--every must be at least 1, got {every}")
+        raise ValueError(f"`every` must be at least 1, got {every}")
     numbers = np.array(dataset.with_truth, int)[::every]
     if samples is not None:
         if not 1 <= samples <= len(numbers):
-            raise ValueError(f"--samples must be in 1 ... {len(numbers)}, the frames of {dataset.name}, got {samples}")
+            raise ValueError(f"`samples` must be in 1 ... {len(numbers)}, the frames of {dataset.name}, got {samples}")
         numbers = np.sort(np.random.default_rng(seed).choice(numbers, samples, replace=False))
     chosen: list[int] = numbers.tolist()
     return chosen

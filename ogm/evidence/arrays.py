@@ -10,6 +10,8 @@ for tensors, where reading a value would stall the GPU and stop tracing: use `ch
 
 import sys
 from collections.abc import Callable
+from functools import reduce
+from operator import add
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,8 +25,7 @@ _TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a
 
 def namespace(array: Any, name: str = "mass") -> Any:
     """Return the module, numpy or torch, that `array` belongs to; refuse everything else."""
-    if isinstance(array, np.ma.MaskedArray):
-        raise TypeError(f"{name} must not be a masked array, as masks are ignored here; fill it: {name}.filled(0)")
+    refuse_masked(array, name)
     if isinstance(array, np.ndarray | np.generic):
         return np
     torch = sys.modules.get("torch")
@@ -33,6 +34,12 @@ def namespace(array: Any, name: str = "mass") -> Any:
     raise TypeError(
         f"{name} must be a numpy array or a torch tensor, got {type(array).__name__}; wrap it: np.asarray({name})"
     )
+
+
+def refuse_masked(array: Any, name: str) -> None:
+    """Raise TypeError for a masked array: its mask would be dropped, and what it hides used."""
+    if isinstance(array, np.ma.MaskedArray):
+        raise TypeError(f"{name} must not be a masked array, as masks are ignored here; fill it: {name}.filled(0)")
 
 
 def dtype_name(array: Any) -> str:
@@ -249,8 +256,9 @@ def per_cell(value: Any, mass: Array) -> Array:
 def _outside(values: Any) -> Any:
     """Return how far each cell lies outside: below zero, or above one in sum. NaN fails every comparison."""
     xp = namespace(values)
-    below = -(values.min(-1) if xp is np else values.amin(-1))
-    above = values.sum(-1) - 1
+    states = [values[..., k] for k in range(values.shape[-1])]  # reductions of an axis of two are ten times as slow
+    below = -reduce(xp.minimum, states)
+    above = reduce(add, states) - 1
     return xp.where(below > above, below, above)
 
 

@@ -92,6 +92,6 @@ def covering_window(spec: GridSpec, poses: NDArray[np.float64]) -> GridSpec:
     if nx * ny > _MAX_CELLS:
         raise ValueError(
             f"a fixed window would need {nx} x {ny} cells for a drive over {nx * step:.0f} m x {ny * step:.0f} m, at "
-            f"most {_MAX_CELLS} are allowed; use a rolling window (--window rolling), or a coarser --resolution"
+            f"most {_MAX_CELLS} are allowed; give `window=rolling`, or a coarser `resolution`"
         )
     return GridSpec(step, (nx, ny), (low[0] * step, low[1] * step))

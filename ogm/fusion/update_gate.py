@@ -59,6 +59,34 @@ class CheckedScan(NamedTuple):
     radial: RadialVelocities | None = None
 
 
+def check_measurement(grid: EvidentialGrid, reliability: float) -> None:
+    """Raise unless a grid holds masses, up to rounding, and the reliability is one.
+
+    Grids of `EvidentialGrid.trusted`, and those whose array was changed, were never checked.
+    """
+    if not isinstance(grid, EvidentialGrid):
+        raise TypeError(
+            f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
+            "points first"
+        )
+    mass = grid.mass
+    if mass.shape != (*grid.spec.shape, 2) or mass.dtype != np.float32:
+        raise ValueError(
+            f"the masses of the grid are {mass.dtype} {mass.shape}, wanted float32 {(*grid.spec.shape, 2)}"
+        )
+    # As whole numbers, floats above 1, below 0 and NaN are all greater than 1: one pass, which costs half of two.
+    if mass.view(np.uint32).max() > _ONE and not (mass.min() >= -TOLERANCE and mass.max() <= 1 + TOLERANCE):
+        raise ValueError(f"the masses of the grid must be in [0, 1], got {mass.min()} to {mass.max()}")
+    flat = mass.reshape(-1)
+    sums = flat[:-1] + flat[1:]  # at even places, free and occupied of a cell: four times as quick as a strided sum
+    above = np.flatnonzero(sums > 1 + TOLERANCE)
+    cells = above[above & 1 == 0]
+    if cells.size:
+        raise ValueError(f"free and occupied of a cell must add up to 1 at most, got {sums[cells].max()}")
+    if not (isinstance(reliability, int | float | np.number) and 0 <= reliability <= 1):
+        raise ValueError(f"reliability must be a number in [0, 1], got {reliability!r}")
+
+
 class UpdateGate:
     """The last scan that a map accepted, and the conditions for the next one.
 
@@ -102,21 +130,7 @@ class UpdateGate:
         reliability: float,
     ) -> CheckedScan:
         """Check a scan: return what its fusion needs, or raise why it cannot be fused; the pose of a jump is kept."""
-        if not isinstance(grid, EvidentialGrid):
-            raise TypeError(
-                f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
-                "points first"
-            )
-        mass = grid.mass
-        if mass.shape != (*grid.spec.shape, 2) or mass.dtype != np.float32:  # of `EvidentialGrid.trusted`
-            raise ValueError(
-                f"the masses of the grid are {mass.dtype} {mass.shape}, wanted float32 {(*grid.spec.shape, 2)}"
-            )
-        # As whole numbers, floats above 1, below 0 and NaN are all greater than 1: one pass, which costs half of two.
-        if mass.view(np.uint32).max() > _ONE and not (mass.min() >= -TOLERANCE and mass.max() <= 1 + TOLERANCE):
-            raise ValueError(f"the masses of the grid must be in [0, 1], got {mass.min()} to {mass.max()}")
-        if not (isinstance(reliability, int | float | np.number) and 0 <= reliability <= 1):
-            raise ValueError(f"reliability must be a number in [0, 1], got {reliability!r}")
+        check_measurement(grid, reliability)
         T = vehicle = check_pose(T_map_sensor, "T_map_sensor").copy()  # the caller may change its array
         if T_vehicle_sensor is not None:
             vehicle = T @ inverse(check_pose(T_vehicle_sensor, "T_vehicle_sensor"))

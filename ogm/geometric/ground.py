@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import install_line
 from ogm.geometric.kernels.arguments import Cells, GroundLimits, Points, Surface
 from ogm.geometric.kernels.surface import fill, ground_heights, sample_many
 from ogm.grid import GridSpec
@@ -90,7 +91,7 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Gro
     try:
         import pypatchworkpp
     except ImportError as error:
-        raise ImportError('patchwork_ground needs pypatchworkpp: pip install "ogm-toolkit[ground]"') from error
+        raise ImportError(f"patchwork_ground needs pypatchworkpp: {install_line('ground')}") from error
     parameters = pypatchworkpp.Parameters()
     parameters.verbose = False
     parameters.sensor_height = SENSOR_HEIGHT

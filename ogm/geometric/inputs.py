@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.grid import GridSpec
+from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import kernel
 from ogm.scan import Mount, Scan, check_mount, mount_of
 
 _log = logging.getLogger(__name__)
 
-_REACH = 1e6  # [m] also keeps what follows from overflowing
+REACH = 1e6  # [m] also keeps what follows from overflowing
+NEAR = 1e3  # [m] within which half of the points of any lidar lie
 
 
 def check_sensor_in_grid(spec: GridSpec, mount: Mount | None) -> None:
@@ -44,10 +45,48 @@ def check_within(name: str, value: float, low: float, high: float) -> None:
 
 def usable_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which points are finite and within 1000 km, (N,); log how many are not."""
-    usable = np.asarray((np.abs(points[:, :3]) < _REACH).all(axis=1))
+    usable = np.asarray((np.abs(points[:, :3]) < REACH).all(axis=1))
     if invalid := len(points) - int(np.count_nonzero(usable)):
         _warn(invalid, len(points))
     return usable
+
+
+def shows_nothing(scan: Scan, grid: EvidentialGrid) -> bool:
+    """Return whether a scan of a lidar has points, but leaves all cells unknown or lies beyond `NEAR` by half."""
+    if scan.rcs is not None or not len(scan):
+        return False
+    near = scan.points[:, 0] ** 2 + scan.points[:, 1] ** 2 < NEAR**2
+    return 2 * int(np.count_nonzero(near)) < len(scan) or not grid.mass.any()
+
+
+def explain_nothing(scan: Scan, spec: GridSpec, mount: Mount) -> str:
+    """Return where the points of a scan that shows nothing lie, and the likely cause.
+
+    Parameters
+    ----------
+    scan : Scan
+        With points.
+    spec : GridSpec
+    mount : Mount
+    """
+    points = scan.points[(np.abs(scan.points[:, :3]) < REACH).all(axis=1), :3].astype(np.float64)
+    lead = f"the scan shows nothing on the grid: of {len(scan)} points"
+    if not len(points):
+        return f"{lead} none lies within 1000 km; wanted metres, around the sensor"
+    xyz = points @ mount.T_vehicle_points[:3, :3].T + mount.T_vehicle_points[:3, 3]
+    low, high, middle = xyz.min(axis=0), xyz.max(axis=0), np.median(xyz, axis=0)
+    extent = ", ".join(f"{axis} {a:.0f} to {b:.0f} m" for axis, a, b in zip("xyz", low, high, strict=True))
+    count, spread = int(spec.contains(xyz[:, 0], xyz[:, 1]).sum()), float(max(high[:2] - low[:2]))
+    if float(np.hypot(*middle[:2])) > max(spread / 2, spec.length):
+        centre = ", ".join(f"{value:.0f}" for value in middle)
+        cause = f"in map coordinates, around ({centre}) m? Give `sensor_position`, or points around the sensor"
+    elif spread > 2 * NEAR:
+        cause = "in millimetres? Divide them by 1000"
+    elif count:
+        cause = f"the ground is expected at z {mount.ground_point[2]:.2f} m: check `sensor_height` and `axes`"
+    else:
+        cause = f"beyond the grid of {spec.length:g} x {spec.width:g} m? Give a larger `length` and `width`"
+    return f"{lead}, {extent}, {count} lie on it; {cause}"
 
 
 def _warn(invalid: int, count: int) -> None:
@@ -86,7 +125,7 @@ def _transform_and_drop(points: Any, T: Any, footprint: Any) -> Any:
     r10, r11, r12, ty = T[1]
     r20, r21, r22, tz = T[2]
     x_min, x_max, y_min, y_max = footprint
-    limit = np.float32(_REACH)
+    limit = np.float32(REACH)
     xyz = np.empty((3, points.shape[0]), np.float32)
     kept, invalid, ego = 0, 0, 0
     for n in range(points.shape[0]):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.geometric.doppler import DirectionSectors, direction_sectors, moving_detections, nearest_in_direction
-from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, usable_points
+from ogm.geometric.inputs import REACH, check_sensor_in_grid, check_within, mount_in_grid, usable_points
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
@@ -162,7 +162,7 @@ class _Layout(NamedTuple):
     distance: NDArray[np.float32]
     ego: NDArray[np.bool_]
     sectors: DirectionSectors
-    metres: int  # within which all cells are
+    metres: int  # within which all cells are that a detection can clear
 
 
 @lru_cache(maxsize=16)
@@ -178,7 +178,7 @@ def _layout(spec: GridSpec, mount: Mount, half_width: float, beam: float) -> _La
     ego = (x > x0) & (x < x1) & (y > y0) & (y < y1)
     sector[(off > half_width) | ego] = -1
     distance = np.hypot(x - mount.origin[0], y - mount.origin[1]).astype(np.float32)
-    metres = int(distance.max()) + 1
+    metres = int(min(distance.max(), REACH)) + 1
     return _Layout(np.ascontiguousarray(sector), distance, ego, sectors, metres)
 
 

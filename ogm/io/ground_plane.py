@@ -80,8 +80,8 @@ def plausible_sensor_height(height: float, where: object = "the scan") -> float:
     if not low <= height <= high:
         raise OgmError(
             f"the sensor height of {where} is {height:.2f} m, estimated from points, which is not plausible "
-            f"({low:g} to {high:g} m): if the points are in the vehicle frame, give sensor_position x y z "
-            "(--sensor-position); if not, give sensor_height (--sensor-height) and check the axes"
+            f"({low:g} to {high:g} m): if the points are in the vehicle frame, give `sensor_position`; "
+            "if not, give `sensor_height` and check `axes`"
         )
     return height
 

@@ -15,6 +15,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import install_line
 from ogm.pose import check_pose, quaternion_to_matrix
 from ogm.storage.files import FilePath, OgmError
 from ogm.storage.limits import current_limits, too_large
@@ -114,7 +115,7 @@ def optional(module: str, path: Path, extra: str = "io", verb: str = "read") -> 
         return importlib.import_module(module)
     except ImportError as error:
         raise ImportError(
-            f'{path} cannot be {verb} without the package {module}: pip install "ogm-toolkit[{extra}]"', name=module
+            f"{path} cannot be {verb} without the package {module}: {install_line(extra)}", name=module
         ) from error
 
 

@@ -68,9 +68,9 @@ def read_scan(
     path : path
         The file.
     axes : str, 3 str or (3, 3) array
-        Which way the file's axes point; this is never guessed. Either a name from `AXES`; or the file's axes
+        Which way the file's axes point. Either a name from `AXES`; or the file's axes
         that point forward, left and up, such as ``("+y", "-x", "+z")``; or the rotation from the file's axes
-        to those. The default, ``"flu"``, changes nothing.
+        to those. The default, ``"flu"``, changes nothing but files of nuScenes, whose axes are known: ``"nuscenes"``.
     intensity_max : float or (float, float), optional
         The file's intensity that means 1, or those that mean 0 and 1; others count as 0 or 1. By default 1 is that of
         the format: 1 in KITTI, 255 in nuScenes, 255 or 65535 where intensities are whole numbers of 8 or 16 bits
@@ -121,12 +121,12 @@ def read_scan_file(
     shift = np.asarray(origin, dtype=np.float64)
     if shift.shape != (3,) or not np.isfinite(shift).all():
         raise ValueError(f"origin must be x, y, z [m], got {origin!r}")
-    rotation = rotation_to_flu(axes)
+    rotation_to_flu(axes)  # refuses wrong axes, before the file is read
     check_scales(intensity_max, time_unit)
     data, inner = read_bytes(path)
     table = parse(data, inner)
-    if table.format == "nuScenes" and np.array_equal(rotation, np.eye(3)):
-        log.warning('%s: nuScenes files have x right and y forward; axes="nuscenes" turns them', path)
+    if table.format == "nuScenes" and isinstance(axes, str) and axes == "flu":
+        axes = "nuscenes"
     moved = shift if shift.any() else None
     return scan_from_table(table, inner, axes, origin=moved, intensity_max=intensity_max, time_unit=time_unit)
 

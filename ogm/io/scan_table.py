@@ -205,7 +205,7 @@ def _check_far(points: int, near: int, reach: float, where: Path | str) -> None:
         return
     raise OgmError(
         f"{where} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are map "
-        "coordinates, give the sensor's position as origin (--origin X Y Z); if not, the file is damaged or wrongly "
+        "coordinates, give the sensor's position as `origin`; if not, the file is damaged or wrongly "
         "named"
     )
 

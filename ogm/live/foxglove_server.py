@@ -1,6 +1,7 @@
 """Map, scan and poses over the Foxglove WebSocket, for Foxglove, Lichtblick and whatever speaks its protocol."""
 
 import socket
+import threading
 import time
 from pathlib import Path
 from typing import Any, Self
@@ -17,7 +18,7 @@ from ogm.scan import Frame
 
 MAP, VEHICLE, SENSOR = "map", "vehicle", "sensor"  # frames of coordinates
 BACKLOG = 12  # messages that wait for a slow viewer, the oldest of which is dropped: some 40 MB
-PATIENCE = 2.0  # [s] for which closing waits for the port to be free
+PATIENCE = 2.0  # [s] for which closing waits for viewers to go, and for the port to be free
 
 
 class FoxglovePublisher:
@@ -71,8 +72,8 @@ class FoxglovePublisher:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        self._close(0.0 if kind is KeyboardInterrupt else PATIENCE)
 
     @property
     def url(self) -> str:
@@ -80,11 +81,20 @@ class FoxglovePublisher:
         return f"ws://{self.host}:{self.port}"
 
     def close(self) -> None:
-        """End all connections and free the port."""
+        """End all connections and free the port, within 2 s.
+
+        Connections whose clients send nothing, such as a port scan, are left to a thread that does not hold up the end
+        of the process. The end of a ``with`` block by an interrupt does not wait.
+        """
+        self._close(PATIENCE)
+
+    def _close(self, patience: float) -> None:
+        until = time.monotonic() + patience
         for channel in (self._map, self._points, self._tf):
             channel.close()
-        self._server.stop()  # returns before the port is free
-        until = time.monotonic() + PATIENCE
+        stopping = threading.Thread(target=self._server.stop, name="ogm-closing", daemon=True)
+        stopping.start()  # waits for clients that never finish their handshake
+        stopping.join(patience)  # it returns before the port is free
         while not _is_free(self.host, self.port) and time.monotonic() < until:
             time.sleep(0.002)
 

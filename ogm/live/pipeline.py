@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 
 from ogm.fusion import FusionStep, Mapper, fuse
 from ogm.fusion.pipeline import OnError, log_error
+from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.live.playback import NewestFrames, play, read_ahead
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan, SensorModels
+
+_logger = logging.getLogger(__name__)
 
 Publish = Callable[[FusionStep, Mapper], object]
 _log = logging.getLogger(__name__)
@@ -118,13 +121,17 @@ def serve(
 
     def map_frames() -> None:
         """Fuse and publish what comes, until there is no more."""
-        reported = log.start
+        reported, explained = log.start, False
         try:
             for step in fuse(newest, ism, mapper, on_error=log.failed):
                 if step.restart:
                     _log.warning("%s: %s; the map begins anew", step.frame.name, step.restart)
                 if step.grid is None:
                     continue
+                if not explained and shows_nothing(step.frame.scan, step.grid):
+                    explained = True
+                    text = explain_nothing(step.frame.scan, step.grid.spec, step.frame.mount)
+                    _logger.warning("%s: %s", step.frame.name, text)
                 publish(step, mapper)
                 now = time.monotonic()
                 log.mapped(now - newest.due)

@@ -39,6 +39,7 @@ HEADER = struct.Struct("<4sI13d")
 MAX_POINTS = 2**22
 LATEST = 2**31  # [s] from which on ROS and Foxglove have no stamps
 POLL = 0.1  # [s] after which `stop` is looked at while nothing comes
+MAX_SILENT = 16  # connections without a header that stay open; the oldest is closed
 _COLUMNS = ("x", "y", "z", "intensity")
 
 _log = logging.getLogger(__name__)
@@ -63,9 +64,9 @@ def receive_frames(
 ) -> Iterator[Frame]:
     """Yield the frames that come over a TCP connection, one connection at a time.
 
-    A new connection replaces the one before, so that a driver that was restarted need not wait. A message that is
-    wrong ends its connection alone. Whoever can connect is trusted to send points: listen on the loopback address, or
-    on a network of your own.
+    A connection replaces the one before with its first valid header, so that a driver that was restarted need not wait
+    and health checks, which send nothing, change nothing. A message that is wrong ends its connection alone. Whoever
+    can connect is trusted to send points: listen on the loopback address, or on a network of your own.
 
     Parameters
     ----------
@@ -76,7 +77,8 @@ def receive_frames(
     stop : Event, optional
         Set from anywhere, it ends the iteration within 0.1 s.
     on_end : function
-        Called with a line whenever a connection ends; by default it is logged.
+        Called with a line whenever a connection ends that has sent anything; by default it is logged. Of connections
+        without a valid header there is one line for each address and reason.
 
     Yields
     ------
@@ -86,24 +88,36 @@ def receive_frames(
     """
     stop, count, sequence, last = stop or Event(), 0, 1, -math.inf
     listener.setblocking(False)
-    connection: _Connection | None = None
+    connections: list[_Connection] = []
+    sender: _Connection | None = None  # of the scans; the others have sent no header so far
+    reported: set[tuple[str, str]] = set()
     try:
         while not stop.is_set():
-            sockets = [listener] if connection is None else [listener, connection.socket]
-            ready = select.select(sockets, [], [], POLL)[0]
-            if listener in ready:
-                accepted = _accept(listener)
-                if accepted is not None:
-                    if connection is not None:
-                        on_end(connection.end("replaced by a new one"))
-                    connection = accepted
-            elif ready and connection is not None:
+            waiting: list[socket.socket | _Connection] = [listener, *connections]
+            ready = select.select(waiting, [], [], POLL)[0]
+            if listener in ready and (accepted := _accept(listener)) is not None:
+                connections.append(accepted)
+                if len(connections) > MAX_SILENT + 1:
+                    oldest = next(one for one in connections if one is not sender)
+                    connections.remove(oldest)
+                    oldest.end("")
+            for connection in [one for one in connections if one in ready]:
+                if connection not in connections:
+                    continue  # replaced by the one before
                 try:
                     message = connection.receive()
                 except (OgmError, OSError) as error:
-                    on_end(connection.end(str(error)))
-                    connection = None
+                    connections.remove(connection)
+                    line, key = connection.end(str(error)), (connection.host, str(error))
+                    if connection is sender or (connection.begun and key not in reported):
+                        reported.add(key)
+                        on_end(line)
                     continue
+                if connection.sends and connection is not sender:
+                    if sender is not None and sender in connections:
+                        connections.remove(sender)
+                        on_end(sender.end("replaced by a new one"))
+                    sender = connection
                 if message is not None:
                     scan, T = message
                     count += 1
@@ -115,7 +129,7 @@ def receive_frames(
                         scan, mount, None, None, T_map_sensor=T, stamp=stamp, name=f"scan {count}", sequence=drive
                     )
     finally:
-        if connection is not None:
+        for connection in connections:
             connection.end("")
 
 
@@ -124,9 +138,14 @@ class _Connection:
 
     def __init__(self, connection: socket.socket, address: tuple[str, int]) -> None:
         connection.setblocking(False)
-        self.socket, self.name, self.scans = connection, f"{address[0]}:{address[1]}", 0
+        self.socket, self.host, self.name, self.scans = connection, address[0], f"{address[0]}:{address[1]}", 0
+        self.begun = self.sends = False  # whether anything came, and a valid header
         self._notices = Counter[str]()
         self._begin()
+
+    def fileno(self) -> int:
+        """Return the descriptor of the socket, for `select`."""
+        return self.socket.fileno()
 
     def _begin(self) -> None:
         """Wait for a header."""
@@ -150,6 +169,7 @@ class _Connection:
         if not size:
             cut = self._filled or self._points.size
             raise OgmError("it ended in the middle of a message" if cut else "closed by the sender")
+        self.begun = True
         self._filled += size
         if self._filled < len(self._target):
             return None
@@ -167,6 +187,7 @@ class _Connection:
             raise OgmError(f"a message announces {count} points, allowed are {MAX_POINTS}")
         if not (0 <= numbers[0] < LATEST and all(map(math.isfinite, numbers))):
             raise OgmError(f"a message has the stamp {numbers[0]} s, wanted 0 to 2**31 s, or a pose that is not finite")
+        self.sends = True
         self._points = np.empty(4 * count, "<f4")
         if count:
             self._target, self._filled = memoryview(self._points.data).cast("B"), 0

@@ -15,6 +15,8 @@ from ogm.storage.files import OgmError, atomic_write, update_hint
 
 FORMAT = "ogm.calibration/1"
 MAX_PARAMETER = 1e300
+_FEW_DRIVES = 4  # below which there are no standard errors
+_SAFETY = ("false_free", "missed_occupied")
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,18 @@ class Calibration:
                 raise OgmError(f"{self.model} has no parameter {name!r}; it has {', '.join(known)}")
             if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_PARAMETER:
                 raise OgmError(f"{name} must be a finite number, got {value!r}")
+
+    @property
+    def warnings(self) -> list[str]:
+        """Reasons not to use the result as it is: few drives, or a model that is less safe than before."""
+        found = []
+        if (drives := self.data.get("drives", _FEW_DRIVES)) < _FEW_DRIVES:
+            found.append(f"fitted to {drives} drives, which tell little about others: fit to {_FEW_DRIVES} or more")
+        for name in _SAFETY:
+            if name in self.after and self.after[name] > self.before[name]:
+                change = f"{self.before[name]:.4f} to {self.after[name]:.4f}"
+                found.append(f"less safe than before: {name} rises from {change}; evaluate it on other drives")
+        return found
 
     def save(self, path: str | Path) -> None:
         """Write a JSON file, whole or not at all."""

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import install_line
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.fitted import Calibration, model_class
@@ -65,7 +66,7 @@ def default_model(spec: GridSpec) -> tuple[str, str]:
         What `combined` lacks; empty if nothing.
     """
     if find_spec("onnxruntime") is None:
-        return RAY, 'without the learned model, which `pip install "ogm-toolkit[deep]"` adds'
+        return RAY, f"without the learned model, which `{install_line('deep')}` adds"
     if spec.resolution != NETWORK_CELL or any(n % NETWORK_MULTIPLE for n in spec.shape):
         need = f"cells of {NETWORK_CELL:g} m, their number along x and y a multiple of {NETWORK_MULTIPLE}"
         return RAY, f"the learned model needs {need}"

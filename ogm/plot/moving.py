@@ -32,8 +32,9 @@ def dynamic_panel(grid: DynamicGrid, title: str = "", seconds: float = 1.0, boxe
     Raises
     ------
     ValueError
-        If `seconds` is negative or not finite.
+        If `seconds` is negative or not finite, or the numbers of the grid are no masses.
     """
+    grid.check()
     heading = heading_colours(np.nan_to_num(grid.heading))
     moves = np.isfinite(grid.heading)[..., None]
     colours = grid.free[..., None] * np.array(FREE) + grid.unknown[..., None] * np.array(UNKNOWN)

@@ -73,11 +73,13 @@ def cells_panel(
 
 def mass_panel(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show belief: the colours of `ogm.plot.colours` for free, occupied and unknown, mixed by their masses."""
+    grid.check()
     return cells_panel(colours().mix(grid.mass), grid.spec, title or "belief", colours().legend)
 
 
 def probability_panel(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show the expected probability of occupied: white 0, grey 1/2 (also where nothing is known), black 1."""
+    grid.check()
     grey = np.repeat(1 - grid.probability[..., None], 3, axis=-1)
     legend = {"P(occupied) = 0": (1.0, 1.0, 1.0), "1/2": (0.5, 0.5, 0.5), "1": (0.0, 0.0, 0.0)}
     return cells_panel(grey, grid.spec, title or "probability of occupied", legend)
@@ -85,6 +87,7 @@ def probability_panel(grid: EvidentialGrid, title: str = "") -> Panel:
 
 def unknown_panel(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show the mass of unknown: black 0, yellow 1 (matplotlib's "inferno")."""
+    grid.check()
     colours = colour_map("inferno", grid.unknown * 0.92)
     legend = {f"unknown = {u:g}": tuple(colour_map("inferno", np.array([u * 0.92]))[0]) for u in (0, 0.5, 1)}
     return cells_panel(colours, grid.spec, title or "unknown", legend)

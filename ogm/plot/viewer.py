@@ -10,6 +10,7 @@ on the screen. Tiles without any number are left out.
 """
 
 import json
+import math
 import os
 import zlib
 from base64 import b64encode
@@ -23,19 +24,21 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, LayeredGrid
 from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 from ogm.plot.panels import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
 from ogm.plot.view_layers import Layer, conflict_layer, mass_layers, motion_layer, number_layer, velocity_layer
+from ogm.pose import check_pose
 from ogm.storage.files import atomic_write
 
 __all__ = ["ROUGHEST", "TILE", "page_of_tiles", "write_view"]
 
 TILE = 512  # [cells] along a side; even, so that no block of 2 x 2 cells lies in two tiles
 ROUGHEST = 64  # [cells] along the longer side of the last level: on any screen, a cell of it is wider than a pixel
+TRACK = 2000  # places of a path that are kept
 _TILES = "<!-- tiles -->"  # where they stand in the page
 
 
@@ -56,6 +59,8 @@ def write_view(
     layers: LayeredGrid | None = None,
     *,
     title: str = "",
+    T_grid_vehicle: ArrayLike | None = None,  # noqa: N803
+    track: ArrayLike | None = None,
 ) -> None:
     """Write a page that shows a grid from above: zoom, layers, and the values under the pointer.
 
@@ -71,11 +76,16 @@ def write_view(
     layers : LayeredGrid, optional
         More layers, on the cells of the grid.
     title : str
+    T_grid_vehicle : (4, 4) array, optional
+        Pose of the vehicle in the coordinates of the grid, shown as a triangle that points forward.
+    track : (N, 2) array, optional
+        Path of the vehicle there [m], shown as a line.
 
     Raises
     ------
     ValueError
-        If the name does not end in ``.html``, `layers` has other cells than `grid`, or there is no layer.
+        If the name does not end in ``.html``, the numbers of the grid are no masses, `layers` has other cells than
+        `grid`, or there is no layer.
 
     Notes
     -----
@@ -92,6 +102,7 @@ def write_view(
     if isinstance(grid, LayeredGrid):
         layers = grid
     else:
+        grid.check()
         masses = grid.to_evidential() if isinstance(grid, DynamicGrid) else grid
         stored.append(_Stored(("free", "occupied"), partial(_mass_rows, masses), halve_mass, 0, 0.0, 1 / FULL))
         shown += mass_layers(0)
@@ -111,6 +122,12 @@ def write_view(
         "shape": grid.spec.shape,
         "origin": grid.spec.origin,
     }
+    if T_grid_vehicle is not None:
+        T = check_pose(T_grid_vehicle, "T_grid_vehicle")
+        facts["vehicle"] = [float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0])]
+    if track is not None:
+        places = np.asarray(track, np.float64).reshape(-1, 2)
+        facts["track"] = places[:: len(places) // TRACK + 1].round(3).tolist() + places[-1:].round(3).tolist()
     with atomic_write(path) as file, ThreadPoolExecutor(os.cpu_count()) as pool:
         _write_page(file, facts, stored, pool)
 

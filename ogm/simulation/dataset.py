@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from ogm.extras import install_line
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
 from ogm.simulation.conditions import draw_weather
@@ -42,8 +43,7 @@ try:
     from ogm.simulation.survey import Known, Limits, aimed_truth, hd_truth
 except ImportError as error:
     raise ImportError(
-        f'the simulator lacks a package ({error}): pip install "ogm-toolkit[sim]"; '
-        "existing data sets can be read without"
+        f"the simulator lacks a package ({error}): {install_line('sim')}; existing data sets can be read without"
     ) from error
 
 __all__ = ["SceneSetup", "World", "beams_of", "lidars", "make_sample", "set_up", "simulate", "versions"]

@@ -176,7 +176,7 @@ class DatasetPlan:
             See `of_recipe`.
         **chosen
             Parameters that differ from those of `before`, of the recipe, or from the defaults. Without a recipe, a new
-            dataset has a tenth as many samples for validation and a hundredth for the test.
+            dataset has a tenth as many samples for validation, at least one, and a hundredth for the test.
 
         Raises
         ------
@@ -186,8 +186,8 @@ class DatasetPlan:
         if recipe is not None:
             plan = cls.of_recipe(recipe, **chosen)
         else:
-            if before is None and "samples" in chosen:
-                chosen = {"validation": chosen["samples"] // 10, "test": chosen["samples"] // 100} | chosen
+            if before is None and (count := chosen.get("samples")) is not None:
+                chosen = {"validation": max(count // 10, min(count, 1)), "test": count // 100} | chosen
             plan = replace(before or cls(), **chosen)
         return plan if before is None else plan.grown(before)
 

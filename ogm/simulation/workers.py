@@ -42,21 +42,27 @@ class Made(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What the rest of a data set will take: seconds and [byte] of all samples, seconds of one on one worker."""
+    """What the rest of a data set will take: seconds and [byte] of all samples, seconds of one on one worker.
+
+    `start_up` are the seconds of `seconds` in which towns are built and kernels compiled.
+    """
 
     samples: int
     seconds: float
     size: float
     per_sample: float
     workers: int
+    start_up: float = 0.0
 
     def __str__(self) -> str:
         minutes = self.seconds / 60
         hours = f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"
         time = f"{self.seconds:.0f} s" if minutes < 2 else hours
+        start = f"{self.start_up:.0f} s to start, " if self.start_up >= 1 else ""
+        size = f"{self.size / 1e6:.0f} MB ({self.size / self.samples / 1e3:.0f} kB each)"
         return (
             f"{self.samples} samples: about {time} with {self.workers} worker{'s' if self.workers > 1 else ''} "
-            f"({self.per_sample:.2f} s each), {self.size / 1e6:.0f} MB ({self.size / self.samples / 1e3:.0f} kB each)"
+            f"({start}{self.per_sample:.2f} s each), {size}"
         )
 
 
@@ -171,7 +177,7 @@ def make_shards(
     work = _Work(store.path.resolve(), plan, function, max(1, cores // workers))
     with _explained(store), Workers(workers, scheduler) as pool:
         (_, measured), *_ = pool.work_off(work.measure, todo[:1])
-        yield _estimate(measured, todo, pool.count, store)
+        yield _estimate(measured, todo, pool.count, store, _further_towns(plan, todo))
         yield from (made for _, made in pool.work_off(work.make, todo))
 
 
@@ -192,21 +198,22 @@ class _Work(NamedTuple):
             size = Store.open(self.path).write(job.split, job.shard, samples)
             return Made(job, time.perf_counter() - start, size)
 
-    def measure(self, job: Job) -> tuple[float, float]:
-        """Return the seconds and bytes of a sample, once its town stands and the kernels are compiled."""
+    def measure(self, job: Job) -> tuple[float, float, float]:
+        """Return seconds and bytes of a sample, and the seconds until its town stood and kernels were compiled."""
         with _one_at_a_time:
             beams, first = Store.open(self.path).beams, job.shard * SHARD
-            self._sample(job, first)
-            start = time.perf_counter()
-            sample = self._sample(job, first)
-            seconds = time.perf_counter() - start
+            times = [time.perf_counter()]
+            for _ in range(2):
+                sample = self._sample(job, first)
+                times.append(time.perf_counter())
+            begun, seconds = np.diff(times).tolist()
             with temporary_folder(self.path) as folder:
                 trial = Store.create(folder, asdict(self.plan), {job.split: first + 1}, beams, {})
                 size = trial.write(job.split, job.shard, [sample])
             rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
             shares = [mount.share for mount in self.plan.mounts]
             mean = np.average([rays[mount.lidar] for mount in self.plan.mounts], weights=shares)
-            return seconds, size * float(mean) / sample.steps.size
+            return seconds, size * float(mean) / sample.steps.size, max(begun - seconds, 0.0)
 
     def _sample(self, job: Job, index: int) -> SimulatedSample:
         return self.function(self.plan, job.split, index, self.threads)
@@ -215,15 +222,24 @@ class _Work(NamedTuple):
 _one_at_a_time = threading.Lock()  # a worker with several threads still has one town
 
 
-def _estimate(measured: tuple[float, float], todo: list[Job], workers: int, store: Store) -> Estimate:
+def _further_towns(plan: DatasetPlan, todo: list[Job]) -> int:
+    """Return how many towns are built besides the one of the first sample."""
+    splits = {job.split for job in todo}
+    return (plan.towns if splits - {"test"} else 0) + (plan.test_towns if "test" in splits else 0) - 1
+
+
+def _estimate(
+    measured: tuple[float, float, float], todo: list[Job], workers: int, store: Store, further_towns: int
+) -> Estimate:
     """Return the estimate, and refuse to begin what will not fit on the disk."""
     count = sum(job.samples for job in todo)
+    start_up = measured[2] * ((min(workers, len(todo)) > 1) + further_towns)  # that of the first is over
     seconds, size = measured[0], count * measured[1]
     left = shutil.disk_usage(store.path).free
     if size > left:
         need = f"{count} samples need about {size / 1e6:,.1f} MB, {left / 1e6:,.1f} MB are left"
         raise OSError(errno.ENOSPC, f"{need}; free some, or ask for fewer samples", str(store.path))
-    return Estimate(count, count * seconds / workers, size, seconds, workers)
+    return Estimate(count, start_up + count * seconds / workers, size, seconds, workers, start_up)
 
 
 @contextmanager
@@ -238,7 +254,7 @@ def _explained(store: Store) -> Iterator[None]:
         if number in (errno.ENOSPC, errno.EDQUOT):
             what, way = "the disk is full", "free some of it"
         elif type(error).__name__ in DIED:
-            what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer --workers"
+            what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer `workers`"
         else:
             raise
         way += f", then `ogm simulate {store.path} --resume`"

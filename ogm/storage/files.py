@@ -11,7 +11,9 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,7 +40,7 @@ def error_text(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, MemoryError) and (type(error) is not MemoryError or not error.args):
-        return "out of memory: use a coarser --resolution, a smaller grid or fewer points"
+        return "out of memory: use a coarser `resolution`, a smaller grid or fewer points"
     return " ".join(str(error).split()) or type(error).__name__
 
 
@@ -49,7 +51,8 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO[
     The bytes go to a temporary file in the same folder; the end of the ``with`` block flushes it to disk and
     renames it over `path` in one step. An error or an interrupt inside the block removes the temporary file
     and leaves the file that was at `path` before untouched. What a killed process left is removed by the next one that
-    writes to the folder.
+    writes to the folder. A file that is replaced keeps its permissions, and a symbolic link leads to the new file. A
+    folder that was removed within the block is made again.
 
     Parameters
     ----------
@@ -63,19 +66,64 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO[
     FileNotFoundError
         If the folder does not exist.
     OSError
-        If the folder cannot be written or the disk is full.
+        If the folder or the file cannot be written, `path` is a folder, a pipe or a device, or the disk is full.
     """
-    target = Path(path)
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {target}: there is no folder {target.parent}; create it first")
+    target, permissions = replaced_path(path)
     if target.is_dir():
-        raise IsADirectoryError(f"cannot write {target}: it is a folder; give a file name")
+        raise IsADirectoryError(f"cannot write {path}: it is a folder; give a file name")
     _sweep_once(target.parent)
     with naming(target), _unnamed(target, mode) as (file, name):
         yield file
         file.flush()
+        if permissions is not None:
+            os.fchmod(file.fileno(), permissions)
         os.fsync(file.fileno())
+        target.parent.mkdir(parents=True, exist_ok=True)
         os.replace(name(), target)
+
+
+def check_writable(path: FilePath, what: str) -> None:
+    """Make the folder of an output; raise OSError, before any work, if the output cannot be written there."""
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        target, _ = replaced_path(path)
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise OSError(f"{what} cannot be written into {Path(path).parent}: {error_text(error)}") from error
+
+
+def replaced_path(path: FilePath) -> tuple[Path, int | None]:
+    """Return the place of a file or folder that is written, and the permissions of what it replaces.
+
+    Returns
+    -------
+    target : Path
+        Behind symbolic links; its folder exists.
+    permissions : int or None
+        Bits of the mode; None if there is nothing.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder does not exist.
+    PermissionError
+        If the file may not be written.
+    FileExistsError
+        If a pipe or a device has the name.
+    """
+    target = Path(os.path.realpath(path)) if os.path.islink(path) else Path(path)
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}; create it first")
+    try:
+        mode = target.stat().st_mode
+    except FileNotFoundError:
+        return target, None
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise FileExistsError(f"cannot write {path}: it is a pipe or a device, wanted a file; give another name")
+    if not os.access(target, os.W_OK):
+        raise PermissionError(errno.EACCES, "it is write-protected: give another name, or change its mode", str(path))
+    return target, stat.S_IMODE(mode)
 
 
 @contextmanager

@@ -12,6 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from ogm.extras import install_line
+
 CACHE = 128e6  # [byte] of objects that a process keeps of each place
 _NOT_KNOWN = object()
 
@@ -33,7 +35,7 @@ def object_store(url: str, storage: Mapping[str, str]) -> Any:
         from obstore.store import from_url
     except ImportError as error:
         raise ImportError(
-            f'{url} lies in an object store, which needs obstore ({error}): pip install "ogm-toolkit[world]"'
+            f"{url} lies in an object store, which needs obstore ({error}): {install_line('world')}"
         ) from error
     client: Any = {"allow_http": True} if storage.get("endpoint", "").startswith("http://") else None
     config: Any = dict(storage)

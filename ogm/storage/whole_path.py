@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ogm.storage.files import naming, temporary_folder
+from ogm.storage.files import naming, replaced_path, temporary_folder
 
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
@@ -19,17 +19,21 @@ def whole_path(path: Path) -> Iterator[Path]:
     See `ogm.storage.files.atomic_write`; for libraries that open their file by name or write a folder. A folder that
     has the name already is removed when the new one is in its place.
     """
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}; create it first")
-    with naming(path), temporary_folder(path.parent) as folder:
+    target, permissions = replaced_path(path)
+    with naming(path), temporary_folder(target.parent) as folder:
         temporary = folder / path.name
         yield temporary
+        if permissions is not None:
+            temporary.chmod(permissions)
         if temporary.is_dir():
-            _replace_folder(temporary, path)
+            _replace_folder(temporary, target)
         else:
-            with open(temporary, "rb") as file:
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
+            descriptor = os.open(temporary, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            os.replace(temporary, target)
 
 
 def _replace_folder(written: Path, path: Path) -> None:

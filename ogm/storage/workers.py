@@ -11,6 +11,8 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any
 
+from ogm.extras import install_line
+
 SCHEDULER_TIMEOUT = 20.0  # [s]
 TRIES = 3  # times that workers are started before their deaths are an error
 DIED = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")
@@ -105,7 +107,7 @@ def deaths_explained(finished: str) -> Iterator[None]:
             raise
         raise OSError(
             f"workers died ({type(error).__name__}), as when memory runs out; {finished} that were finished are kept: "
-            "the same command goes on, perhaps with fewer --workers"
+            "the same command goes on, perhaps with fewer `workers`"
         ) from error
 
 
@@ -144,7 +146,7 @@ def cluster(scheduler: str) -> Iterator[tuple[Submit, int]]:
     try:
         from distributed import Client
     except ImportError as error:
-        text = f'a scheduler needs Dask, which is missing ({error}): pip install "ogm-toolkit[world]"'
+        text = f"a scheduler needs Dask, which is missing ({error}): {install_line('world')}"
         raise ImportError(text) from error
     connect: Any = Client  # without types
     with connect(scheduler, timeout=SCHEDULER_TIMEOUT, set_as_default=False) as client:

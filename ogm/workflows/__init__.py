@@ -13,6 +13,7 @@ from ogm.extras import lazy_names
 
 if TYPE_CHECKING:
     from ogm.workflows.checks import DriveCheck, check_drive, check_log
+    from ogm.workflows.describe import describe_path
     from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
     from ogm.workflows.findings import Finding
     from ogm.workflows.fuse_options import FuseOptions, Outputs
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DriveCheck", "Finding", "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap", "check_drive",
-    "check_log", "drives_of", "fuse_drive", "fuse_drives", "map_to_files", "posed",
+    "check_log", "describe_path", "drives_of", "fuse_drive", "fuse_drives", "map_to_files", "posed",
 ]  # fmt: skip
 
 __getattr__ = lazy_names(__name__, {
@@ -33,4 +34,5 @@ __getattr__ = lazy_names(__name__, {
     **dict.fromkeys(("FuseInto", "fuse_drive", "posed"), "ogm.workflows.one_drive"),
     **dict.fromkeys(("ScanMap", "map_to_files"), "ogm.workflows.scan_maps"),
     "FusionRun": "ogm.workflows.fusion_run",
+    "describe_path": "ogm.workflows.describe",
 })  # fmt: skip

@@ -1,6 +1,5 @@
 """Options and output files of `fuse_drive`."""
 
-import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -13,7 +12,7 @@ from ogm.grid import GridSpec
 from ogm.io.grids.files import MAP_ENDINGS, check_grid_output
 from ogm.models.named import default_model, load_model, with_radar
 from ogm.scan import InverseSensorModel
-from ogm.storage.files import error_text
+from ogm.storage.files import check_writable
 
 OUTPUT_ENDINGS = {
     "map": MAP_ENDINGS,
@@ -83,12 +82,7 @@ class Outputs:
                 raise ValueError(f"the {name} would replace {path}, which is read; give another name")
             if used.setdefault(path.resolve(), name) != name:
                 raise ValueError(f"{used[path.resolve()]} and {name} would both be written to {path}; give two names")
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                with tempfile.TemporaryFile(dir=path.parent):
-                    pass
-            except OSError as error:
-                raise OSError(f"the {name} cannot be written into {path.parent}: {error_text(error)}") from error
+            check_writable(path, f"the {name}")
 
     def within(self, folder: Path) -> "Outputs":
         """Return files of the same names in another folder."""

@@ -15,6 +15,7 @@ from ogm import plot
 from ogm.datasets import Dataset, frame_numbers
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion import BinaryBayesMapper, DynamicMapper, FusionStep, Mapper
+from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
 from ogm.io.messages import StampedTransform
@@ -68,9 +69,12 @@ class FusionRun:
     tell: Callable[[str], object]
     last: FusionStep | None = None
     taken: list[int] = field(default_factory=list)
+    track: list[list[float]] = field(default_factory=list)  # x, y of the vehicle in the map [m]
     failed: int = 0
     ended: str = ""
     interrupted: bool = False
+    nothing: int = 0  # scans that show nothing on the grid
+    why_nothing: str = ""  # of the first of them
     recorded: int = 0  # maps that are in a log
     restarts: int = 0
     path: float = 0.0  # [m]
@@ -152,9 +156,22 @@ class FusionRun:
             seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
             self.path += metres
             self.speed = metres / seconds if seconds > 0 else math.nan
+        if step.grid is not None and shows_nothing(step.frame.scan, step.grid):
+            self.why_nothing = self.why_nothing or explain_nothing(step.frame.scan, step.grid.spec, step.frame.mount)
+            self.nothing += 1
+        if step.previous_map is not None:
+            self.track.clear()
+        self.track.append(step.T_map_grid[:2, 3].tolist())  # type: ignore[index]
         self.taken.append(k)
         self.seconds.append(step.seconds)
         self.last = step
+
+    def check_shown(self) -> None:
+        """Raise ValueError if no scan shows anything on the grid; tell of those that do not."""
+        if self.nothing and self.nothing == len(self.taken):
+            raise ValueError(f"no scan shows anything, nothing is written: {self.why_nothing}")
+        if self.nothing:
+            self.tell(f"{self.nothing} of {len(self.taken)} scans show nothing, the first: {self.why_nothing}")
 
     @property
     def map(self) -> EvidentialGrid | DynamicGrid:

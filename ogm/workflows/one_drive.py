@@ -58,7 +58,7 @@ def fuse_drive(
     Raises
     ------
     ValueError
-        If the drive has no poses, or no scan could be mapped.
+        If the drive has no poses, no scan could be mapped, or no scan shows anything on the grid.
     KeyboardInterrupt
         If it was interrupted before the first scan was mapped.
     """
@@ -66,7 +66,7 @@ def fuse_drive(
     o = options or FuseOptions()
     dataset = posed(dataset, o.odometry, o.rate, o.first)[0]
     if o.deskew and not dataset.motion_distorted:
-        raise ValueError("leave out --deskew: the points of this dataset are not (or not all) distorted by motion")
+        raise ValueError("leave out `deskew`: the points of this dataset are not (or not all) distorted by motion")
     if warning := adding_rule_warning(o.rule):
         tell(warning)
     for finding in gravest(dataset, str(o.ism)):
@@ -89,6 +89,9 @@ def fuse_drive(
         run.map_all(progress(steps), movie, maps)
         if run.last is None:
             raise (KeyboardInterrupt if run.interrupted else ValueError("no scan could be mapped; nothing is written"))
+        run.check_shown()
+        for path in outputs.given().values():  # the folder may have been removed
+            path.parent.mkdir(parents=True, exist_ok=True)
         if outputs.map is not None and not is_log:
             write_grid(outputs.map, run.placed)
         if outputs.poses is not None:
@@ -96,7 +99,9 @@ def fuse_drive(
         if outputs.picture is not None:
             run.save_picture(outputs.picture)
         if outputs.page is not None:
-            write_view(outputs.page, run.map, getattr(mapper, "conflict", None), title=f"map of {dataset.name}")
+            title, place = f"map of {dataset.name}", run.T_map_vehicle
+            conflict = getattr(mapper, "conflict", None)
+            write_view(outputs.page, run.map, conflict, title=title, T_grid_vehicle=place, track=run.track)
     return run
 
 
@@ -156,7 +161,7 @@ def posed(
     known, how = sum(ref.T_map_sensor is not None for ref in dataset.refs), dataset.facts.get("poses")
     if not known:
         raise ValueError(
-            f"the scans have no poses{f' ({how})' if how else ''}: give --poses FILE (KITTI, KITTI-360, TUM), or "
-            "--odometry kiss-icp to estimate them"
+            f"the scans have no poses{f' ({how})' if how else ''}: give `poses` (KITTI, KITTI-360, TUM), or "
+            "`odometry=kiss-icp` to estimate them"
         )
     return dataset[:first], how or f"{known} of {len(dataset)} scans, of the dataset"

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ogm.datasets import Dataset
+from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.grid import EvidentialGrid
 from ogm.io.grids.files import MAP_ENDINGS, check_grid_output, write_grid
 from ogm.io.grids.placed import PlacedGrid
 from ogm.plot import points_panel, save_picture
 from ogm.scan import Frame, InverseSensorModel, run_model
-from ogm.storage.files import error_text
+from ogm.storage.files import check_writable, error_text
 
 
 class ScanMap(NamedTuple):
@@ -57,17 +58,20 @@ def map_to_files(
     Raises
     ------
     ValueError
-        Before any scan is mapped: if two scans share a name, several have one file, or an ending has no format.
+        Before any scan is mapped: if two scans share a name, several have one file, or an ending has no format. Of a
+        single scan, if it shows nothing on the grid.
+    OSError
+        Before any scan is mapped: if an output cannot be written.
     """
     names = [frame.name.replace("/", "_") for frame in dataset]
     if len(set(names)) < len(names):
         raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
-    to_grids = _outputs(grids, names, MAP_ENDINGS, "--out")
-    to_pictures = _outputs(pictures, names, (".png",), "--picture")
+    to_grids = _outputs(grids, names, MAP_ENDINGS, "`grids`")
+    to_pictures = _outputs(pictures, names, (".png",), "`pictures`")
     if to_grids[0] is not None:
         check_grid_output(to_grids[0])
         if to_grids[0] == to_pictures[0]:
-            raise ValueError(f"--out and --picture would both write {to_grids[0]}; give two names")
+            raise ValueError(f"`grids` and `pictures` would both write {to_grids[0]}; give two names")
 
     def mapped() -> Iterator[ScanMap]:
         warm = False
@@ -80,6 +84,8 @@ def map_to_files(
                 start = time.perf_counter()
                 grid = run_model(model, frame)
                 seconds = time.perf_counter() - start
+                if shows_nothing(frame.scan, grid):
+                    raise ValueError(explain_nothing(frame.scan, grid.spec, frame.mount))
                 if grid_file is not None:
                     write_grid(grid_file, PlacedGrid(grid, frame_id="vehicle", stamp=frame.stamp))
                 if picture is not None:
@@ -102,9 +108,10 @@ def _outputs(path: Path | None, names: Sequence[str], endings: tuple[str, ...], 
     if ending in endings and (ending == ".zarr" or not path.is_dir()):
         if len(names) > 1:
             raise ValueError(f"{option} {path} is one file for {len(names)} scans; give a folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        check_writable(path, option)
         return [path]
     if path.suffix and not path.is_dir():
         raise ValueError(f"{option} {path}: give a name that ends in {', '.join(endings)}, or a folder")
     path.mkdir(parents=True, exist_ok=True)
+    check_writable(path / f"{names[0]}{endings[0]}", option)
     return [path / f"{name}{endings[0]}" for name in names]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.fusion.lookup import ScanLookup
+from ogm.fusion.update_gate import check_measurement
 from ogm.fusion.window import affine_between, samples_per_axis
 from ogm.grid import EvidentialGrid
 from ogm.pose import check_pose, check_stamp
@@ -102,10 +103,7 @@ def integrate_grid(
     reliability: float = 1.0,
 ) -> int:
     """Combine a measurement grid with tiles; see `WorldMap.integrate`."""
-    if not isinstance(grid, EvidentialGrid):
-        raise TypeError(f"a map is updated with an EvidentialGrid, got {type(grid).__name__}")
-    if not 0 <= reliability <= 1:
-        raise ValueError(f"reliability must be in [0, 1], got {reliability}")
+    check_measurement(grid, reliability)
     when, layout = _second(stamp), cache.tiles.layout
     T = check_pose(T_map_sensor, "T_map_sensor")
     box = layout.around(corners(grid.spec, T))

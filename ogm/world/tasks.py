@@ -1,7 +1,7 @@
 """Tasks of workers that build a world map: a sub-map from frames, and the tiles that the sub-maps of drives give."""
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -15,9 +15,11 @@ from ogm.storage.files import error_context
 from ogm.world.cache import TileCache, integrate_grid
 from ogm.world.drives import Drive, drive_array, submap_key
 from ogm.world.kernels import discount, merge, moved
-from ogm.world.layout import LAYERS, WORLD_RULES, TileIndex, checked_layers, corners
+from ogm.world.layout import LAYERS, WORLD_RULES, TileIndex, checked_layers, corners, mass_of
 from ogm.world.stores import reading, writing
 from ogm.world.tiles import TileStore
+
+_COMPARED = 64  # tiles in which drives are compared
 
 
 class Part(NamedTuple):
@@ -87,16 +89,40 @@ def render_tile(store: TileStore, index: TileIndex, parts: Iterable[Part]) -> ND
     The sub-maps of a drive are combined first; what they give is discounted, and combined with the other drives.
     Sub-maps that were moved are resampled once, by nearest cells.
     """
+    layout = store.layout
+    tile = layout.empty_tile()
+    for drive in _tiles_of_drives(store, index, parts):
+        discount(drive, layout.drive_reliability)
+        merge(tile, drive, WORLD_RULES[layout.rule], 1 - layout.min_unknown)
+    return tile
+
+
+def _tiles_of_drives(store: TileStore, index: TileIndex, parts: Iterable[Part]) -> Iterator[NDArray[Any]]:
+    """Yield what each drive has in a tile: its sub-maps, combined."""
     layout, drives = store.layout, _Drives(store)
-    tile, rule, most = layout.empty_tile(), WORLD_RULES[layout.rule], 1 - layout.min_unknown
     for _, of_drive in groupby(parts, lambda one: one.drive):
         drive = layout.empty_tile()
         for one in of_drive:
             part = drives.read(one, index) if one.correction is None else _moved_tile(drives, index, one)
-            merge(drive, part, rule, most)
-        discount(drive, layout.drive_reliability)
-        merge(tile, drive, rule, most)
-    return tile
+            merge(drive, part, WORLD_RULES[layout.rule], 1 - layout.min_unknown)
+        yield drive
+
+
+def contradictions(store: TileStore, drives: Iterable[Drive]) -> tuple[int, int]:
+    """Return in how many cells drives contradict each other, and how many two drives or more know.
+
+    A drive knows a cell where its mass of free or of occupied exceeds 1/2. Of large maps, `_COMPARED` tiles are read.
+    """
+    of_tiles = parts_of_tiles(store, drives).items()
+    shared = [(index, parts) for index, parts in of_tiles if len({part.drive for part in parts}) > 1]
+    chosen = shared[:: -(-len(shared) // _COMPARED) or 1]
+    against = common = 0
+    for index, parts in chosen:
+        tiles = list(_tiles_of_drives(store, index, parts))
+        free, occupied = (sum(mass_of(tile, store.layout)[..., k] > 0.5 for tile in tiles) for k in (0, 1))
+        against += int(np.count_nonzero((free > 0) & (occupied > 0)))
+        common += int(np.count_nonzero(free + occupied > 1))
+    return against, common
 
 
 def _moved_tile(drives: "_Drives", index: TileIndex, part: Part) -> NDArray[Any]:

@@ -1,6 +1,7 @@
 """A world map as a page for the browser, whose tiles come from disk, or from the object store, when they are shown."""
 
 import re
+import sys
 import threading
 import zlib
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from ogm.storage.files import OgmError
 from ogm.world.world_map import WorldMap
 
 _MOST = 2**25  # cells of the coarsest level, which is read at once
+_SILENCE = 15.0  # [s] after which a connection that sends or takes nothing is closed
 _TILE = re.compile(r"/tiles/0/(\d{1,2})/(\d{1,8})/(\d{1,8})")
 
 
@@ -102,6 +104,17 @@ class WorldPage:
         return levels
 
 
+class _Server(ThreadingHTTPServer):
+    """A thread for each connection; one that a closed tab breaks ends quietly."""
+
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print the traceback of an error, unless the connection is broken."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)
+
+
 @contextmanager
 def serve_world(world: WorldMap, title: str = "", port: int = 0) -> Iterator[str]:
     """Show a map to browsers of this machine for the time of the ``with`` block; yield the address of the page.
@@ -128,21 +141,19 @@ def serve_world(world: WorldMap, title: str = "", port: int = 0) -> Iterator[str
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
+        timeout = _SILENCE
 
         def do_GET(self) -> None:
             host = self.headers.get("Host", "").rpartition(":")[0]
             if host not in ("127.0.0.1", "localhost"):  # another site that has its name point here
-                self._answer(403, b"for this machine alone")
-            elif self.path == "/":
-                self._answer(200, page.html, "text/html; charset=utf-8")
-            elif found := _TILE.fullmatch(self.path):
-                self._tile(*map(int, found.groups()))
-            else:
-                self._answer(404, b"there is no such page")
-
-        def _tile(self, level: int, row: int, column: int) -> None:
+                return self._answer(403, b"for this machine alone")
             try:
-                self._answer(200, zlib.compress(page.tile(level, row, column), 1), packed=True)
+                if self.path == "/":
+                    self._answer(200, page.html, "text/html; charset=utf-8")
+                elif found := _TILE.fullmatch(self.path):
+                    self._answer(200, zlib.compress(page.tile(*map(int, found.groups())), 1), packed=True)
+                else:
+                    self._answer(404, b"there is no such page")
             except OgmError as error:
                 self._answer(500, str(error).encode())
             except ValueError as error:
@@ -161,8 +172,7 @@ def serve_world(world: WorldMap, title: str = "", port: int = 0) -> Iterator[str
         def log_message(self, *given: Any) -> None:
             """Print nothing."""
 
-    with ThreadingHTTPServer(("127.0.0.1", port), Handler) as server:
-        server.daemon_threads = True
+    with _Server(("127.0.0.1", port), Handler) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
         thread.start()
         try:

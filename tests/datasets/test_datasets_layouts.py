@@ -254,7 +254,7 @@ def test_nothing_labelled(fresh):
 
 
 def test_labels_that_are_asked_for_but_not_there(written):
-    with pytest.raises(ValueError, match=r"has no map to make truth of; has boxes, aggregated. give"):
+    with pytest.raises(ValueError, match=r"has no map to make truth of; has boxes, aggregated. Give"):
         open_dataset(written("kitti raw"), truth=("boxes", "map"))
     with pytest.raises(ValueError, match=r"truth must be of boxes, classes, map, aggregated, got 'lanes'"):
         open_dataset(written("kitti raw"), truth=("lanes",))
@@ -305,7 +305,7 @@ def test_a_drive_that_shows_no_ground(fresh):
     folder = fresh("scans and poses")
     for k in range(4):
         np.full((10, 4), 0.5, np.float32).tofile(folder / f"{k:06}.bin")
-    with pytest.raises(ValueError, match=r"no scan of data in .* shows the ground .*give sensor_height"):
+    with pytest.raises(ValueError, match=r"no scan of data in .* shows the ground .*give `sensor_height`"):
         _ = open_dataset(folder)[0].mount
     assert open_dataset(folder, sensor_height=1.5)[0].mount.sensor_height == 1.5
 
@@ -351,7 +351,7 @@ def test_frames_that_are_unrelated_stand_alone(written):
 
 @each("options", [{"axes": "nuscenes"}, {"intensity_max": 100.0}, {"time_unit": 1e-3}])
 def test_axes_and_units_of_a_data_set_are_not_chosen(written, options):
-    refused("has known axes and units; leave out axes", open_dataset, written("kitti raw"), **options)
+    refused("has known axes and units; leave out `axes`", open_dataset, written("kitti raw"), **options)
 
 
 def test_a_default_split_is_for_data_sets_that_have_splits(written):
@@ -359,6 +359,6 @@ def test_a_default_split_is_for_data_sets_that_have_splits(written):
 
 
 def test_options_of_other_data_sets_are_refused(written):
-    refused("split .* is for data sets that `ogm simulate` made", open_dataset, written("kitti raw"), split="test")
-    with pytest.raises(ValueError, match="are in the sensor's frame; leave out sensor_position"):
+    refused("`split` is for data sets that `ogm simulate` made", open_dataset, written("kitti raw"), split="test")
+    with pytest.raises(ValueError, match="are in the sensor's frame; leave out `sensor_position`"):
         open_dataset(written("nuscenes"), sensor_position=(0.0, 0.0, 1.0))

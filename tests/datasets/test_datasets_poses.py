@@ -69,7 +69,7 @@ def test_all_formats_of_poses_give_the_same_frames(scans: Path, tmp_path: Path) 
 def test_the_rate_counts_scans_without_stamps(scans: Path, tmp_path: Path) -> None:
     dataset = with_poses(open_dataset(scans), kitti(tmp_path / "p.txt"), rate=5.0)
     assert [frame.stamp for frame in dataset] == pytest.approx(2 * (STAMPS + 0.5))
-    refused("rate must be above 0", with_poses, open_dataset(scans), tmp_path / "p.txt", rate=0.0)
+    refused("`rate` must be above 0", with_poses, open_dataset(scans), tmp_path / "p.txt", rate=0.0)
 
 
 def test_poses_are_interpolated_to_the_stamps_of_the_scans(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_poses_that_cannot_be_matched_are_refused(scans: Path, tmp_path: Path) -
         with_poses(dataset, kitti(tmp_path / "other.txt", first=90))
     camera = POSES.copy()
     camera[:, :3, 3] = np.arange(FRAMES)[:, None] * [0, 0, 1]
-    refused(r"--calib calib.txt", with_poses, dataset, kitti(tmp_path / "camera.txt", camera))
+    refused("`calibration=calib.txt`", with_poses, dataset, kitti(tmp_path / "camera.txt", camera))
 
 
 def test_odometry_needs_no_poses(real: Callable[[str], Path]) -> None:

@@ -154,7 +154,7 @@ def test_grids_need_the_cells_that_they_show(grids: tuple[Path, Truth]) -> None:
     for name in ("b.npy", "c.npz"):
         (folder / name).unlink()
     refused("it holds grids: give spec", open_dataset, folder)
-    refused(r"truth .* is for recordings", open_dataset, folder, spec=SPEC, truth="boxes")
+    refused(r"`truth` is for recordings", open_dataset, folder, spec=SPEC, truth="boxes")
     (folder / "a.npz").write_bytes(b"")
     refused("two grids of a", open_dataset, folder, spec=SPEC)
 

@@ -146,8 +146,8 @@ def test_for_maps_what_a_frame_cannot_see_is_ignored(store: Path) -> None:
 
 
 def test_what_the_store_states_is_not_given(store: Path, tmp_path: Path) -> None:
-    refused("leave out sensor_height", open_dataset, store, sensor_height=2.0)
-    refused("leave out axes", open_dataset, store, axes="nuscenes")
+    refused("leave out `sensor_height`", open_dataset, store, sensor_height=2.0)
+    refused("leave out `axes`", open_dataset, store, axes="nuscenes")
     refused("holds its truth itself", open_dataset, store, truth="boxes")
     refused("knows its poses", with_poses, open_dataset(store), tmp_path / "poses.txt")
 

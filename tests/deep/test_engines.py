@@ -98,14 +98,14 @@ except ImportError as error:
     shapes, loaded, network, engine = done.stdout.strip().splitlines()
     assert (shapes, loaded) == ("(512, 352) (512, 352)", "")
     for message in (network, engine):
-        assert 'pip install "ogm-toolkit[train]"' in message
+        assert '[train]"' in message
 
 
 @each("package", ["onnxruntime", "openvino"])
 def test_a_missing_runtime_is_answered_with_the_pip_command(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     extra = {"onnxruntime": "deep"}.get(package, package)
-    refused(rf'pip install "ogm-toolkit\[{extra}\]"', load_engine, "lite", error=ImportError, engine=package)
+    refused(rf'pip install .*\[{extra}\]"', load_engine, "lite", error=ImportError, engine=package)
 
 
 def test_threads_may_share_a_model(scan: Scan) -> None:

@@ -166,6 +166,6 @@ def test_a_missing_package_is_answered_with_the_pip_command(
     package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ImportError, match=r'pip install "ogm-toolkit\[train\]"'):
+    with pytest.raises(ImportError, match=r'pip install .*\[train\]"'):
         export_onnx(trained(NETWORKS["small"]), tmp_path / "lite.onnx")
     assert not list(tmp_path.iterdir())

@@ -140,7 +140,7 @@ def test_workers_change_nothing(go):
 
 def test_a_run_is_not_overwritten(go):
     go()
-    refused("--resume", go)
+    refused("`resume`", go)
 
 
 def test_another_recipe_or_data_does_not_resume(go, recipe, frames):
@@ -207,7 +207,7 @@ def test_the_error_for_too_little_memory_has_the_way_out(go, monkeypatch):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     monkeypatch.setattr("ogm.deep.training_run.mean_loss", full)
-    refused("--batch", go, error=MemoryError)
+    refused("`batch`", go, error=MemoryError)
 
 
 def test_every_loss_and_the_published_recipe_can_be_trained_with(go, recipe, tmp_path):

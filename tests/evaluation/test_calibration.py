@@ -211,6 +211,19 @@ def test_the_file_is_a_model(fitted: Calibration, tmp_path: Path) -> None:
     assert short_names(["ray", str(path)]) == {"ray": "ray", "mine.json": str(path)}
 
 
+def test_few_drives_and_a_less_safe_model_are_warned_of() -> None:
+    before = {"false_free": 0.1, "missed_occupied": 0.2, "nll": 0.3}
+    for drives, after, words in (
+        (4, before, []),
+        (3, before, ["3 drives"]),
+        (8, before | {"nll": 0.4, "missed_occupied": 0.25}, ["missed_occupied rises from 0.2000 to 0.2500"]),
+        (1, {"false_free": 0.11, "missed_occupied": 0.3}, ["1 drives", "false_free", "missed_occupied"]),
+    ):
+        found = Calibration("ray", {}, before=before, after=after, data={"drives": drives}).warnings
+        assert len(found) == len(words)
+        assert all(word in line for word, line in zip(words, found, strict=True))
+
+
 def test_a_fit_goes_on_from_a_file(frames: list[Frame], tmp_path: Path) -> None:
     path = tmp_path / "before.json"
     Calibration("ray", {"max_mass": 0.9, "p_miss": 0.6}).save(path)

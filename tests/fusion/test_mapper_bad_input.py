@@ -225,10 +225,15 @@ def test_a_trusted_grid_that_is_none_changes_no_map(name):
         (np.zeros(shape[1::-1] + (2,), np.float32), "wanted float32"),
         (np.zeros(shape), "wanted float32"),
         *((np.full(shape, value, np.float32), "in .0, 1.") for value in (np.nan, -0.5, 1.5)),
+        *((np.full(shape, value, np.float32), "add up to 1 at most") for value in (1.0, 0.51)),
     ):
         refused(message, mapper.update, EvidentialGrid.trusted(SPEC, mass), np.eye(4), stamp=0.0)
+    changed = EvidentialGrid.vacuous(SPEC)
+    changed.mass[-1, -1] = 0.6
+    refused("add up to 1 at most, got 1.2", mapper.update, changed, np.eye(4), stamp=0.0)
     assert mapper.scans == 0
     rounded = np.zeros(shape, np.float32)
     rounded[3, 3] = -0.0, -1e-9
+    rounded[3, 2], rounded[2, 3] = (0.5, 0.5 + 1e-6), (0.0, 1.0)
     mapper.update(EvidentialGrid.trusted(SPEC, rounded), np.eye(4), stamp=0.0)
     assert np.isfinite(mapper.grid.mass).all()

@@ -367,5 +367,5 @@ def test_a_rolling_window_holds_the_view_at_any_yaw_and_a_covering_one_the_whole
     for T in turned:
         x, y, _ = transform_points(T, corners).T
         assert covering.contains(x, y).all()
-    refused("rolling window", covering_window, SPEC, np.array([pose(), pose(1e5, 1e5)]))
+    refused("give `window=rolling`", covering_window, SPEC, np.array([pose(), pose(1e5, 1e5)]))
     refused("has no area", covering_window, SPEC, turned[:0])

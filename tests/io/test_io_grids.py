@@ -9,8 +9,14 @@ import pytest
 from cases import each, refused
 from PIL import Image
 
-from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids.files import read_grid
+from ogm import Scan
+from ogm.dynamic_grid import DynamicGrid
+from ogm.evidence import renormalize
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.io import PlacedGrid
+from ogm.io.grids.files import MAP_ENDINGS, read_any_grid, read_grid, read_placed_grid, write_grid
+from ogm.plot import dynamic_panel, mass_panel, save_picture
+from ogm.plot.viewer import write_view
 from ogm.storage.files import OgmError
 
 AREA = GridSpec(0.5, (4, 6), (-1.0, -2.0))
@@ -77,6 +83,65 @@ def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, 
     else:
         Image.fromarray(content).save(path)
     refused(message, read_grid, path, AREA, error=OgmError)
+
+
+def write_page(path: Path, grid: EvidentialGrid | DynamicGrid) -> None:
+    write_view(path.with_suffix(".html"), grid)
+
+
+def write_panel(path: Path, grid: EvidentialGrid | DynamicGrid) -> None:
+    panel = dynamic_panel if isinstance(grid, DynamicGrid) else mass_panel
+    save_picture(path.with_suffix(".png"), panel(grid))
+
+
+DOORS = {ending: write_grid for ending in MAP_ENDINGS} | {".html": write_page, ".panel": write_panel}
+
+
+@each("ending", DOORS)
+def test_numbers_that_are_no_masses_reach_no_file(tmp_path: Path, ending: str) -> None:
+    """Whether they were never checked, or changed since; a file that is there stays."""
+    path, write = tmp_path / f"map{ending}", DOORS[ending]
+    changed = EvidentialGrid.vacuous(AREA)
+    changed.mass[1, 2] = 0.7, 0.6
+    none = np.full((*AREA.shape, 2, 2), np.nan, np.float32)
+    grids = [changed, *(EvidentialGrid.trusted(AREA, np.full_like(changed.mass, x)) for x in (np.nan, -0.1, 1.0))]
+    grids += [
+        DynamicGrid.trusted(AREA, np.full((*AREA.shape, 3), x, np.float32), none[..., 0], none) for x in (np.nan, 0.4)
+    ]
+    write(path, EvidentialGrid(AREA, corner()))
+    before = {one: one.read_bytes() for one in tmp_path.rglob("*") if one.is_file()}
+    for grid in grids:
+        refused("mass must", write, path, grid)
+    assert {one: one.read_bytes() for one in tmp_path.rglob("*") if one.is_file()} == before
+
+
+def test_layers_are_written_as_npz_and_named_where_masses_are_wanted(tmp_path: Path) -> None:
+    layers = LayeredGrid(AREA, {"conflict": np.ma.masked_less(corner()[..., 1], 0.5)})
+    assert np.isnan(layers["conflict"]).sum() == 23  # masked cells have no value
+    write_grid(tmp_path / "a.npz", layers)
+    assert read_any_grid(tmp_path / "a.npz") == layers
+    for ending in (*MAP_ENDINGS[1:], ".html"):
+        path = tmp_path / f"b{ending}"
+        if ending != ".html":
+            refused(rf"b\{ending} would hold masses .*, got layers \(conflict\)", write_grid, path, layers)
+    refused("wanted an EvidentialGrid or a DynamicGrid to write, got LayeredGrid", PlacedGrid, layers, error=TypeError)
+    refused("got ndarray", write_grid, tmp_path / "c.npz", corner(), error=TypeError)
+    for read in (read_grid, read_placed_grid):
+        refused(r"a\.npz holds layers, conflict, and no masses", read, tmp_path / "a.npz", error=OgmError)
+    assert [one.name for one in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_masks_are_not_dropped() -> None:
+    masked = np.ma.masked_less(corner(), 0.5)
+    points = np.ma.masked_less(np.ones((3, 4), np.float32), 0.5)
+    times = np.ma.array([1.0, 2.0, 3.0], mask=[0, 1, 0])
+    moving = np.zeros((*AREA.shape, 3), np.float32), np.zeros((*AREA.shape, 2, 2), np.float32)
+    masked_moving = (moving[0], np.ma.array(moving[0][..., :2]), moving[1])
+    for make, words in (
+        (EvidentialGrid, (AREA, masked)), (DynamicGrid, (AREA, *masked_moving)), (Scan, (points,)),
+        (Scan, (points.data, 0.0, times)), (renormalize, (masked,)),
+    ):  # fmt: skip
+        refused(r"must not be a masked array.*; fill it: \w+\.filled\(0\)", make, *words, error=TypeError)
 
 
 @each("ending", [".npz", ".npy", ".png"])

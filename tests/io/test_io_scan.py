@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import each, refused
 
+from ogm.datasets import open_dataset
 from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan, read_scan_file
 from ogm.io.ground_plane import plausible_sensor_height
 from ogm.scan import Scan
@@ -73,13 +74,16 @@ def test_axes_that_are_no_rotation_are_refused(axes, message, cloud, save):
     refused(message, read_points, save(cloud), axes)
 
 
-def test_reading_nuscenes_with_its_axes_unturned_is_remarked(cloud, tmp_path, caplog):
+def test_files_of_nuscenes_are_turned(cloud, tmp_path):
     path = tmp_path / "cloud.pcd.bin"
     path.write_bytes(np.column_stack([cloud, np.zeros(60)]).astype(np.float32).tobytes())
-    read_points(path, "nuscenes")
-    assert not caplog.records
-    read_points(path)
-    assert 'axes="nuscenes"' in caplog.text
+    turned, as_it_is = read_points(path, "nuscenes"), read_points(path, ("+x", "+y", "+z"))
+    np.testing.assert_array_equal(turned[:, :2], as_it_is[:, [1, 0]] * [1, -1])
+    np.testing.assert_array_equal(read_points(path), turned)
+    for paths in (path, tmp_path):
+        dataset = open_dataset(paths, sensor_height=1.8)
+        assert dataset.recording.axes == "nuscenes"
+        np.testing.assert_array_equal(dataset[0].scan.points, turned)
 
 
 # ---- origin and reach
@@ -479,5 +483,5 @@ def test_a_height_of_no_sensor_is_refused_with_the_way_out():
     for height in (0.5, 1.73, 5.0):
         assert plausible_sensor_height(height) == height
     for height in (0.37, 0.49, 5.1, -1.0, np.nan):
-        message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give sensor_position"
+        message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give `sensor_position`"
         refused(message, plausible_sensor_height, height, "a.feather", error=OgmError)

@@ -81,6 +81,9 @@ def test_plans_of_older_data_sets_lack_settings_that_came_later() -> None:
 
 
 def test_only_the_counts_of_a_plan_may_grow() -> None:
+    counts = {samples: DatasetPlan.from_options(samples=samples).counts for samples in (1, 9, 25, 200)}
+    assert [one["validation"] for one in counts.values()] == [1, 1, 2, 20]
+    assert [one["test"] for one in counts.values()] == [0, 0, 0, 2]
     assert replace(PLAN, samples=20).grown(replace(PLAN, test=200)) == replace(PLAN, test=200)
     refused("begun with truth = hd, got aimed", PLAN.grown, replace(PLAN, truth="hd"))
     refused("begun with mounts = 1 x hdl-32e, got 0.8 x vlp-32c", PLAN.grown, replace(PLAN, mounts=only("hdl-32e")))

@@ -51,6 +51,7 @@ def test_an_estimate_comes_first_then_every_shard(tmp_path: Path) -> None:
     estimate, *made = run(tmp_path / "data")
     assert isinstance(estimate, Estimate)
     assert estimate.samples == 28
+    assert estimate.seconds == estimate.start_up + 28 * estimate.per_sample  # another town, that of the test
     assert all(isinstance(one, Made) for one in made)
     assert sum(one.job.samples for one in made) == 28
     assert [one.job.split for one in made] == ["training"] * 3 + ["validation", "test"]
@@ -205,7 +206,7 @@ def test_workers_that_die_again_and_again_are_an_error(tmp_path: Path) -> None:
     died = tmp_path / "died"
     died.mkdir()
     store = begin(tmp_path / "data", PLAN, BEAMS, {"ogm": "0"})
-    with pytest.raises(OSError, match=r"workers died .*: use fewer --workers, then `ogm simulate .*--resume`"):
+    with pytest.raises(OSError, match=r"workers died .*: use fewer `workers`, then `ogm simulate .*--resume`"):
         list(make_shards(store, PLAN, DiesOnce(died, (14, 15, 16)), workers=2))
 
 

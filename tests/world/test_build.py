@@ -17,6 +17,7 @@ from ogm.storage.files import OgmError
 from ogm.world import Progress, WorldMap, build_world, rebuild_world
 from ogm.world.drives import drive_names, load_drive
 from ogm.world.stores import erase, keys
+from ogm.world.tasks import contradictions
 
 Place = Callable[[], dict[str, Any]]
 DRIVES = {
@@ -235,6 +236,14 @@ def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
         assert (counted["count"] > 0).sum() > 3000
         rebuild_world(world, {"a": {k: drive.pose(k) for k in range(len(drive))}})  # and back: nothing has been lost
         assert world.window(AROUND) == before
+
+
+def test_the_conflict_of_drives_is_that_of_the_cells_that_two_know(copied: WorldMap) -> None:
+    drives = [load_drive(copied.store, name) for name in drive_names(copied.store)]
+    against, common = contradictions(copied.store, drives)
+    assert 0.2 < against / common < 0.6  # of random grids
+    assert contradictions(copied.store, drives[:1]) == (0, 0)
+    copied.close()
 
 
 def test_drives_that_make_no_sense_are_refused(copied: WorldMap, tmp_path: Path, make_grid: Callable) -> None:

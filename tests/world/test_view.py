@@ -1,5 +1,7 @@
 """World maps in the browser: the page's tiles are the map's cells, and it scrolls and zooms through them."""
 
+import socket
+import struct
 import sys
 import urllib.error
 import urllib.request
@@ -96,6 +98,23 @@ def test_the_server_gives_the_page_its_tiles_and_nothing_else(town: WorldMap) ->
         assert get(address, Host="elsewhere.example:80")[0] == 403
     with pytest.raises(urllib.error.URLError):
         get(address)
+
+
+def test_broken_and_silent_connections_end_without_a_word(
+    town: WorldMap, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ogm.world.view_server._SILENCE", 0.2)
+    reset = struct.pack("ii", 1, 0)  # close sends a reset
+    with serve_world(town) as address:
+        place = ("127.0.0.1", int(address.rstrip("/").rpartition(":")[2]))
+        for begun in (b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: localhost:1\r\n\r\n"):
+            with socket.create_connection(place) as tab:
+                tab.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset)
+                tab.sendall(begun)
+        with socket.create_connection(place, timeout=5) as silent:
+            assert silent.recv(1) == b""  # closed
+        assert get(address)[0] == 200
+    assert capfd.readouterr().err == ""
 
 
 def test_a_damaged_tile_is_an_answer(town: WorldMap, tmp_path: Path) -> None:

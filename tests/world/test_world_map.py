@@ -66,6 +66,17 @@ def test_a_scan_is_rounded_to_the_stated_step(tmp_path: Path, make_grid: MakeGri
     assert 0.4 / 4095 < error.max() <= 0.5 / 4095 + 1e-7
 
 
+@each("dtype", ["uint16", "float32"])
+def test_numbers_that_are_no_masses_change_no_map(tmp_path: Path, make_grid: MakeGrid, dtype: str) -> None:
+    with made({"url": tmp_path / "map"}, make_grid, dtype=dtype) as world:
+        before, grid = world.window(AROUND), make_grid()
+        for value in (np.nan, np.inf, -0.2, 1.5, 0.6):
+            none = EvidentialGrid.trusted(grid.spec, np.full_like(grid.mass, value))
+            refused("of the grid must be in|must add up to 1 at most", world.integrate, none, np.eye(4), stamp=50.0)
+        refused("reliability must be", world.integrate, grid, np.eye(4), reliability=np.nan)
+        assert world.window(AROUND) == before
+
+
 def test_a_map_in_tiles_is_that_of_the_mapper(tmp_path: Path, make_grid: MakeGrid) -> None:
     mapper = EvidentialMapper(AROUND, half_life=float("inf"), window="fixed", max_speed=float("inf"))
     for k, T in enumerate(POSES):

@@ -10,7 +10,7 @@ from ogm.dynamic_grid import DYNAMIC_FORMAT, DynamicGrid
 from ogm.grid import LAYERED_FORMAT, EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.geotiff import check_crs, read_geotiff, write_geotiff
 from ogm.io.grids.logged import GridLog, GridMessage, check_logged, read_logged
-from ogm.io.grids.map_server import MapMode, read_map_server, write_map_server
+from ogm.io.grids.map_server import MapMode, check_map_server, read_map_server, write_map_server
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import check_scientific, read_scientific, write_scientific
 from ogm.io.images import open_image
@@ -26,7 +26,11 @@ MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # of
 
 
 def write_grid(
-    path: FilePath, grid: AnyGrid | PlacedGrid, *, mode: MapMode | None = None, message: GridMessage | None = None
+    path: FilePath,
+    grid: AnyGrid | LayeredGrid | PlacedGrid,
+    *,
+    mode: MapMode | None = None,
+    message: GridMessage | None = None,
 ) -> None:
     """Write a grid in the format that the ending of the path names. Files are whole or not there.
 
@@ -37,10 +41,10 @@ def write_grid(
         beside it), ``.tif`` (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red 255
         times the mass of occupied, green that of free), ``.mcap``, ``.db3``, ``.bag`` (a log with this one grid on
         ``/map``; of a drive: `GridLog`).
-    grid : EvidentialGrid, DynamicGrid or PlacedGrid
-        Of a `DynamicGrid`, ``.npz``, ``.tif``, ``.nc``, ``.zarr`` and the messages grid-map and foxglove-grid hold all
-        layers, the others free and occupied alone. With its place in a frame, a stamp and a coordinate reference
-        system, as far as the format holds them.
+    grid : EvidentialGrid, DynamicGrid, LayeredGrid or PlacedGrid
+        A `LayeredGrid` is written as ``.npz`` alone. Of a `DynamicGrid`, ``.npz``, ``.tif``, ``.nc``, ``.zarr`` and the
+        messages grid-map and foxglove-grid hold all layers, the others free and occupied alone. With its place in a
+        frame, a stamp and a coordinate reference system, as far as the format holds them.
     mode : {"trinary", "scale", "raw"}, optional
         Of ``.yaml``: the state of each cell (default), or its value of 0 ... 100, which is occupied + unknown / 2, by
         grey levels and transparency, or as it is.
@@ -50,8 +54,9 @@ def write_grid(
     Raises
     ------
     ValueError
-        If no format has that ending, an option is given for another, the grid is tilted, or turned where the format
-        holds no turn, or a ``.zarr`` folder exists that is no grid.
+        If the numbers of the grid are no masses, no format has that ending, an option is given for another, the grid
+        is tilted, or turned where the format holds no turn, or something else than a grid of that format would be
+        replaced.
     ImportError
         If the package of the format is missing.
     OSError
@@ -63,6 +68,12 @@ def write_grid(
     >>> write_grid("map.tif", PlacedGrid(mapper.grid, pose(x, y, yaw=yaw), crs="EPSG:25832"))  # doctest: +SKIP
     """
     path = Path(path)
+    if isinstance(grid, LayeredGrid):
+        if path.suffix.lower() != ".npz" or mode is not None or message is not None:
+            names = ", ".join(grid.layers) or "none"
+            raise ValueError(f"{path} would hold masses of free and occupied, got layers ({names}): write them as .npz")
+        grid.save(path)
+        return
     placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
     check_grid_output(path, mode=mode, message=message, crs=placed.crs)
     ending = path.suffix.lower()
@@ -102,7 +113,9 @@ def check_grid_output(
         raise ValueError(f"mode must be one of {', '.join(get_args(MapMode))}, for .yaml files alone; got {mode!r}")
     if message is not None and ending not in LOG_ENDINGS:
         raise ValueError(f"message is for {', '.join(LOG_ENDINGS)} alone, got {message!r} for {path}")
-    if ending in LOG_ENDINGS:
+    if ending in _YAML:
+        check_map_server(path, mode or "trinary")
+    elif ending in LOG_ENDINGS:
         check_logged(path, message or "occupancy-grid")
     elif ending in _TIFF:
         optional("rasterio", path, "geo", "written")
@@ -143,12 +156,9 @@ def read_grid(
     ImportError
         If the package of the format is missing.
     """
-    found = read_any_grid(path, area, topic=topic, free_thresh=free_thresh)
-    if isinstance(found, LayeredGrid):
-        raise OgmError(
-            f"{path} holds layers, {', '.join(found.layers) or 'none'}, and no masses: LayeredGrid.load reads it"
-        )
-    return evidential(found)
+    placed = read_placed_grid(path, area, topic=topic, free_thresh=free_thresh)
+    with error_context(path):
+        return evidential(placed.upright)
 
 
 def read_any_grid(
@@ -179,13 +189,13 @@ def read_placed_grid(
     if topic is not None and ending not in LOG_ENDINGS:
         raise ValueError(f"topic is for {', '.join(LOG_ENDINGS)} alone, got {topic!r} for {path}")
     if free_thresh is not None and ending not in _YAML:
-        raise ValueError(f"free_thresh (--free-thresh) is for .yaml files alone, got {free_thresh} for {path}")
+        raise ValueError(f"`free_thresh` is for .yaml files alone, got {free_thresh} for {path}")
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
     if path.is_dir() != (ending == ".zarr") or not (path.is_file() or path.is_dir()):
         raise OgmError(f"{path} is a {'folder' if path.is_dir() else 'file or a device'}, which a {ending} is not")
     if ending in (".npy", ".png") and area is None:
-        raise OgmError(f"{path} does not hold its area: give it (a GridSpec; --length and --width [m])")
+        raise OgmError(f"{path} does not hold its area: give `length` and `width` [m] of its `area`")
     try:
         # what is damaged may hold any number, and libraries warn of what is refused below
         with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
@@ -206,8 +216,10 @@ def _read(path: Path, area: GridSpec | None, topic: str | None, free_thresh: flo
     if ending in _SCIENTIFIC:
         return read_scientific(path)
     if area is None or ending == ".npz":
-        dynamic = stated_format(path) == DYNAMIC_FORMAT
-        return PlacedGrid(DynamicGrid.load(path) if dynamic else EvidentialGrid.load(path))
+        if (found := stated_format(path)) == LAYERED_FORMAT:
+            names = ", ".join(LayeredGrid.load(path).layers) or "none"
+            raise OgmError(f"{path} holds layers, {names}, and no masses: `ogm view` and LayeredGrid.load show them")
+        return PlacedGrid(DynamicGrid.load(path) if found == DYNAMIC_FORMAT else EvidentialGrid.load(path))
     return PlacedGrid(read_array(path, area) if ending == ".npy" else read_picture(path, area))
 
 

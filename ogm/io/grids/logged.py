@@ -166,7 +166,7 @@ def _topic(log: LogReader, path: Path) -> str:
     if "/map" in found:
         return "/map"
     if found:
-        raise OgmError(f"{path} has grids of {', '.join(found)}: give one as topic (--topic)")
+        raise OgmError(f"{path} has grids of {', '.join(found)}: give one as `topic`")
     there = ", ".join(f"{name} ({facts.type})" for name, facts in log.topics.items())
     if any(facts.type == _UPDATE and facts.count for facts in log.topics.values()):
         raise OgmError(

@@ -8,6 +8,7 @@ unknown above 100.
 
 import logging
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -34,6 +35,7 @@ _THRESHOLDS = {  # occupied, free. Grey 205 is p = 0.19608: with map_saver's 0.2
 _FORMATS = ("PNG", "PPM", "BMP", "JPEG")  # PPM: also PGM and PBM
 _NUMBERS = ("resolution", "occupied_thresh", "free_thresh")
 _NO, _YES = ("0", "false", "no", "False"), ("1", "true", "yes", "True")
+_CREATOR = "CREATOR: ogm"  # comment of images, by which those of a map that was cut short are known
 _MAX_TEXT = 2**16  # [byte] of a YAML file, which has seven short lines
 
 
@@ -54,36 +56,69 @@ def write_map_server(path: Path, placed: PlacedGrid, mode: MapMode = "trinary") 
 
     Both files are written whole beside their names; then an old YAML file is removed, and the image and the YAML file
     get their names, in this order. A crash in between leaves no YAML file, hence no map, but never a wrong one.
+
+    Raises
+    ------
+    ValueError
+        See `check_map_server`.
     """
     import yaml
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
+    check_map_server(path, mode)
     x, y, yaw = placed.corner
-    pixels, ending = _pixels(placed, mode)
-    image_path = path.with_name(f"{path.stem}{ending}")
+    pixels, image_path = _pixels(placed, mode), _image_of(path, mode)
     occupied, free = _THRESHOLDS[mode]
     values: dict[str, Any] = {"image": image_path.name, "mode": mode, "resolution": placed.grid.spec.resolution}
     values |= {"origin": [x, y, yaw], "negate": 0, "occupied_thresh": occupied, "free_thresh": free}
     with atomic_write(path) as file:
         file.write(yaml.safe_dump(values, sort_keys=False, default_flow_style=None, allow_unicode=True).encode())
         with atomic_write(image_path) as image_file:
-            Image.fromarray(pixels).save(image_file, "PNG" if ending.endswith("png") else "PPM")
+            if mode == "scale":
+                comment = PngInfo()
+                comment.add_text("Comment", _CREATOR)
+                Image.fromarray(pixels).save(image_file, "PNG", pnginfo=comment)
+            else:
+                head = f"P5\n# {_CREATOR}\n{pixels.shape[1]} {pixels.shape[0]}\n255\n"
+                image_file.write(head.encode() + pixels.tobytes())
             for one in (file, image_file):  # so that a full disk is noticed while the old map is whole
                 one.flush()
                 os.fsync(one.fileno())
             path.unlink(missing_ok=True)
 
 
-def _pixels(placed: PlacedGrid, mode: MapMode) -> tuple[NDArray[np.uint8], str]:
-    """Return rows of pixels from the top, (ny, nx) or with alpha (ny, nx, 2), and what ends the name of their image."""
+def check_map_server(path: Path, mode: MapMode = "trinary") -> None:
+    """Raise ValueError if the image of a map would replace a file that is none of a map of that name."""
+    image_path = _image_of(path, mode)
+    if not os.path.lexists(image_path):
+        return
+    with suppress(OSError, ValueError):
+        if path.is_file() and _header(path).image == Path(os.path.abspath(image_path)):
+            return
+        with open(image_path, "rb") as file:
+            if _CREATOR.encode() in file.read(256):
+                return
+    raise ValueError(
+        f"{path} would replace {image_path}, which is no image of that map: give another name, or move the image"
+    )
+
+
+def _image_of(path: Path, mode: MapMode) -> Path:
+    """Return the path of the image of a map; NAME.png may be a picture of the map."""
+    return path.with_name(f"{path.stem}{'-scale.png' if mode == 'scale' else '.pgm'}")
+
+
+def _pixels(placed: PlacedGrid, mode: MapMode) -> NDArray[np.uint8]:
+    """Return rows of pixels from the top, (ny, nx) or with alpha (ny, nx, 2)."""
     if mode == "trinary":
-        return _rows(_GREYS[predict_state(placed.evidential.mass)]), ".pgm"
+        return _rows(_GREYS[predict_state(placed.evidential.mass)])
     values = _rows(occupancy_values(placed.evidential))
     if mode == "raw":
-        return np.where(values < 0, np.uint8(255), values.astype(np.uint8)), ".pgm"
+        return np.where(values < 0, np.uint8(255), values.astype(np.uint8))
     grey = np.rint(2.55 * (100 - np.maximum(values, 0).astype(np.float32))).astype(np.uint8)
     alpha = np.where(values < 0, np.uint8(0), np.uint8(255))
-    return np.stack([grey, alpha], axis=-1), "-scale.png"  # NAME.png may be a picture of the map
+    return np.stack([grey, alpha], axis=-1)
 
 
 def _rows(cells: NDArray[Any]) -> NDArray[Any]:
@@ -192,7 +227,7 @@ def _values(header: _Header) -> NDArray[np.int8]:
         if share > 0:
             _log.warning(
                 "%s: free_thresh %g makes %.3g %% of the cells free, which have the grey of unknown cells (205), as in "
-                "nav2: free_thresh 0.196 (--free-thresh) reads them as unknown",
+                "nav2: `free_thresh=0.196` reads them as unknown",
                 header.image, header.free, 100 * share,
             )  # fmt: skip
     if alpha is not None and header.mode == "scale":

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
-from ogm.io.messages.grids import AnyGrid, evidential, grid_from_layers, split_corner
+from ogm.io.messages.grids import AnyGrid, check_grid, evidential, grid_from_layers, split_corner
 from ogm.pose import check_pose, check_stamp, pose
 
 _MAX_TILT = 1e-3  # [rad] within which a frame counts as level: at 100 m the projected cells are off by 0.05 mm
@@ -53,8 +53,10 @@ class PlacedGrid:
 
     Raises
     ------
+    TypeError
+        If the grid holds no masses.
     ValueError
-        If the transform is not rigid, or the stamp not finite.
+        If its numbers are no masses, the transform is not rigid, or the stamp not finite.
     """
 
     grid: AnyGrid
@@ -64,6 +66,7 @@ class PlacedGrid:
     crs: str | None = None
 
     def __post_init__(self) -> None:
+        check_grid(self.grid)
         object.__setattr__(self, "T_frame_grid", check_pose(self.T_frame_grid, "T_frame_grid"))
         if self.stamp is not None:
             object.__setattr__(self, "stamp", check_stamp(self.stamp))

@@ -3,6 +3,7 @@
 import errno
 import json
 import math
+import os
 import struct
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import install_line
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.placed import PlacedGrid, nanometres
@@ -287,7 +289,7 @@ def read_scientific(path: Path) -> PlacedGrid:
 
 
 def check_scientific(path: Path) -> None:
-    """Raise if a package is missing, or if a Zarr folder would take the place of one that is no grid of ours."""
+    """Raise if a package is missing, or if a Zarr folder would replace one that is no grid of ours, or holds more."""
     _need(path, "written")
     if path.suffix.lower() != ".zarr" or not path.exists():
         return
@@ -297,6 +299,12 @@ def check_scientific(path: Path) -> None:
         ours = False
     if not ours:
         raise ValueError(f"{path} exists and is no grid of ogm; it is not replaced, give another name")
+    for folder, _, names in os.walk(path):
+        inside = Path(folder).relative_to(path).parts
+        others = [] if inside[1:2] == ("c",) else [name for name in names if name != "zarr.json"]
+        if others:
+            other = Path(*inside, others[0])
+            raise ValueError(f"{path} would be replaced with {other} in it, which is no part of a grid: move that")
 
 
 def _need(path: Path, verb: str) -> Any:
@@ -305,6 +313,6 @@ def _need(path: Path, verb: str) -> Any:
     for_format = "zarr" if path.suffix.lower() == ".zarr" else "netCDF4"
     if find_spec(for_format) is None:
         raise ImportError(
-            f'{path} cannot be {verb} without the package {for_format}: pip install "ogm-toolkit[geo]"', name=for_format
+            f"{path} cannot be {verb} without the package {for_format}: {install_line('geo')}", name=for_format
         )
     return xarray

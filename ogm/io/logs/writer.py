@@ -111,6 +111,8 @@ class LogWriter:
             with naming(self.path):
                 yield
         except sqlite3.OperationalError as error:  # of ROS 2 bags
+            if not self.path.parent.is_dir():
+                raise FileNotFoundError(f"{self.path} is lost: its folder was removed while it was written") from error
             raise OSError(errno.EIO, f"{error}: is the disk full?", str(self.path)) from error
 
     def _serialized(self, topic: str, name: str, message: Any, ros: int) -> memoryview:

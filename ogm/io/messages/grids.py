@@ -28,13 +28,26 @@ _VELOCITY = ("x", "y", "covariance_xx", "covariance_xy", "covariance_yy")
 _MOVING = ("static", "dynamic", *(f"velocity_{name}" for name in _VELOCITY))
 
 
+def check_grid(grid: AnyGrid) -> None:
+    """Raise unless a grid can be written: TypeError for what holds no masses, ValueError for what are none."""
+    if not isinstance(grid, AnyGrid):
+        way_out = "LayeredGrid.save writes it" if isinstance(grid, LayeredGrid) else "make an EvidentialGrid of it"
+        raise TypeError(f"wanted an EvidentialGrid or a DynamicGrid to write, got {type(grid).__name__}: {way_out}")
+    grid.check()
+
+
 def evidential(grid: AnyGrid) -> EvidentialGrid:
-    """Return the masses of free and occupied of a grid."""
+    """Return the masses of free and occupied of a grid; errors as those of `check_grid`."""
+    check_grid(grid)
     return grid.to_evidential() if isinstance(grid, DynamicGrid) else grid
 
 
 def layers_of(grid: AnyGrid) -> dict[str, NDArray[np.float32]]:
-    """Return free, occupied and unknown, and of a `DynamicGrid` also what else `DynamicGrid.to_layers` has."""
+    """Return free, occupied and unknown, and of a `DynamicGrid` also what else `DynamicGrid.to_layers` has.
+
+    Errors as those of `check_grid`.
+    """
+    check_grid(grid)
     layers = {"free": grid.free, "occupied": grid.occupied, "unknown": grid.unknown}
     return layers | (dict(grid.to_layers().layers) if isinstance(grid, DynamicGrid) else {})
 
@@ -98,7 +111,13 @@ def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
     (nx, ny) int8
         -1 where `ogm.state.predict_state` is unknown; else the probability of occupied, `EvidentialGrid.probability`,
         in whole percent.
+
+    Raises
+    ------
+    TypeError, ValueError
+        See `check_grid`.
     """
+    check_grid(grid)
     percent = np.rint(100 * np.asarray(grid.probability, np.float64)).astype(np.int8)
     return np.where(predict_state(grid.mass) == CellState.UNKNOWN, np.int8(-1), percent)
 

@@ -173,7 +173,7 @@ def test_several_topics_ask_for_one(tmp_path: Path) -> None:
     assert read_placed_grid(path, topic="/costmap").grid.spec.shape == (1, 1)
     assert read_placed_grid(path).frame_id == "map"
     refused(r"maps\.bag has no topic /x; there are /costmap", read_grid, path, error=OgmError, topic="/x")
-    refused("has grids of /a, /b: give one as topic", read_grid, write("/a", "/b"), error=OgmError)
+    refused("has grids of /a, /b: give one as `topic`", read_grid, write("/a", "/b"), error=OgmError)
     refused(r"topic is for \.mcap", read_grid, tmp_path / "maps.npz", topic="/a")
 
 

@@ -251,6 +251,24 @@ def test_what_a_crash_leaves_is_the_old_map_or_none(
     assert sorted(one.name for one in tmp_path.iterdir()) == ["map.pgm"]
 
 
+@each("mode, image", [("trinary", "map.pgm"), ("raw", "map.pgm"), ("scale", "map-scale.png")])
+def test_an_image_of_something_else_is_not_replaced(tmp_path: Path, mode: str, image: str) -> None:
+    path, image_path = tmp_path / "map.yaml", tmp_path / image
+    for photo in (Image.effect_noise((8, 8), 40), Image.new("L", (3, 3))):
+        photo.save(image_path)
+        before = image_path.read_bytes()
+        refused(
+            rf"map\.yaml would replace .*{image}, which is no image of that map", write_grid, path, l_shape(), mode=mode
+        )
+        assert image_path.read_bytes() == before
+    by_hand(tmp_path, Image.new("L", (3, 3)), image).rename(path)  # a map of somebody else, which is replaced whole
+    for _ in range(2):
+        write_grid(path, l_shape(), mode=mode)
+    path.unlink()  # as a crash leaves it
+    write_grid(path, l_shape(), mode=mode)
+    assert np.array_equal(read_grid(path).occupied > 0.5, l_shape().occupied > 0.5)
+
+
 def test_a_tilted_grid_is_refused(tmp_path: Path) -> None:
     refused("tilted by 5.73 degrees", write_grid, tmp_path / "map.yaml", PlacedGrid(l_shape(), pose(pitch=0.1)))
     write_grid(tmp_path / "map.yaml", PlacedGrid(l_shape(), pose(pitch=1e-4, z=3)))

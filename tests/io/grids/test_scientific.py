@@ -227,5 +227,12 @@ def test_a_folder_that_is_no_grid_is_never_replaced(tmp_path: Path) -> None:
     xarray.Dataset({"mine": ("x", [1.0])}).to_zarr(path, zarr_format=3, consolidated=False)
     refused(r"data\.zarr exists and is no grid of ogm", write_grid, path, grid())
     assert xarray.open_zarr(path, consolidated=False).mine == 1
+    path = tmp_path / "map.zarr"
+    for _ in range(2):
+        write_grid(path, grid())
+    for note in (path / "notes.txt", path / "free" / ".hidden"):
+        note.write_text("mine")
+        refused(rf"map\.zarr would be replaced with .*{note.name} in it", write_grid, path, grid())
+        note.unlink()
     (tmp_path / "file.zarr").write_text("x")
     refused("is no grid of ogm", write_grid, tmp_path / "file.zarr", grid())
