@@ -260,7 +260,7 @@ class EvidentialGrid(ShownInNotebooks):
 
     def check(self) -> None:
         """Raise what the constructor would: for grids of `trusted`, or whose array was changed. Writers call it."""
-        type(self)(self.spec, self.mass)
+        EvidentialGrid(self.spec, self.mass)
 
     @classmethod
     def vacuous(cls, spec: GridSpec) -> Self:
@@ -397,6 +397,11 @@ class CombinedGrid(EvidentialGrid):
 
     parts: tuple[NDArray[np.float32], ...]
     combine: Combine
+
+    def check(self) -> None:
+        """Raise what the constructor of `EvidentialGrid` would, for the masses and those of each model."""
+        for mass in (self.mass, *self.parts):
+            EvidentialGrid(self.spec, mass)
 
     @classmethod
     def of_parts(cls, spec: GridSpec, parts: Sequence[NDArray[np.float32]], combine: Combine) -> Self:

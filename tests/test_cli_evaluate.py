@@ -422,10 +422,10 @@ def driven(index: int) -> Sample:
 
 @pytest.mark.usefixtures("no_pictures")
 def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: Path, tmp_path: Path) -> None:
-    words = ("--ism", "ray", "--fused", "cautious,bayes", "--every", 3, "--out", tmp_path)
+    words = ("--ism", "ray", "--fused", "revise,bayes", "--every", 3, "--out", tmp_path)
     completed("evaluate", drive, *words)
     record = record_of(tmp_path)
-    assert list(record["methods"]) == ["ray", "ray + cautious", "ray + bayes"]
+    assert list(record["methods"]) == ["ray", "ray + revise", "ray + bayes"]
     names = [frame["name"] for frame in record["frames"]]
     assert names[:2] == ["sequence 0 frame 0", "sequence 0 frame 3"]
     assert names[-1] == "sequence 1 frame 8"
@@ -442,7 +442,7 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
             name = f"sequence {index // 100} frame {index % 100}"
             if name in names:
                 scores = score(accumulate(mapper.view(PAPER).mass, one.truth.crop(PAPER).state))
-                found = record["methods"]["ray + cautious"]["per frame"]["brier"][names.index(name)]
+                found = record["methods"]["ray + revise"]["per frame"]["brier"][names.index(name)]
                 assert found == pytest.approx(scores["brier"], rel=1e-5)
 
 
@@ -473,7 +473,7 @@ def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, mo
         (("{data}", "--ism", "ray", "--out", "{file}"), "is a file, but the report is a folder"),
         (("{data}", "--fused", "bayes"), "has no split 'sequences'"),
         (("{data}", "--fused", "bayes", "--split", "validation"), "fuses frames that follow each other"),
-        (("{data}", "--fused", "best"), "--fused takes cautious"),
+        (("{data}", "--fused", "best"), "--fused takes revise, cautious"),
         (("{data}", "--truth", "boxes"), "--truth is for recordings"),
         (("{data}", "--truth", "hearsay"), "--truth takes boxes"),
         (("{data}", "--grids", "{nothing}"), "there is no folder"),

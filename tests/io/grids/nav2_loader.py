@@ -71,8 +71,8 @@ def _image(path: Path) -> tuple[int, int, list[list[tuple[int, int, int, int]]],
     """Return width, height, rows of red, green, blue, alpha, and whether there is alpha."""
     if path.suffix == ".pgm":
         raw = path.read_bytes()
-        magic, comment, size, depth, body = raw.split(b"\n", 4)
-        assert comment.startswith(b"#")
+        head = 4 if raw.startswith(b"P5\n#") else 3
+        magic, *_, size, depth, body = raw.split(b"\n", head)
         width, height = map(int, size.split())
         assert (magic, depth, len(body)) == (b"P5", b"255", width * height)
         rows = [[(g, g, g, 255) for g in body[y * width : (y + 1) * width]] for y in range(height)]

@@ -104,7 +104,7 @@ def test_unknown_cells_that_the_thresholds_make_free_are_named(
     unknown = occupancy_values(read_grid(tmp_path / "a.yaml", free_thresh=0.196))[:, 0]
     assert unknown.tolist() == [{205: -1, 254: 0, 0: 100}[grey] for grey in greys]
     refused("free_thresh must be from 0 to", read_grid, tmp_path / "a.yaml", free_thresh=0.7)
-    refused("free_thresh .* is for .yaml files alone", read_grid, tmp_path / "a.npz", free_thresh=0.1)
+    refused("free_thresh.* is for .yaml files alone", read_grid, tmp_path / "a.npz", free_thresh=0.1)
 
 
 @settings(max_examples=30)
