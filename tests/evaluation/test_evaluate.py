@@ -204,7 +204,7 @@ def test_the_released_model_refuses_what_it_cannot_do() -> None:
     name = "height-band-released"
     refused("even number of cells along x and y, got 7 x 7", load_model, name, SPEC)
     even = GridSpec.centered(length=8, width=8, resolution=1)
-    model, message = load_model(name, even), "points in the sensor frame and a grid around the sensor"
+    model, message = load_model(name, even), "points in the frame of a level sensor and a grid around the sensor"
     for mount in (Mount(1.7, pose(1.0, z=1.7)), Mount(1.7, pose(z=1.7), points_in="vehicle")):
         refused(message, load_model, name, even, mount)
         refused(message, model, Scan(np.zeros((1, 4), np.float32), mount=mount))
