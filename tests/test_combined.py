@@ -263,7 +263,7 @@ def test_the_default_model_is_combined_where_the_network_runs(monkeypatch):
 
 def test_what_equal_scans_leave_unknown_stays_so_or_the_rule_is_warned_of() -> None:
     """A standing vehicle: what the default model guesses of a shadow, in every scan anew, is no evidence."""
-    spec = GridSpec.centered()
+    spec = GridSpec.centered(length=40.96, width=28.16)
     scan = read_scan(ROAD, axes=("+y", "-x", "+z"))
     grid = load_model("combined", spec, Mount(1.98))(scan)
     unknown = (grid.mass <= 0.5).all(axis=-1)
