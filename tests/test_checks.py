@@ -73,6 +73,22 @@ def test_three_faults_at_once_are_mended_by_one_file(tmp_path: Path, roll: int, 
     assert -0.7 < y_min < -0.2 < 0.2 < y_max < 0.7
 
 
+@each("yaw, axes", [(90, "-y,+x,+z"), (-60, "+y,-x,+z"), (180, "")])
+def test_a_drive_across_the_x_axis_is_told_with_the_axes(tmp_path: Path, yaw: int, axes: str) -> None:
+    """Transforms without the mount: the sensor's axes count as those of the vehicle. Driving backwards is right."""
+    path = write_log(tmp_path / "a.mcap", way(7, 1.0), tilted(yaw=yaw))
+    texts = [str(finding) for finding in only(path).findings if finding.kind == "axes"]
+    assert len(texts) == bool(axes)
+    if axes:
+        assert f"axes: the vehicle moves 6 m by its poses to its {'right' if yaw > 0 else 'left'}" in texts[0]
+        assert f"--axes={axes}," in texts[0]
+        assert not any(finding.kind == "axes" for finding in only(path, axes=axes.split(",")).findings)
+    stated = write_log(
+        tmp_path / "b.mcap", way(7, 1.0), tilted(yaw=yaw), chain=(("map", "base_link"), ("base_link", "os_lidar"))
+    )
+    assert "axes" not in kinds(only(stated))
+
+
 def test_walls_along_the_way_are_not_of_the_vehicle(tmp_path: Path) -> None:
     x = np.arange(-20, 30, 0.1)
     wall = np.array([(a, b, z) for a in x for b in (-1.5, 1.5) for z in (0.5, 1.0)]) - [0, 0, 1.2]

@@ -120,3 +120,5 @@ def test_objects_that_the_map_follows_are_drawn_in_the_vehicles_axes(
     np.testing.assert_allclose(drawn[2].arrows[0, :2], (T @ (6.75, 1.6, 0, 1))[:2], atol=1e-5)
     np.testing.assert_allclose(drawn[2].arrows[0, 2:], T[:2, :2] @ (0, SPEED), atol=1e-5)
     np.testing.assert_allclose(drawn[2].outlines[0].mean(axis=0), drawn[2].arrows[0, :2], atol=1e-9)
+    assert "1 objects confirmed" in drawn[2].title
+    assert drawn[2].legend["unknown"] == drawn[1].legend["unknown"] != drawn[3].legend["no conflict"]

@@ -55,8 +55,9 @@ def test_conflict_shows_what_appeared_and_what_went_away() -> None:
     layers = {"free_to_occupied": appeared, "occupied_to_free": went_away}
     panel = plot.conflict_panel(LayeredGrid(SPEC, layers))
     assert panel.image[0, 1].tolist() == colour_bytes(np.array(panel.legend["appeared"])).tolist()
-    assert panel.image[6, 4].tolist() == colour_bytes(np.array(panel.legend["went away"]) / 2).tolist()
-    assert np.count_nonzero(panel.image.any(axis=-1)) == 2
+    nothing = np.array(panel.legend["no conflict"])
+    assert panel.image[6, 4].tolist() == colour_bytes((panel.legend["went away"] + nothing) / 2).tolist()
+    assert np.count_nonzero((panel.image != colour_bytes(nothing)).any(axis=-1)) == 2
     with pytest.raises(KeyError, match="no layer 'occupied_to_free'"):
         plot.conflict_panel(LayeredGrid(SPEC, {"free_to_occupied": appeared}))
 
@@ -225,27 +226,30 @@ def test_velocities_are_shown_by_direction_and_speed() -> None:
     x[3, 3] = 1
     panel = plot.velocity_panel(LayeredGrid(SPEC, {"velocity_x": x, "velocity_y": y}))
     assert "4 m/s" in panel.title
-    places = {"forward": (0, 0), "left": (0, 1), "backward": (1, 0), "right": (1, 1), "none": (6, 4)}
+    places = {"+x": (0, 0), "+y": (0, 1), "-x": (1, 0), "-y": (1, 1), "none": (6, 4)}
     for name, cell in places.items():
         assert np.abs(panel.image[cell] - 255 * np.array(panel.legend[name])).max() <= 1
     half = np.abs(panel.image[3, 1].astype(int) - panel.image[0, 0] // 2)  # a quarter of the speed
     assert half.max() <= 1
 
 
-def test_a_dynamic_grid_is_grey_where_it_stands_and_coloured_where_it_moves() -> None:
-    """Free white, static black, unknown grey; what moves in the colour of its heading."""
+def test_a_dynamic_grid_has_the_colours_of_belief_and_of_headings() -> None:
+    """Free, static and unknown as in `mass_panel`; what moves in the colour of its heading. The legend names all."""
     grid = street()
     panel = plot.dynamic_panel(grid)
     cells = panel.image[::-1, ::-1].astype(int)
     at = MOVING.index
-    assert np.abs(cells[at(0.0, 11.0)] - 128).max() <= 1  # unknown
-    assert np.abs(cells[at(0.0, 0.0)] - round(255 * 0.9)).max() <= 1  # free 0.8
-    assert cells[at(0.0, 7.5)].max() <= 13  # static 0.9
+    belief = plot.mass_panel(grid.to_evidential()).image[::-1, ::-1].astype(int)
+    for place in ((0.0, 11.0), (0.0, 0.0), (0.0, 7.5)):  # unknown, free, static
+        assert np.abs(cells[at(*place)] - belief[at(*place)]).max() <= 1
     for place, heading in (((9.0, 1.0), 0.0), ((9.0, 3.0), np.pi), ((-10.75, 0.25), np.arctan2(0.15, 2.85))):
-        wanted = 255 * (0.8 * heading_colours(np.array(heading)) + 0.05)
+        wanted = 255 * (0.8 * heading_colours(np.array(heading)) + 0.1 * np.array(panel.legend["static"]))
         assert np.abs(cells[at(*place)] - wanted).max() <= 2, place
     assert panel.wheel
-    assert list(panel.legend) == ["static", "free", "unknown"]
+    assert list(panel.legend) == ["free", "static", "unknown", "moves +x", "moves +y", "moves -x", "moves -y"]
+    known = np.array([panel.legend["free"], panel.legend["static"]])
+    circle = heading_colours(np.linspace(0, 2 * np.pi, 60))
+    assert np.linalg.norm(circle[:, None] - known, axis=-1).min() > 0.3  # no direction looks free or static
 
 
 def test_each_moving_group_has_one_arrow_as_long_as_its_way() -> None:
@@ -297,7 +301,8 @@ def test_nothing_that_stands_or_is_slow_or_small_has_an_arrow() -> None:
     assert len(moving_arrows(DynamicGrid(MOVING, one, grid.velocity, grid.covariance))) == 1
     nothing = DynamicGrid(MOVING, grid.mass * 0, grid.velocity, grid.covariance)
     assert moving_arrows(nothing).shape == (0, 4)
-    assert (plot.dynamic_panel(nothing).image == 128).all()
+    assert not plot.dynamic_panel(nothing).image.any()
+    assert "arrows" not in plot.dynamic_panel(nothing).title
 
 
 def test_the_wheel_has_forward_up_and_left_left() -> None:
@@ -318,7 +323,8 @@ def test_arrows_point_where_things_go_in_a_figure() -> None:
     wide, high = plot.figures._size(panel)
     pixels = high / panel.spec.length
     left, top = plot.figures.AXIS, plot.figures.MARGIN + plot.figures.TITLE
-    assert with_arrows.shape[1] == left + wide + plot.figures.MARGIN
+    assert with_arrows.shape[1] >= left + wide + plot.figures.MARGIN
+    left += (with_arrows.shape[1] - left - wide - plot.figures.MARGIN) // 2  # the legend may be wider
     for x, y, dx, dy in panel.arrows:
         share = np.linspace(0, 1, 20)[:, None]
         line = (np.array([panel.spec.extent[1] - x, panel.spec.extent[3] - y]) - share * [dx, dy]) * pixels + [
@@ -334,4 +340,5 @@ def test_boxes_are_outlined_and_have_the_arrows() -> None:
     panel = plot.dynamic_panel(street(), seconds=2.0, boxes=turned)
     np.testing.assert_allclose(panel.arrows, [[5, 1, 0, 4]])
     np.testing.assert_allclose(panel.outlines[0], [[4, 3], [6, 3], [6, -1], [4, -1]], atol=1e-12)
+    assert "box: object" in panel.legend
     assert len(plot.dynamic_panel(street(), boxes=Boxes.empty()).arrows) == 0

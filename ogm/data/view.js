@@ -77,7 +77,7 @@ const INDEX = {  // of the table, by the bytes of free and of occupied
 
 // Returns the colour of a cell as 0xBBGGRR, from the bytes that the layer is of.
 function painter(layer) {
-  const [first, second] = layer.tables;
+  const [first, second, third] = layer.tables;
   if (layer.paint === "velocity") {
     const number = NUMBERS[layer.of[0][0]], most = layer.fastest || 1;
     return (a, b) => {
@@ -86,12 +86,13 @@ function painter(layer) {
       return first[at] * light | (first[at + 1] * light) << 8 | (first[at + 2] * light) << 16;
     };
   }
-  if (layer.paint === "motion") {  // white free, grey unknown, black static, in colour the heading of what moves
+  if (layer.paint === "motion") {  // the colours of belief, but of its heading what moves
     const [moves, number] = [NUMBERS[layer.of[2][0]], NUMBERS[layer.of[3][0]]];
     return (free, occupied, dynamic, a, b) => {
-      const grey = free + (255 - free - occupied) / 2, share = moves[dynamic] || 0, known = !Number.isNaN(number[a]);
+      const share = Number.isNaN(number[a]) ? 0 : moves[dynamic] || 0;
+      const still = 3 * Math.max(0, occupied - Math.round(255 * share));
       const at = 3 * (Math.round(Math.atan2(number[b], number[a]) / Math.PI * 128) & 255);
-      const mix = k => Math.min(255, Math.round(grey + (known ? share * first[at + k] : 0)));
+      const mix = k => Math.min(255, Math.round(second[3 * free + k] + third[still + k] + share * first[at + k]));
       return mix(0) | mix(1) << 8 | mix(2) << 16;
     };
   }

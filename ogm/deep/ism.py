@@ -24,6 +24,7 @@ DEFAULT_MOUNT = Mount(1.9)
 MAX_MOUNTS = 8  # for which a model keeps its parts
 
 _log = logging.getLogger(__name__)
+_warned: set[tuple[str, str]] = set()  # names of models and reasons, of this process
 
 
 class DeepISM:
@@ -65,10 +66,11 @@ class DeepISM:
     sensor. Intensities are in [0, 1], Velodyne's calibrated value / 255. A scan without intensities (three columns, or
     all 0) is mapped without them.
 
-    A scan unlike the training scans is mapped too, with one warning in the log for each reason. Intensities whose
-    mean lies outside the training's range are left out, since manufacturers calibrate differently. A scan of over 1.2
-    times the most points of the training is thinned to that number, by the same random choice every time. A scan of a
-    tenth of the fewest points of the training, or less, gives an unknown grid.
+    A scan unlike the training scans is mapped too, with one warning in the log of a process for each reason and
+    name of a model. Intensities whose mean lies outside the training's range are left out, since manufacturers
+    calibrate differently. A scan of over 1.2 times the most points of the training is thinned to that number, by the
+    same random choice every time. A scan of a tenth of the fewest points of the training, or less, gives an unknown
+    grid.
     """
 
     mount: Mount | None
@@ -94,7 +96,6 @@ class DeepISM:
         ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf)}
         ranges |= self.description.get("seen", {})
         self._point_range, self._intensity_range, self._height_range = ranges.values()
-        self._warned: set[str] = set()
         self._placed: dict[Mount, _Placed] = {}
         if mount is not None:
             self._at(mount)
@@ -247,10 +248,10 @@ class DeepISM:
                 self._warn("ground", text)
 
     def _warn(self, reason: str, text: str) -> None:
-        """Log a warning, once for each reason."""
-        if reason not in self._warned:
-            self._warned.add(reason)
-            name = PurePath(str(self.description.get("card", ""))).stem or "DeepISM"
+        """Log a warning, once for each reason and name of a model, however many objects a run makes of it."""
+        name = PurePath(str(self.description.get("card", ""))).stem or "DeepISM"
+        if (name, reason) not in _warned:
+            _warned.add((name, reason))
             _log.warning("%s, unlike the training data: %s", name, text)
 
 

@@ -29,8 +29,8 @@ from PIL import GifImagePlugin, Image, ImageDraw
 from ogm import plot
 from ogm.grid import GridSpec
 from ogm.plot.colours import Colours, colours
-from ogm.plot.figures import draw_legend, draw_marks, draw_vehicle, font, plain, scaled
-from ogm.plot.panels import APPEARED, BLACK, HIGHEST, LOWEST, WENT_AWAY, heading_colours, height_colours
+from ogm.plot.figures import draw_legend, draw_marks, draw_vehicle, font, legend_width, plain, scaled
+from ogm.plot.panels import APPEARED, BLACK, HIGHEST, LOWEST, NO_CONFLICT, WENT_AWAY, heading_colours, height_colours
 from ogm.storage.files import atomic_write
 
 __all__ = ["Movie", "open_movie"]
@@ -142,6 +142,8 @@ class Movie:
         left, top = GAP, BAR + TITLE
         for panel, title in zip(shown, self.titles, strict=True):
             draw.text((left, top - TITLE // 2), plain(title), INK, font(13), anchor="lm")
+            if panel.wheel and legend_width(panel, 11) > width + GAP:  # the wheel shows the directions
+                panel = panel._replace(legend=dict(list(panel.legend.items())[:3]))
             draw_legend(draw, left, top + height + LEGEND // 2, panel, 11, (INK, FAINT))
             one = scaled(panel, self.panel)
             draw_marks(one, panel, HEAD, WHEEL)
@@ -170,11 +172,11 @@ def palette() -> Image.Image:
 def _palette_with(chosen: Colours) -> Image.Image:
     steps = np.arange(11) / 10
     belief = chosen.mix(np.array([(free, one) for free in steps for one in steps if free + one < 1 + 1e-9]))
-    conflict = (np.linspace(BLACK, one, 16) for one in (APPEARED, WENT_AWAY))
+    conflict = (np.linspace(NO_CONFLICT, one, 16) for one in (APPEARED, WENT_AWAY))
     heights = height_colours(np.linspace(LOWEST, HIGHEST, 48))
     grey = np.linspace(BLACK, (1, 1, 1), 28)
     headings = heading_colours(np.arange(24) * np.pi / 12)
-    moving = (headings, 0.75 * headings + 0.25 * 0.5, 0.5 * headings + 0.5 * 0.5)  # mixed with the grey of unknown
+    moving = (headings, 0.75 * headings, 0.5 * headings)  # mixed with the black of unknown
     drawn = np.array([BACKGROUND, INK, FAINT]) / 255
     all_of_them = np.concatenate([belief, *conflict, heights, grey, *moving, drawn, np.full((1, 3), 0.08)])
     image = Image.new("P", (1, 1))

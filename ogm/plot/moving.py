@@ -1,13 +1,14 @@
-"""The panel of a dynamic grid: what stands in grey, what moves by its heading, an arrow for each moving group."""
+"""The panel of a dynamic grid: what moves by its heading, an arrow for each moving group."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.plot.panels import Panel, cells_panel, heading_colours
+from ogm.plot.colours import colours
+from ogm.plot.panels import Panel, cells_panel, heading_colours, heading_legend
 from ogm.scan import Boxes
 
-FREE, UNKNOWN, STATIC = (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
+BOX = (1.0, 1.0, 1.0)
 SLOWEST = 0.5  # [m/s] of a group that has an arrow
 FEWEST = 3  # cells of a group that has an arrow
 _NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))  # each pair once
@@ -15,7 +16,7 @@ _HOLE = 0.45  # of the radius of a wheel
 
 
 def dynamic_panel(grid: DynamicGrid, title: str = "", seconds: float = 1.0, boxes: Boxes | None = None) -> Panel:
-    """Show what stands and what moves: white free, grey unknown, black static, in colour the heading of what moves.
+    """Show what stands and what moves: free, occupied and unknown as in `mass_panel`, the heading of what moves.
 
     The colours of a cell are mixed by its masses. Each group of moving cells has an arrow as long as its way in some
     seconds (`moving_arrows`), and the panel a wheel with the colours of the headings.
@@ -35,15 +36,19 @@ def dynamic_panel(grid: DynamicGrid, title: str = "", seconds: float = 1.0, boxe
         If `seconds` is negative or not finite, or the numbers of the grid are no masses.
     """
     grid.check()
-    heading = heading_colours(np.nan_to_num(grid.heading))
+    chosen, heading = colours(), heading_colours(np.nan_to_num(grid.heading))
     moves = np.isfinite(grid.heading)[..., None]
-    colours = grid.free[..., None] * np.array(FREE) + grid.unknown[..., None] * np.array(UNKNOWN)
-    colours += grid.dynamic[..., None] * np.where(moves, heading, STATIC)
-    title = title or "heading of what moves" + (f", arrows: {seconds:g} s" if seconds else "")
-    panel = cells_panel(colours, grid.spec, title, {"static": STATIC, "free": FREE, "unknown": UNKNOWN})
-    if boxes is None:
-        return panel._replace(arrows=moving_arrows(grid, seconds), wheel=True)
-    return panel._replace(arrows=_box_arrows(boxes, seconds), outlines=_corners(boxes), wheel=True)
+    cells = chosen.mix(np.stack([grid.free, grid.static], axis=-1))
+    cells = cells + grid.dynamic[..., None] * np.where(moves, heading, chosen.occupied)
+    legend = {"free": chosen.free, "static": chosen.occupied, "unknown": chosen.unknown}
+    legend |= {f"moves {axis}": colour for axis, colour in heading_legend().items()}
+    arrows = moving_arrows(grid, seconds) if boxes is None else _box_arrows(boxes, seconds)
+    title = title or "heading of what moves" + (f", arrows: {seconds:g} s" if seconds and len(arrows) else "")
+    if boxes is not None and len(boxes):
+        legend["box: object"] = BOX
+    panel = cells_panel(cells, grid.spec, title, legend)
+    outlines = _corners(Boxes.empty() if boxes is None else boxes)
+    return panel._replace(arrows=arrows, outlines=outlines, wheel=True)
 
 
 def moving_groups(grid: DynamicGrid) -> NDArray[np.int32]:

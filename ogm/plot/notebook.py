@@ -83,7 +83,7 @@ def _dynamic_html(grid: DynamicGrid) -> str:
     facts["moving cells"] = f"{np.count_nonzero(moving)}" + (
         f", median {np.median(grid.speed[moving]):.1f} m/s" if moving.any() else ""
     )
-    text = "white free, black static, grey unknown, in colour the heading of what moves; x, forward, is up"
+    text = f"{colours().text}, pale the heading of what moves; x, forward, is up"
     return _html("DynamicGrid", _spec_facts(grid.spec) | facts, _dynamic_png(grid), text)
 
 

@@ -12,7 +12,7 @@ from ogm.plot.colours import colours
 CONFLICT_LAYERS, VELOCITY_LAYERS = ("free_to_occupied", "occupied_to_free"), ("velocity_x", "velocity_y")
 BLACK = (0.0, 0.0, 0.0)
 APPEARED, WENT_AWAY = (1.0, 0.62, 0.10), (0.25, 0.62, 1.0)
-NO_VALUE = (0.16, 0.17, 0.19)
+NO_VALUE = NO_CONFLICT = (0.16, 0.17, 0.19)  # black is unknown
 
 
 class Panel(NamedTuple):
@@ -94,7 +94,7 @@ def unknown_panel(grid: EvidentialGrid, title: str = "") -> Panel:
 
 
 def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
-    """Show where sources contradict each other: orange what appeared, blue what went away, black no conflict.
+    """Show where sources contradict each other: orange what appeared, blue what went away, grey no conflict.
 
     Parameters
     ----------
@@ -104,8 +104,9 @@ def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
     title : str
     """
     appeared, went_away = (conflict[name] for name in CONFLICT_LAYERS)
-    colours = appeared[..., None] * np.array(APPEARED) + went_away[..., None] * np.array(WENT_AWAY)
-    legend = {"appeared": APPEARED, "went away": WENT_AWAY, "no conflict": BLACK}
+    grey = np.array(NO_CONFLICT)
+    colours = grey + appeared[..., None] * (APPEARED - grey) + went_away[..., None] * (WENT_AWAY - grey)
+    legend = {"appeared": APPEARED, "went away": WENT_AWAY, "no conflict": NO_CONFLICT}
     return cells_panel(colours, conflict.spec, title or "conflict", legend)
 
 
@@ -137,15 +138,21 @@ def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None =
     speed = np.hypot(x, y)
     fastest = float(speed.max()) if fastest is None else fastest
     brightness = np.sqrt(np.clip(speed / (fastest or 1.0), 0, 1))
-    heading = {"forward": 0.0, "left": np.pi / 2, "backward": np.pi, "right": -np.pi / 2}
-    legend = {name: tuple(heading_colours(np.array(angle))) for name, angle in heading.items()}
     colours = heading_colours(np.arctan2(y, x)) * brightness[..., None]
-    return cells_panel(colours, layers.spec, title or f"velocity, up to {fastest:.3g} m/s", legend | {"none": BLACK})
+    return cells_panel(
+        colours, layers.spec, title or f"velocity, up to {fastest:.3g} m/s", heading_legend() | {"none": BLACK}
+    )
 
 
 def heading_colours(heading: NDArray[Any]) -> NDArray[np.float64]:
-    """Return red, green, blue [0, 1] of directions [rad], (..., 3)."""
-    return 0.5 + 0.5 * np.cos(heading[..., None] - np.array([0, 2, -2]) * np.pi / 3)
+    """Return red, green, blue [0, 1] of directions [rad], (..., 3): pale, as free and occupied are not."""
+    return 0.7 + 0.3 * np.cos(heading[..., None] - np.array([0, 2, -2]) * np.pi / 3)
+
+
+def heading_legend() -> dict[str, Any]:
+    """Return the colours of the directions along the axes, by name."""
+    angles = {"+x": 0.0, "+y": np.pi / 2, "-x": np.pi, "-y": -np.pi / 2}
+    return {name: tuple(heading_colours(np.array(angle)).tolist()) for name, angle in angles.items()}
 
 
 BEHIND_POINTS = (0.08, 0.08, 0.08)

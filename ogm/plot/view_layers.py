@@ -13,9 +13,10 @@ from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colours import colours
 from ogm.plot.moving import moving_arrows
 from ogm.plot.overview import FULL, Steps
-from ogm.plot.panels import CONFLICT_LAYERS, NO_VALUE, VELOCITY_LAYERS
+from ogm.plot.panels import CONFLICT_LAYERS, NO_CONFLICT, NO_VALUE, VELOCITY_LAYERS, colour_bytes
 
 Layer = dict[str, Any]
+_AXES = "directions are those of the map's axes, x up and y to the left"
 _SHADES = 24  # of the bar that shows a continuous scale
 
 
@@ -58,12 +59,14 @@ def conflict_layer(stored: Sequence[tuple[int, Steps]]) -> Layer:
     for name, (_, steps) in zip(CONFLICT_LAYERS, stored, strict=True):
         numbers = {other: np.zeros(FULL + 1) for other in CONFLICT_LAYERS}
         panels.append(plot.conflict_panel(_cells(numbers | {name: np.nan_to_num(steps.numbers)})))
+    grey = colour_bytes(np.array(NO_CONFLICT) / 2)  # the page adds both colours
+    panels = [panel._replace(image=np.maximum(panel.image, grey) - grey) for panel in panels]
     text = "of scans and map: what was free is occupied, or what was occupied is free"
     return _layer("conflict", "sum", [[place, 0] for place, _ in stored], panels, text, swatches=panels[0].legend)
 
 
 def motion_layer(masses: int, dynamic: int, velocity: int, grid: DynamicGrid) -> Layer:
-    """Return the layer that shows what stands in grey and what moves by its heading, with arrows of moving groups.
+    """Return the layer that shows what stands, and what moves by its heading, with arrows of moving groups.
 
     Parameters
     ----------
@@ -73,18 +76,18 @@ def motion_layer(masses: int, dynamic: int, velocity: int, grid: DynamicGrid) ->
         Of which the arrows are.
     """
     legend = plot.dynamic_panel(grid, seconds=0.0).legend
-    headings = _headings()
-    text = "mixed by the masses of the cell; an arrow is the way of a moving group in 1 s"
+    mass = np.arange(FULL + 1) / FULL
+    free, static = (plot.mass_panel(_masses(*parts)) for parts in ((mass, 0 * mass), (0 * mass, mass)))
+    text = f"mixed by the masses of the cell; {_AXES}; an arrow is the way of a moving group in 1 s"
     of = [[masses, 0], [masses, 1], [dynamic, 0], [velocity, 0], [velocity, 1]]
-    swatches = legend | {name: one for name, one in headings.legend.items() if name != "none"}
-    layer = _layer("motion", "motion", of, [headings], text, swatches=swatches)
+    layer = _layer("motion", "motion", of, [_headings(), free, static], text, swatches=legend)
     return layer | {"arrows": moving_arrows(grid).round(3).tolist()}
 
 
 def velocity_layer(stored: int, steps: Steps) -> Layer:
     """Return the layer that shows velocities: the direction by colour, the speed by brightness."""
     panel = _headings()
-    text = f"direction by colour, speed by brightness, up to {steps.high:.3g} m/s"
+    text = f"direction by colour, speed by brightness, up to {steps.high:.3g} m/s; {_AXES}"
     layer = _layer("velocity", "velocity", [[stored, 0], [stored, 1]], [panel], text, swatches=panel.legend)
     return layer | {"fastest": steps.high}
 

@@ -15,7 +15,7 @@ from ogm.datasets.logs import is_log
 from ogm.io.logs import open_log
 from ogm.pose import rotate
 from ogm.storage.files import OgmError, error_text
-from ogm.workflows.drive_checks import check_frames, check_tilt_of_poses, check_topics
+from ogm.workflows.drive_checks import check_direction, check_frames, check_tilt_of_poses, check_topics
 from ogm.workflows.ego_checks import EgoChecks
 from ogm.workflows.findings import Finding, by_severity
 from ogm.workflows.scan_checks import ScanChecks
@@ -164,6 +164,7 @@ def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, eg
     height = mount.sensor_height - (recording.sensor_position or (0.0, 0.0, 0.0))[2]
     yield from found.ground_findings(height, stated)
     yield from check_tilt_of_poses(dataset, numbers)
+    yield from check_direction(dataset)
     x, y = mount.origin[:2] if mount.points_in == "sensor" else (0.0, 0.0)
     x0, x1, y0, y1 = mount.ego_footprint
     yield from ego.findings((x0 - x, x1 - x, y0 - y, y1 - y), recording.ego_footprint)

@@ -4,11 +4,13 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.datasets import Dataset
 from ogm.datasets.log_scans import SCAN_TYPES
 from ogm.io.logs import LogReader
-from ogm.pose import tilt_of
+from ogm.io.scan_table import rotation_to_flu
+from ogm.pose import pose, tilt_of
 from ogm.workflows.findings import Finding, counted, listed
 
 _UNREAD = (  # types of range measurements that are not read
@@ -20,6 +22,8 @@ _UNREAD = (  # types of range measurements that are not read
 _GAP = 1.5  # intervals between two scans, above which some are missing
 _LONG = 2.0  # [s] gap that transforms are not interpolated over
 _SPEED = 70.0  # [m/s] that no vehicle exceeds, as mappers have it
+_WAY = 5.0  # [m] from which on the direction of a drive is known
+_JUMP = 5.0  # usual steps, above which one is no motion
 _LEVEL = math.radians(2)
 _STEEP = math.radians(15)  # beyond the slope of any road
 
@@ -105,6 +109,39 @@ def check_tilt_of_poses(dataset: Dataset, numbers: list[int]) -> Iterator[Findin
     if tilts and (tilt := float(np.median(tilts))) > _STEEP:
         text = f"the poses tilt the vehicle by {np.degrees(tilt):.0f} degrees, but the ground in its scans is level"
         yield Finding("wrong map", "tilt", text, "poses need a frame with z up: --frame, or --axes for files")
+
+
+def check_direction(dataset: Dataset) -> Iterator[Finding]:
+    """Yield a finding where the poses move the vehicle across its x axis, which points forward.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        One drive. Driving backwards is no finding.
+    """
+    recording, turns = dataset.recording, dict[str, NDArray[np.float64]]()
+    last: dict[tuple[str, str], NDArray[np.float64]] = {}
+    steps = [np.zeros(2)]  # [m] along the axes of the vehicle
+    for ref, n in zip(dataset.refs, dataset.numbers, strict=True):
+        if (T := ref.T_map_sensor) is None:
+            continue
+        place = recording.place(n)
+        if place.name not in turns:
+            turns[place.name] = pose(yaw=place.yaw)[:3, :3] @ recording.levelling(n)
+        key = ref.sequence, place.name
+        if key in last:
+            steps.append((turns[place.name] @ T[:3, :3].T @ (T[:3, 3] - last[key]))[:2])
+        last[key] = T[:3, 3]
+    metres = np.linalg.norm(steps, axis=1)
+    usual = float(np.median(metres[metres > 0])) if metres.any() else 0.0
+    x, y = np.sum(np.array(steps)[metres <= _JUMP * usual], axis=0).tolist()
+    if math.hypot(x, y) < _WAY or abs(y) <= abs(x):
+        return
+    side = math.copysign(1.0, y)
+    R = np.array([[0, side, 0], [-side, 0, 0], [0, 0, 1]]) @ rotation_to_flu(recording.axes)
+    axes = ",".join(("-" if row.sum() < 0 else "+") + "xyz"[np.abs(row).argmax()] for row in R)
+    text = f"the vehicle moves {math.hypot(x, y):.0f} m by its poses to its {'left' if y > 0 else 'right'}, not along x"
+    yield Finding("wrong map", "axes", text, f"--axes={axes}, or the yaw of the sensor's mount by --sensors")
 
 
 def check_topics(log: LogReader, used: tuple[str, ...]) -> Iterator[Finding]:

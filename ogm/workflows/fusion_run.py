@@ -212,7 +212,10 @@ class FusionRun:
         else:
             other = plot.conflict_panel(self.mapper.conflict_view(self.spec), third)
         if isinstance(self.mapper, DynamicMapper):
-            shown = plot.dynamic_panel(self.mapper.dynamic_view(self.spec), second, ARROW_SECONDS, self.objects())
+            objects = self.objects()
+            shown = plot.dynamic_panel(self.mapper.dynamic_view(self.spec), "", ARROW_SECONDS, objects)
+            second = f"map ({self.names[1]})" + ("" if objects is None else f", {len(objects)} objects confirmed")
+            shown = shown._replace(title=second + (f", arrows: {ARROW_SECONDS:g} s" if len(shown.arrows) else ""))
         else:
             shown = plot.mass_panel(view, second)
         speed = "" if math.isnan(self.speed) else f"{3.6 * self.speed:.0f} km/h"

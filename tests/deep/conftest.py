@@ -13,6 +13,12 @@ from ogm.scan import Frame
 from ogm.simulation.store import SHARD, Store
 
 
+@pytest.fixture(autouse=True)
+def nothing_logged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each test log what an earlier one of this process has logged."""
+    monkeypatch.setattr("ogm.deep.ism._warned", set())
+
+
 @pytest.fixture
 def one_thread() -> Iterator[None]:
     """Let torch compute in one thread."""

@@ -118,14 +118,16 @@ def test_intensities_on_another_scale_are_refused(network, cloud):
 
 def test_a_scan_unlike_those_of_training_is_logged_once(network, cloud, caplog):
     seen = {"height": [1.7, 1.9], "points": [100, len(cloud) // 2]}
-    ism = DeepISM(network, mount=Mount(3.5), description={"seen": seen})
     dark = cloud[:, :3]
     with caplog.at_level(logging.WARNING):
-        for _ in range(3):
-            ism(dark)
+        for _ in range(3):  # objects of one model
+            DeepISM(network, mount=Mount(3.5), description={"seen": seen})(dark)
     messages = [record.getMessage() for record in caplog.records]
     for reason in ("sensor_height 3.5", "a scan of", "the ground near the sensor"):
         assert sum(reason in line for line in messages) == 1, reason
+    with caplog.at_level(logging.WARNING):
+        DeepISM(network, mount=Mount(3.5), description={"seen": seen, "card": "other.md"})(dark)
+    assert sum("other, unlike the training data: sensor_height 3.5" in line for line in caplog.messages) == 1
 
 
 def test_intensities_of_another_calibration_are_left_out(network, cloud, caplog):
