@@ -1,5 +1,6 @@
 """The scans of a log: their places in the files, their sensors and stamps, and the poses of those."""
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import cached_property
@@ -25,6 +26,11 @@ RADAR_TYPES = (
     "continental_msgs/msg/ContinentalSrr520DetectionList",
 )  # fmt: skip
 SCAN_TYPES = (*_LIDAR_TYPES, *RADAR_TYPES)
+PACKET_TYPES = (  # what sensors send, as it came
+    "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg", "hesai_ros_driver/msg/UdpFrame",
+    "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets", "pandar_msgs/msg/PandarScan",
+)  # fmt: skip
+_RADAR = re.compile(r"radar|continental|(?<![a-z])(ars|srr|umrr)", re.IGNORECASE)  # in names and types of topics
 _HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, as `Mount` has it around one
 
 
@@ -252,10 +258,24 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
             raise OgmError(f"{path} has no topic {name}; with scans there are {listed}, others are {other}")
         if name not in scans:
             found = f"{log.topics[name].count} messages of {log.topics[name].type}"
-            raise OgmError(f"topic {name} of {path} has {found}, wanted scans ({types}); there are {listed}")
+            way = _decoded(log, [name])
+            raise OgmError(f"topic {name} of {path} has {found}, wanted scans ({types}); there are {listed}{way}")
     if not scans:
-        raise OgmError(f"{path} has no scans ({types}); its topics are {', '.join(named.values()) or 'none'}")
+        way = _decoded(log, log.topics)
+        read = "" if way else f" ({types})"
+        raise OgmError(f"{path} has no scans{read}; its topics are {', '.join(named.values()) or 'none'}{way}")
     usual = [name for name in scans if log.topics[name].type in _LIDAR_TYPES] or scans
     if not wanted and len(usual) > 1:
         raise OgmError(f"{path} has several topics with scans, {listed}: choose one by `topic`")
     return tuple(dict.fromkeys(wanted or usual))
+
+
+def _decoded(log: LogReader, names: Iterable[str]) -> str:
+    """Return which messages to record instead of some topics, where these are of radars, or packets; else ""."""
+    types = {name: kind for name in names if (kind := log.topics[name].type) not in SCAN_TYPES}
+    if radars := [name for name, kind in types.items() if _RADAR.search(f"{name} {kind}")]:
+        wanted = f"{', '.join(RADAR_TYPES)}, or {CLOUD} with the field doppler (docs/radar.md)"
+        return f". {', '.join(radars)}: radars are mapped by {wanted}; record what their driver decodes"
+    if packets := [name for name, kind in types.items() if kind in PACKET_TYPES]:
+        return f". {', '.join(packets)}: packets are not decoded; record the {CLOUD} of their driver"
+    return ""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset
-from ogm.datasets.log_scans import SCAN_TYPES
+from ogm.datasets.log_scans import PACKET_TYPES, SCAN_TYPES
 from ogm.io.logs import LogReader
 from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import pose, tilt_of
@@ -15,9 +15,7 @@ from ogm.workflows.findings import Finding, counted, listed
 
 _UNREAD = (  # types of range measurements that are not read
     "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan", "sensor_msgs/msg/PointCloud",
-    "sensor_msgs/msg/Range", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg",
-    "hesai_ros_driver/msg/UdpFrame", "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets",
-    "pandar_msgs/msg/PandarScan",
+    "sensor_msgs/msg/Range", *PACKET_TYPES,
 )  # fmt: skip
 _GAP = 1.5  # intervals between two scans, above which some are missing
 _LONG = 2.0  # [s] gap that transforms are not interpolated over

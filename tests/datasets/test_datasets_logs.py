@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from ogm.cli import app
 from ogm.datasets import Dataset, open_dataset, with_odometry, with_poses
+from ogm.datasets.log_scans import LogScans
 from ogm.fusion import covering_window, fuse, make_mapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
@@ -269,6 +270,19 @@ def test_topics_are_listed_where_one_must_be_chosen(log: Callable[..., Path]) ->
         open_dataset(two, topic="/odom")
     with pytest.raises(OgmError, match=r"has no scans .* its topics are /odom \(nav_msgs"):
         open_dataset(log([odometry(START, np.eye(4))], "odometry.mcap"))
+
+
+@each("topic, kind, way", [
+        ("/front/nebula_packets", "nebula_msgs/msg/NebulaPackets", "/front/nebula_packets: packets are not decoded"),
+        ("/radar/nebula_packets", "nebula_msgs/msg/NebulaPackets", "radars are mapped by radar_msgs/msg/RadarScan, "),
+        ("/front", "ars408_msgs/msg/ObjectList", "/front: radars are mapped by radar_msgs/msg/RadarScan, "),
+        ("/odom", "nav_msgs/msg/Odometry", ""),
+    ])  # fmt: skip
+def test_radars_and_packets_that_are_not_read_are_refused_with_what_is(topic: str, kind: str, way: str) -> None:
+    logged: Any = SimpleNamespace(paths=[Path("a.mcap")], topics={topic: SimpleNamespace(type=kind, count=2)})
+    text = refused("a.mcap has no scans", LogScans, logged, error=OgmError)
+    assert way in text if way else text.endswith("(nav_msgs/msg/Odometry)")
+    assert (f". {topic}: " in refused("wanted scans", LogScans, logged, topic, error=OgmError)) == bool(way)
 
 
 def test_topic_and_frame_are_for_logs(tmp_path: Path, log: Callable[..., Path]) -> None:
