@@ -109,6 +109,38 @@ def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int)
         pass
 
 
+HANGS = """
+import sys, time
+import ogm.live
+
+class Hangs(ogm.live.FoxglovePublisher):
+    def __call__(self, *arguments):
+        print("now", flush=True)
+        time.sleep(300)
+
+ogm.live.FoxglovePublisher = Hangs
+from ogm.cli import main
+main()
+"""
+
+
+@pytest.mark.slow
+def test_a_second_signal_ends_it_at_once(drive: Path) -> None:
+    command = [sys.executable, "-c", HANGS, "serve", str(drive), "--port", "0", *map(str, SMALL)]
+    pipes: dict = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, cwd=ROOT, **pipes) as process:
+        try:
+            assert process.stdout is not None
+            assert any(line == "now\n" for line in process.stdout)
+            process.send_signal(signal.SIGINT)
+            with pytest.raises(subprocess.TimeoutExpired):  # it waits for the scan that is being mapped
+                process.wait(0.5)
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(2) == 130
+        finally:
+            process.kill()
+
+
 @each("suffix", [".mcap", ".db3"])
 def test_a_log_plays(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"drive{suffix}"

@@ -7,7 +7,7 @@ from types import FrameType
 from typing import Any
 
 LATER = 0.05  # [s] after which an interrupt that was lost is raised again
-ECHO = 1.0  # [s] in which a second signal is the same: `timeout` sends SIGTERM twice
+ECHO = 0.2  # [s] in which a second signal is the same: `timeout` sends SIGTERM twice
 
 received: list[int] = []
 _last = -ECHO
