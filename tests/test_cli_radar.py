@@ -118,6 +118,7 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
     refused("no sensor model of radars 'ray'", load_model, "ray+ray", SPEC)
 
 
+@pytest.mark.slow  # half a minute; tests/deep/test_deep_radar.py trains and exports without the command
 def test_train_and_export_a_network_of_radars(splits: Path, tmp_path: Path) -> None:
     pytest.importorskip("lightning")
     trained, file = tmp_path / "run", tmp_path / "radar.onnx"
