@@ -4,6 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -142,6 +143,9 @@ class FusionRun:
 
     def add(self, k: int, step: FusionStep) -> None:
         """Record a mapped frame, and save the map that a restart would lose."""
+        if isinstance(self.mapper, DynamicMapper):
+            with suppress(ImportError):  # raised again where objects are shown
+                self.mapper.objects()  # they are followed from the first call on
         self.speed = math.nan
         if step.previous_map is not None:
             self.restarts += 1
