@@ -29,10 +29,13 @@ __all__ = [
 
 Value = TypeVar("Value")
 
+KINDS = ("", "planar", "depth", "cone")
+"""Values of `Scan.kind`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scan(ShownInNotebooks):
-    """One sweep of a lidar or a radar.
+    """One measurement of a lidar, a radar or another range sensor.
 
     Parameters
     ----------
@@ -58,6 +61,14 @@ class Scan(ShownInNotebooks):
         Width of the interval of unambiguous Doppler [m/s]: radial velocities may be wrong by multiples of it.
     mount : Mount, optional
         How the sensor is mounted. A `Frame` sets it; a sensor model with a mount of its own uses that instead.
+    kind : {"", "planar", "depth", "cone"}
+        Kind of the sensor, for measurements whose points do not show it: a laser whose beams lie in the x-y plane of
+        the points, a depth camera, or a sensor with one wide beam per point (ultrasound, infrared). "" for lidars and
+        radars.
+    max_range : float, optional
+        Greatest range of the sensor, above 0 [m]: a beam without echo is free at most up to it. None where unknown.
+    beam_width : float, optional
+        Full angle of one beam, above 0 and at most 2 pi [rad]. None where unknown.
 
     Raises
     ------
@@ -65,7 +76,8 @@ class Scan(ShownInNotebooks):
         If `points` is no float array, a column is a masked array, or `mount` no Mount.
     ValueError
         If `points` is not (N, 4) or (N, 3), a column has not one number per point, a time is not finite, a ring is no
-        whole number from 0 to 65535, `stamp` is no time in seconds, or `doppler_interval` is not above 0.
+        whole number from 0 to 65535, `stamp` is no time in seconds, `doppler_interval`, `max_range` or `beam_width`
+        is not above 0, or `kind` is unknown.
     """
 
     points: NDArray[np.float32]
@@ -78,11 +90,21 @@ class Scan(ShownInNotebooks):
     sensor: str = ""
     doppler_interval: float | None = None
     mount: "Mount | None" = None
+    kind: str = ""
+    max_range: float | None = None
+    beam_width: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", _checked_points(self.points))
         if self.mount is not None:
             check_mount(self.mount)
+        if self.kind not in KINDS:
+            raise ValueError(f"kind must be one of {', '.join(map(repr, KINDS))}, got {self.kind!r}")
+        if self.max_range is not None and not 0 < self.max_range < math.inf:
+            raise ValueError(f"max_range must be a range above 0 [m], got {self.max_range}; None if it is not known")
+        if self.beam_width is not None and not 0 < self.beam_width <= 2 * math.pi:
+            width = f"above 0, at most 2 pi [rad], got {self.beam_width}"
+            raise ValueError(f"beam_width must be an angle {width}; None if it is not known")
         if self.doppler_interval is not None and not 0 < self.doppler_interval < math.inf:
             raise ValueError(f"doppler_interval must be a width above 0 [m/s], got {self.doppler_interval}")
         if self.stamp is not None:
@@ -108,7 +130,10 @@ class Scan(ShownInNotebooks):
     def __repr__(self) -> str:
         extras = [name for name in ("time", "ring", "no_returns", "doppler", "rcs") if getattr(self, name) is not None]
         stamp = "" if self.stamp is None else f", stamp {self.stamp:.6g} s"
-        return f"Scan({len(self)} points{stamp}{''.join(f', {name}' for name in extras)})"
+        kind = f"{self.kind}, " * bool(self.kind)
+        reach = "" if self.max_range is None else f", max_range {self.max_range:.6g} m"
+        width = "" if self.beam_width is None else f", beam_width {self.beam_width:.4g} rad"
+        return f"Scan({kind}{len(self)} points{stamp}{''.join(f', {name}' for name in extras)}{reach}{width})"
 
     def select(self, keep: NDArray[Any] | slice) -> "Scan":
         """Return the scan with some of its points; beams without echo stay.

@@ -12,9 +12,10 @@ from cases import each, refused
 from ogm import Boxes, EvidentialGrid, Frame, GridSpec, InverseSensorModel, Mount, Scan
 from ogm.models import load_model
 from ogm.pose import inverse, pose
-from ogm.scan import LazyFrame, as_scan, mount_of, run_model
+from ogm.scan import LazyFrame, LazyScan, as_scan, mount_of, run_model
 
 POINTS = np.arange(20, dtype=np.float32).reshape(5, 4)
+RANGE: dict[str, Any] = {"kind": "planar", "max_range": 8.0, "beam_width": 0.0175}
 SPEC = GridSpec.centered(8.0, 8.0, 0.5)
 
 # --- Scan -----------------------------------------------------------------------------------------
@@ -52,18 +53,24 @@ def test_columns_that_do_not_fit_are_refused() -> None:
         refused(message, Scan, POINTS, no_returns=np.zeros(shape))
     for width in (0.0, -1.0, np.inf, np.nan):
         refused("doppler_interval must be a width above 0", Scan, POINTS, doppler_interval=width)
+        refused(r"max_range must be a range above 0 \[m\], got", Scan, POINTS, max_range=width)
+        refused(r"beam_width must be an angle above 0, at most 2 pi \[rad\], got", Scan, POINTS, beam_width=width)
+    refused("kind must be one of '', 'planar', 'depth', 'cone', got 'laser'", Scan, POINTS, kind="laser")
 
 
 @each("keep", [np.array([True, False, True, False, False]), np.array([2, 0]), slice(1, None)])
 def test_select_keeps_columns_with_their_points_and_all_beams_without_echo(keep: Any) -> None:
     columns = {name: np.arange(5) * 10 for name in ("time", "ring", "doppler", "rcs")}
-    scan = Scan(POINTS, stamp=1.0, no_returns=np.eye(3), sensor="top", doppler_interval=40.0, **columns)
+    scan = Scan(POINTS, stamp=1.0, no_returns=np.eye(3), sensor="top", doppler_interval=40.0, **RANGE, **columns)
     some = scan.select(keep)
     np.testing.assert_array_equal(some.points, POINTS[keep])
     for name in columns:
         np.testing.assert_array_equal(getattr(some, name), columns[name][keep])
     assert (some.stamp, some.sensor, some.doppler_interval) == (1.0, "top", 40.0)
     np.testing.assert_array_equal(some.no_returns, np.eye(3))
+    lazy = LazyScan.of(scan, lambda: Mount(0.3))
+    for copied in (some, lazy, lazy.select(keep), pickle.loads(pickle.dumps(lazy)), pickle.loads(pickle.dumps(some))):
+        assert {name: getattr(copied, name) for name in RANGE} == RANGE
 
 
 @each("message, columns", [
@@ -95,6 +102,8 @@ def test_coarse_stamps_are_refused(stamp: np.floating) -> None:
 def test_a_scan_is_printed_on_one_line_and_cannot_be_changed() -> None:
     scan = Scan(POINTS, stamp=1.5, ring=np.zeros(5), no_returns=np.eye(3))
     assert repr(scan) == "Scan(5 points, stamp 1.5 s, ring, no_returns)"
+    planar = "Scan(planar, 5 points, max_range 8 m, beam_width 0.0175 rad)"
+    assert repr(Scan(POINTS, **RANGE)) == planar
     with pytest.raises(FrozenInstanceError):
         scan.points = POINTS
 

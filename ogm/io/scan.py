@@ -159,6 +159,8 @@ def describe(scan: Scan, file: FileFacts) -> dict[str, str]:
         facts["dropped"] = f"{file.dropped} rows without a point"
     if scan.no_returns is not None:
         facts["beams without echo"] = str(len(scan.no_returns))
+    if scan.max_range is not None:
+        facts["greatest range"] = f"{scan.max_range:g} m"
     if len(scan.points):
         for name, column in zip("xyz", scan.points.T, strict=False):
             facts[name] = f"{column.min():.2f} ... {column.max():.2f} m"

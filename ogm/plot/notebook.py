@@ -120,6 +120,8 @@ def _scan_html(scan: Scan) -> str:
     """Return the picture of a scan, its extent and its columns."""
     columns = [name for name in ("time", "ring", "doppler", "rcs") if getattr(scan, name) is not None]
     facts = {"sensor": scan.sensor} if scan.sensor else {}
+    if scan.kind:
+        facts["kind"] = scan.kind
     facts["points"] = f"{len(scan)}"
     if scan.stamp is not None:
         facts["stamp"] = f"{scan.stamp:.3f} s"
@@ -130,6 +132,8 @@ def _scan_html(scan: Scan) -> str:
     facts["columns"] = ", ".join(["x, y, z, intensity", *columns])
     if scan.no_returns is not None:
         facts["beams without echo"] = f"{len(scan.no_returns)}"
+    if scan.max_range is not None:
+        facts["greatest range"] = f"{scan.max_range:g} m"
     return _html("Scan", facts, _scan_png(scan), "points by height, red the highest; x, forward, is up")
 
 

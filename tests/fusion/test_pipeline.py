@@ -332,9 +332,11 @@ def test_points_in_the_vehicle_frame_are_deskewed_by_the_poses_of_the_vehicle() 
         [transform_points(pose(yaw=-3.0 * s), one[None]) for s, one in zip(time, world, strict=True)]
     )
     mount = Mount(1.8, T_vehicle_sensor, points_in="vehicle")
-    frame = Frame(Scan(points.astype(np.float32), time=time), mount, None, None, stamp=0.0)
-    moved = deskew_frame(frame, Trajectory(t, turns @ T_vehicle_sensor)).scan.points
-    np.testing.assert_allclose(moved, world, atol=1e-5)
+    scan = Scan(points.astype(np.float32), time=time, kind="planar", max_range=8.0, beam_width=0.02)
+    frame = Frame(scan, mount, None, None, stamp=0.0)
+    moved = deskew_frame(frame, Trajectory(t, turns @ T_vehicle_sensor)).scan
+    np.testing.assert_allclose(moved.points, world, atol=1e-5)
+    assert (moved.kind, moved.max_range, moved.beam_width) == ("planar", 8.0, 0.02)
 
 
 def test_deskewing_needs_a_trajectory_and_times() -> None:
