@@ -68,6 +68,7 @@ def test_info_describes_a_data_set(data: Path) -> None:
     assert "town_size 240" in result.output
 
 
+@pytest.mark.slow
 def test_resume_makes_what_is_missing_with_the_same_bytes(data: Path) -> None:
     before = contents(data)
     for folder in [*data.glob("*/*/c")]:
@@ -147,6 +148,7 @@ def test_an_interrupt_names_how_to_go_on(tmp_path: Path) -> None:
     assert "Traceback" not in message
 
 
+@pytest.mark.slow
 def test_a_recipe_is_named_in_the_data_set_and_goes_on_without_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -34,6 +34,7 @@ def same(a: SimulatedSample, b: SimulatedSample) -> bool:
     return arrays and np.array_equal(a.truth.state, b.truth.state) and a.yaw_rate == b.yaw_rate
 
 
+@pytest.mark.slow
 def test_a_sample_depends_on_plan_and_number_alone(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     """Not on what was made before, in another town, from another drive, or with how many cores."""
     dataset.make_sample(PLAN, "training", 12)

@@ -48,7 +48,7 @@ def content(sample: SimulatedSample) -> list[Any]:
 
 
 def test_flipped_bits_are_found(store: Store) -> None:
-    """In chunks, indices of shards, and metadata."""
+    """In chunks of the second shard, which is read in a third of the first one's time, and in metadata."""
 
     def read(*numbers: int) -> list[Any]:
         split = Store.open(store.path)["training"]
@@ -57,9 +57,10 @@ def test_flipped_bits_are_found(store: Store) -> None:
     found = Counter[str]()
     for file in sorted(one for one in store.path.rglob("*") if one.is_file()):
         place = file.relative_to(store.path).parts  # training/steps/c/SHARD/...
-        numbers = ((0, 12)[int(place[3])],) if len(place) > 3 and place[2] == "c" else (0, 12)
-        found += check_flips(file, partial(read, *numbers), 3, str(store.path))
-    assert found["refused"] > 30
+        chunk = len(place) > 3 and place[2] == "c"
+        if not chunk or place[3] == "1":
+            found += check_flips(file, partial(read, 12), 3, str(store.path))
+    assert found["refused"] > 20
 
 
 @each("at, size", [(4, 2**31), (8, 0), (8, 2**30), (12, 2**31), (12, 1), (0, 0)])
