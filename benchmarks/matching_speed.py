@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from ogm.fusion.dynamic.groups import capped_distance, find_groups
 from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
+from ogm.fusion.dynamic.scan_history import ScanCells
 
 SHAPE, SIDE = (640, 448), 0.16  # [cells], [m]
 AGES = (0.1, 0.2, 0.3, 0.4)  # [s]
@@ -55,22 +56,26 @@ def main() -> None:
     given = parser.parse_args()
     record: dict[str, Any] = run.environment("dynamic")
     (now, *before), moving = scene(np.random.default_rng(0))
-    earlier = list(zip(before, AGES, strict=True))
+    nothing = np.zeros(SHAPE, bool)
+    scan, earlier = (
+        ScanCells(now, nothing, 0.0),
+        [ScanCells(mask, nothing, age) for mask, age in zip(before, AGES, strict=True)],
+    )
     out, copies = np.empty(SHAPE, np.uint8), [mask.copy() for mask in before]
     bits, few = now.view(np.uint8), moving.view(np.uint8)
     contenders = {
-        "match_velocities": Contender(lambda _: match_velocities(now, moving, earlier, SIDE)),
+        "match_velocities": Contender(lambda _: match_velocities(scan, moving, earlier, SIDE)),
         "... up to 30 m/s": Contender(
-            lambda _: match_velocities(now, moving, earlier, SIDE, MatchSettings(max_speed=30.0))
+            lambda _: match_velocities(scan, moving, earlier, SIDE, MatchSettings(max_speed=30.0))
         ),
-        "... all groups": Contender(lambda _: match_velocities(now, now, earlier, SIDE)),
+        "... all groups": Contender(lambda _: match_velocities(scan, now, earlier, SIDE)),
         "find_groups": Contender(lambda _: find_groups(bits, few, 5, 5)),
         "capped_distance, one scan": Contender(lambda _: capped_distance(bits, 3.0, out)),
         "scipy distance, one scan": Contender(lambda _: ndimage.distance_transform_edt(~now)),
         "copy of the masks": Contender(lambda _: [np.copyto(a, b) for a, b in zip(copies, before, strict=True)]),
     }
     times = measure(contenders, given.rounds)
-    match = match_velocities(now, moving, earlier, SIDE)
+    match = match_velocities(scan, moving, earlier, SIDE)
     record["moving groups"], record["cells in them"] = len(match.valid), int((match.label > 0).sum())
     record["matched"], record["occupied cells"] = int(match.valid.sum()), int(now.sum())
     record["milliseconds"] = times

@@ -18,6 +18,7 @@ import ogm
 from ogm import GridSpec, Mount, jit
 from ogm.fusion import EvidentialMapper
 from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
+from ogm.fusion.dynamic.scan_history import ScanCells
 from ogm.geometric import RayISM
 from ogm.models.compilation import main_kernels
 
@@ -170,7 +171,9 @@ def test_kernels_are_compiled_ahead_for_the_types_that_they_are_called_with() ->
     EvidentialMapper(spec).update(RayISM(spec, Mount(1.8))(points), np.eye(4), stamp=0.0)
     now, before = np.zeros((2, 40, 40), bool)
     now[10:14, 10:14] = before[10:14, 8:12] = True
-    assert match_velocities(now, now, [(before, 0.1)], 0.16, MatchSettings()).valid.any()
+    nothing = np.zeros(now.shape, bool)
+    scans = ScanCells(now, nothing, 0.0), [ScanCells(before, nothing, 0.1)]
+    assert match_velocities(scans[0], now, scans[1], 0.16, MatchSettings()).valid.any()
     for job in ("scan", "map", "dynamic map"):
         for kernel, arguments in main_kernels(job):
             assert tuple(map(typeof, arguments)) in kernel.signatures, kernel.__name__

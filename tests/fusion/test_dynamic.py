@@ -214,9 +214,10 @@ def test_measured_velocities_steer_survivors_and_births():
     label = np.zeros(SPEC.shape, np.int32)
     label[:40], label[40:80], label[80:] = 1, 2, 3
     information = np.array([np.eye(2) / 0.2**2, np.diag([1 / 0.2**2, 0.0]), np.zeros((2, 2))])
-    slot = group_velocities(label, np.array([[5.0, -3.0], [5.0, np.nan], [np.nan, np.nan]]), information, 6.0, 1.0)
+    velocity, moving = np.array([[5.0, -3.0], [5.0, np.nan], [np.nan, np.nan]]), np.zeros(3, bool)
+    slot = group_velocities(label, velocity, information, moving, 6.0, 1.0)
     mapper = DynamicMapper(SPEC, 100_000, filter="nuss")
-    mapper._measured_velocities = lambda scan, extent, cells: slot
+    mapper._measured_velocities = lambda scan, cells: slot
     mass = np.full((*SPEC.shape, 2), (0.0, 0.6), np.float32)
     for k in range(3):
         mapper.update(EvidentialGrid(SPEC, mass), np.eye(4), stamp=0.1 * k)
@@ -310,23 +311,23 @@ def test_objects_keep_their_number_and_predictions_lie_where_the_car_will_be():
     assert len(mapper.objects()) == 0
 
 
-def test_a_measured_velocity_is_evidence_of_motion_and_a_measured_rest_is_none():
-    """Odds by the ratio of likelihoods: of a velocity many deviations from 0 the greatest, of one near 0 none."""
-    label = np.zeros(SPEC.shape, np.int32)
-    label[:64], label[64:] = 1, 2
-    information = np.repeat(np.eye(2)[None] / 0.3**2, 2, axis=0)
-    slot = group_velocities(label, np.array([[3.0, 0.0], [0.1, 0.0]]), information, 6.0, 0.95, 100.0)
-    np.testing.assert_allclose(slot.rows[:, 10], [1, 100, 1], rtol=1e-5)
+def test_a_measured_velocity_is_evidence_of_motion_or_of_rest():
+    """Odds by the ratio of likelihoods: of a velocity many deviations from 0 the greatest; near 0 that of rest."""
+    label = np.kron(np.arange(1, 5), np.ones((SPEC.shape[0] // 4, SPEC.shape[1]), np.int32).T).T.astype(np.int32)
+    velocity, resting = np.array([[3.0, 0.0], [0.1, 0.0], [0.1, 0.0], [3.0, 0.0]]), np.array([False, False, True, True])
+    information = np.repeat(np.eye(2)[None] / 0.3**2, 4, axis=0)
+    slot = group_velocities(label, velocity, information, resting, 6.0, 0.95, 100.0)
+    factors = slot.rows[1:, 10]
+    np.testing.assert_allclose(factors, [100, 1, 0.01, 100], rtol=1e-5)
     maps = [DynamicMapper(SPEC, 20_000, matching=False) for _ in range(2)]
-    maps[1]._measured_velocities = lambda scan, extent, cells: slot
+    maps[1]._measured_velocities = lambda scan, cells: slot
     mass = np.full((*SPEC.shape, 2), (0.0, 0.6), np.float32)
     for mapper in maps:
         mapper.update(EvidentialGrid(SPEC, mass), np.eye(4), stamp=0.0)
     plain, weighed = (mapper.dynamic_grid for mapper in maps)
     np.testing.assert_allclose(weighed.occupied, plain.occupied, atol=1e-6)
-    np.testing.assert_allclose(weighed.dynamic[64:], plain.dynamic[64:], atol=1e-6)
-    odds = plain.dynamic[:64] / plain.static[:64]
-    np.testing.assert_allclose(weighed.dynamic[:64] / weighed.static[:64], 100 * odds, rtol=1e-3)
+    odds = plain.dynamic / plain.static
+    np.testing.assert_allclose(weighed.dynamic / weighed.static, factors[label - 1] * odds, rtol=1e-3)
 
 
 def test_scans_of_one_moment_fill_cells_whose_static_belief_has_all_but_vanished():

@@ -6,7 +6,7 @@ import numpy as np
 from cases import each, refused
 
 from ogm.fusion import DynamicMapper
-from ogm.fusion.dynamic.scan_history import Extent, ScanHistory
+from ogm.fusion.dynamic.scan_history import CLEAR, HIDDEN, OCCUPIED, ScanHistory
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
@@ -49,6 +49,8 @@ def test_arguments_and_settings_out_of_range_are_refused():
         ("association", -0.1, r"in \[0, 1\]"),
         ("min_unknown", 1.0, r"in \[0, 1\)"),
         ("conflict_half_life", -1.0, "0 s or more"),
+        ("change", 0.0, "greater than 0"),
+        ("hiding_width", -1.0, "0 or more and finite"),
     ):
         refused(f"{name} must be {words}", DynamicSettings, **{name: value})
 
@@ -133,18 +135,19 @@ def test_positions_keep_their_precision_far_from_the_origin():
 
 
 def test_earlier_scans_are_aligned_and_chosen_by_age():
-    history, extent = ScanHistory(0.6, 0.04), Extent(np.eye(2, 3), (6, 4))
+    history = ScanHistory(0.6, 0.04)
     for k in range(8):
-        mask = np.zeros((6, 4), bool)
-        mask[5 - k % 4, 2] = True  # stays in its place while the window moves on
-        history.add(0.1 * k, (k % 4, 0), mask, extent)
+        cells = np.full((6, 4), CLEAR, np.uint8)
+        cells[5 - k % 4, 2], cells[5 - k % 4, 3] = OCCUPIED, HIDDEN  # stay in their place while the window moves on
+        history.add(0.1 * k, (k % 4, 0), cells)
     found = history.earlier(0.8, (2, 1), (0.2, 0.4))
     assert [round(scan.age, 6) for scan in found] == [0.4, 0.2]
     for one in found:
         np.testing.assert_array_equal(np.argwhere(one.occupied), [[3, 1]])
-        first = 2 - int(round((0.8 - one.age) / 0.1)) % 4  # of the window's rows beyond the first of the scan's grid
-        held = one.extents[0].holds(np.stack(np.meshgrid(range(6), range(4), indexing="ij")).reshape(2, -1), 0.0)
+        first = 2 - int(round((0.8 - one.age) / 0.1)) % 4  # of the window's rows beyond the first of the scan's window
         x, y = np.meshgrid(np.arange(6) + first, np.arange(4) + 1, indexing="ij")
-        np.testing.assert_array_equal(held, ((x >= 0) & (x < 6) & (y < 4)).ravel())
+        outside = (x < 0) | (x >= 6) | (y >= 4)
+        outside[3, 2] = True
+        np.testing.assert_array_equal(one.hidden, outside)
     assert history.earlier(0.0, (0, 0), (0.2, 0.4)) == []
     assert not history.earlier(0.8, (50, 0), (0.2,))[0][0].any()

@@ -15,9 +15,10 @@ from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=6.4, width=4.8, resolution=0.2)
 GROUPS = MeasuredGroups(
-    np.kron(np.arange(4).reshape(2, 2), np.ones((16, 12), np.int32)).astype(np.int32),
-    np.array([[2.0, -1.0], [0.0, 3.0], [0.0, 0.0]]),
-    np.array([[[4.0, 1.0], [1.0, 2.0]], [[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]]]),
+    np.kron(np.arange(6).reshape(2, 3), np.ones((16, 8), np.int32)).astype(np.int32),
+    np.array([[2.0, -1.0], [0.0, 3.0], [0.0, 0.0], [0.1, 0.0], [0.0, 0.2]]),
+    np.array([[[4.0, 1.0], [1.0, 2.0]], [[1.0, 0.0], [0.0, 0.0]], np.zeros((2, 2)), 25 * np.eye(2), 9 * np.eye(2)]),
+    np.array([False, False, False, True, False]),
 )
 
 
@@ -76,9 +77,9 @@ def test_map_equals_its_slow_reference(seed, filter, particles, speed, measured)
     plain = NumpyFilter(SPEC.shape, SPEC.resolution, particles, mapper.settings)
     if measured:
         slot = group_velocities(
-            GROUPS.label, GROUPS.velocity, GROUPS.information, 6.0, 0.95, mapper.settings.motion_odds
+            GROUPS.label, GROUPS.velocity, GROUPS.information, GROUPS.resting, 6.0, 0.95, mapper.settings.motion_odds
         )
-        mapper._measured_velocities = lambda scan, extent, cells: slot
+        mapper._measured_velocities = lambda scan, cells: slot
     corner, places = np.zeros(2, int), []
     for k, seconds in enumerate([0.0, 0.1, 0.25, 0.0, 0.1]):
         copy_state(mapper, plain)

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from ogm.fusion.dynamic.groups import LEVELS, capped_distance, find_groups
 from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
+from ogm.fusion.dynamic.scan_history import ScanCells
 
 SHAPE, SIDE = (120, 100), 0.16
 L_SHAPE = np.array([(i, 0) for i in range(12)] + [(0, j) for j in range(1, 7)])
@@ -25,14 +26,19 @@ def painted(cells, shift=(0, 0), shape=SHAPE):
     return mask
 
 
+def seen(mask, age=0.0, hidden=None):
+    """Return a scan that shows a mask, and all else but hidden cells as clear."""
+    return ScanCells(mask, np.zeros(mask.shape, bool) if hidden is None else hidden, age)
+
+
 def moved(cells, at, per_second, ages=(0.2, 0.4)):
     """Return the mask now and the earlier ones of cells that move by whole cells."""
     velocity = np.array(per_second)
-    return painted(cells, at), [(painted(cells, at - velocity * age), age) for age in ages]
+    return painted(cells, at), [seen(painted(cells, at - velocity * age), age) for age in ages]
 
 
 def matched(now, earlier, **kwargs):
-    return match_velocities(now, now, earlier, SIDE, MatchSettings(**kwargs))
+    return match_velocities(seen(now), now, earlier, SIDE, MatchSettings(**kwargs))
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(1, 11))
@@ -83,7 +89,7 @@ def test_whole_cells_are_recovered_exactly(a, b):
 def brute_force(now, earlier, numbers):
     """The plain formula, in numpy, for one group."""
     cells = np.argwhere(now)
-    oldest = max(age for _, age in earlier)
+    oldest = max(scan.age for scan in earlier)
     reach = int(numbers.max_speed * oldest / SIDE + 1e-6)
     costs = {}
     for a in range(-reach, reach + 1):
@@ -92,7 +98,7 @@ def brute_force(now, earlier, numbers):
             if np.hypot(*v) > numbers.max_speed + 1e-6:
                 continue
             total = numbers.speed_cost * np.hypot(*v)
-            for mask, age in earlier:
+            for mask, _, age in earlier:
                 distance = ndimage.distance_transform_edt(np.pad(~mask, 20, constant_values=True))
                 distance = np.minimum(distance * SIDE, numbers.cap)
                 at = cells - v * age / SIDE + 20
@@ -106,8 +112,8 @@ def test_no_velocity_costs_less_by_the_plain_formula(seed):
     rng = np.random.default_rng(seed)
     numbers = MatchSettings(max_speed=4.0, spread=1e-4)
     now, earlier = moved(L_SHAPE, (50, 45), rng.integers(-12, 12, 2), (0.13, 0.4, 0.3)[: 2 + seed % 2])
-    earlier = [(mask & (rng.random(SHAPE) < 0.8), age) for mask, age in earlier]
-    match = match_velocities(now, now, earlier, SIDE, numbers)
+    earlier = [seen(mask & (rng.random(SHAPE) < 0.8), age) for mask, _, age in earlier]
+    match = match_velocities(seen(now), now, earlier, SIDE, numbers)
     least, costs, step = brute_force(now, earlier, numbers)
     assert costs[tuple(np.round(match.velocity[0] / step).astype(int))] <= least + 0.002
     np.testing.assert_allclose(match.residual[0] + numbers.speed_cost * np.hypot(*match.velocity[0]), least, atol=0.002)
@@ -116,7 +122,7 @@ def test_no_velocity_costs_less_by_the_plain_formula(seed):
 
 def test_moving_everything_changes_nothing():
     now, earlier = moved(L_SHAPE, (50, 45), (20, -10))
-    there = [(np.roll(mask, (13, -9), (0, 1)), age) for mask, age in earlier]
+    there = [seen(np.roll(mask, (13, -9), (0, 1)), age) for mask, _, age in earlier]
     one, other = matched(now, earlier), matched(np.roll(now, (13, -9), (0, 1)), there)
     np.testing.assert_array_equal(one.velocity, other.velocity)
     np.testing.assert_array_equal(one.covariance, other.covariance)
@@ -124,7 +130,7 @@ def test_moving_everything_changes_nothing():
 
 def test_swapping_the_axes_swaps_the_velocity():
     now, earlier = moved(L_SHAPE, (50, 45), (20, -10))
-    one, other = matched(now, earlier), matched(now.T.copy(), [(mask.T.copy(), age) for mask, age in earlier])
+    one, other = matched(now, earlier), matched(now.T.copy(), [seen(mask.T.copy(), age) for mask, _, age in earlier])
     np.testing.assert_allclose(other.velocity, one.velocity[:, ::-1])
     np.testing.assert_allclose(other.covariance, one.covariance[:, ::-1, ::-1], rtol=1e-5)
 
@@ -143,13 +149,13 @@ def test_small_groups_and_groups_without_candidates_are_left_out():
     now, earlier = moved(PEDESTRIAN[:4], (50, 45), (10, 0))
     assert len(matched(now, earlier).valid) == 0
     now, earlier = moved(L_SHAPE, (50, 45), (10, 0))
-    assert len(match_velocities(now, np.zeros(SHAPE, bool), earlier, SIDE).valid) == 0
+    assert len(match_velocities(seen(now), np.zeros(SHAPE, bool), earlier, SIDE).valid) == 0
 
 
 def test_nothing_is_valid_without_earlier_cells():
     now = painted(L_SHAPE, (50, 45))
     nothing = np.zeros(SHAPE, bool)
-    for earlier in ([], [(nothing, 0.2), (nothing, 0.4)]):
+    for earlier in ([], [seen(nothing, 0.2), seen(nothing, 0.4)]):
         match = matched(now, earlier)
         assert len(match.valid) == 1
         assert not match.valid.any()
@@ -166,26 +172,60 @@ def test_a_wall_that_slides_along_itself_is_uncertain_along_itself():
 def test_a_prior_that_is_sure_decides_between_two_matches():
     now = painted(PEDESTRIAN, (50, 45))
     earlier = [
-        (painted(PEDESTRIAN, (50 - 4 * k, 45)) | painted(PEDESTRIAN, (50, 45 + 10 * k)), 0.2 * k) for k in (1, 2)
+        seen(painted(PEDESTRIAN, (50 - 4 * k, 45)) | painted(PEDESTRIAN, (50, 45 + 10 * k)), 0.2 * k) for k in (1, 2)
     ]
     free = matched(now, earlier)
     np.testing.assert_allclose(free.velocity, [[4 * SIDE * 5, 0]], atol=0.01)
     prior = np.full((*SHAPE, 2), np.nan)
     prior[now] = 0, -7
-    gated = match_velocities(now, now, earlier, SIDE, prior=prior)
+    gated = match_velocities(seen(now), now, earlier, SIDE, prior=prior)
     np.testing.assert_allclose(gated.velocity, [[0, -10 * SIDE * 5]], atol=0.01)
     prior[now] += np.random.default_rng(0).normal(0, 4, (now.sum(), 2))  # not sure at all
-    np.testing.assert_allclose(match_velocities(now, now, earlier, SIDE, prior=prior).velocity, free.velocity)
+    np.testing.assert_allclose(match_velocities(seen(now), now, earlier, SIDE, prior=prior).velocity, free.velocity)
 
 
 def test_what_stands_still_is_no_match():
     here, there = painted(PEDESTRIAN, (50, 45)), painted(PEDESTRIAN, (50, 60))
     ages = (0.1, 0.2, 0.3, 0.4)
-    left = matched(here, [(painted(PEDESTRIAN, (50, 45 + round(150 * age / 4))), age) for age in ages])
+    left = matched(here, [seen(painted(PEDESTRIAN, (50, 45 + round(150 * age / 4))), age) for age in ages])
     assert left.valid.all()
-    appeared = match_velocities(here | there, here, [(there, age) for age in ages], SIDE)
+    appeared = match_velocities(seen(here | there), here, [seen(there, age) for age in ages], SIDE)
     assert len(appeared.valid) == 1
     assert not appeared.valid.any()
+
+
+def test_what_stands_rests_also_where_an_edge_reveals_it_and_what_moves_does_not():
+    wall, ages = np.array([(i, j) for i in range(30) for j in (0, 1)] + [(0, j) for j in range(12)]), (0.1, 0.2, 0.3)
+    now, revealed = painted(wall, (40, 45)), []
+    for age in ages:
+        hidden = np.zeros(SHAPE, bool)
+        hidden[70 - round(30 * age) :] = True
+        revealed.append(seen(now & ~hidden, age, hidden))
+    match = matched(now, revealed)
+    assert match.resting.all()
+    assert not match.valid.any()
+    for cells, speed in ((wall, 20), (PEDESTRIAN, 8)):  # 3.2 and 1.3 m/s
+        match = matched(*moved(cells, (40, 45), (0, speed), ages))
+        assert match.valid.all()
+        assert not match.resting.any()
+
+
+def test_what_comes_out_of_a_shadow_or_hides_its_own_way_is_matched():
+    ages, car = (0.1, 0.2, 0.3), np.array([(i, 0) for i in range(28)] + [(27, j) for j in range(12)])
+    hidden = np.zeros(SHAPE, bool)
+    hidden[:50] = True
+    out = [seen(painted(car, (40 - 60 * age, 45)) & ~hidden, age, hidden) for age in ages]
+    match = matched(painted(car, (40, 45)) & ~hidden, out)
+    assert match.valid.all()
+    np.testing.assert_allclose(match.velocity, [[60 * SIDE, 0]], atol=0.7)
+    rear, recedes = np.array([(0, j) for j in range(12)]), []
+    for age in ages:
+        hidden = np.zeros(SHAPE, bool)
+        hidden[51 - round(30 * age) :, 45:57] = True
+        recedes.append(seen(painted(rear, (50 - 30 * age, 45)), age, hidden))
+    match = matched(painted(rear, (50, 45)), recedes)
+    assert match.valid.all()
+    np.testing.assert_allclose(match.velocity, [[30 * SIDE, 0]], atol=0.2)
 
 
 AGES = (0.1, 0.2, 0.3, 0.4)
@@ -204,7 +244,7 @@ def flickering(rng, points, at, velocity, visible=None):
     for age in (0.0, *AGES):
         shape = points if visible is None else outline(28, 11, visible(age))
         masks.append(painted(shape, np.asarray(at) - np.array(velocity) * age / SIDE) & (rng.random(SHAPE) < 0.8))
-    return masks[0], list(zip(masks[1:], AGES, strict=True))
+    return masks[0], [seen(mask, age) for mask, age in zip(masks[1:], AGES, strict=True)]
 
 
 @each("visible", [None, lambda age: 0.9 - 1.5 * age])
@@ -244,7 +284,8 @@ def test_settings_and_masks_that_do_not_fit_are_refused():
     ):
         refused(message, MatchSettings, **change)
     now, earlier = moved(L_SHAPE, (50, 45), (10, 0))
-    refused("an earlier mask must be bool", match_velocities, now, now, [(earlier[0][0][1:], 0.2)], SIDE)
-    refused("above 0 s", match_velocities, now, now, [(earlier[0][0], 0.0)], SIDE)
-    refused("resolution", match_velocities, now, now, earlier, 0.0)
-    refused("prior must have shape", match_velocities, now, now, earlier, SIDE, prior=np.zeros((*SHAPE, 3)))
+    mask, scan = earlier[0].occupied, seen(now)
+    refused("an earlier mask must be bool", match_velocities, scan, now, [seen(mask[1:], 0.2)], SIDE)
+    refused("above 0 s", match_velocities, scan, now, [seen(mask)], SIDE)
+    refused("resolution", match_velocities, scan, now, earlier, 0.0)
+    refused("prior must have shape", match_velocities, scan, now, earlier, SIDE, prior=np.zeros((*SHAPE, 3)))

@@ -96,7 +96,7 @@ def test_births_and_odds_are_those_of_integration_over_velocities_and_turn_rates
     radial = radial._replace(speed=np.clip(radial.speed, *(np.median(radial.speed) + (-0.7, 0.7))))  # all agree
     information, weighted = radial_evidence(radial, np.ones(count, np.int32), 1)
     found = with_radial_velocities(
-        MeasuredVelocities(np.zeros(SPEC.shape, np.int32), np.zeros((0, 2)), np.zeros((0, 2, 2))),
+        MeasuredVelocities(np.zeros(SPEC.shape, np.int32), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, bool)),
         radial._replace(extent=np.full((count, 2), 4.0)),  # one group
         np.full((SPEC.shape[0], 2 * SPEC.shape[1]), 0.4, np.float32)
         * np.tile([0, 1], SPEC.shape[1]).astype(np.float32),
@@ -141,8 +141,9 @@ def test_information_is_never_negative_and_velocities_are_finite(seed, count, de
     radial = RadialVelocities(xy, unit, rng.normal(0, 50, count), np.full(count, deviation), np.full((count, 2), 0.5))
     measured = rng.dirichlet([1, 1, 1], SPEC.shape)[..., :2].astype(np.float32).reshape(SPEC.shape[0], -1)
     label = np.kron(np.arange(16).reshape(4, 4), np.ones((64, 48), np.int32)).astype(np.int32)
-    matched = MeasuredVelocities(label, rng.normal(0, 5, (15, 2)), np.array([k % 2 * np.eye(2) for k in range(15)]))
-    for before in (matched, MeasuredVelocities(0 * label, np.zeros((0, 2)), np.zeros((0, 2, 2)))):
+    information = np.array([k % 2 * np.eye(2) for k in range(15)])
+    matched = MeasuredVelocities(label, rng.normal(0, 5, (15, 2)), information, np.zeros(15, bool))
+    for before in (matched, MeasuredVelocities(0 * label, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, bool))):
         found = with_radial_velocities(before, radial, measured, no_belief(), SPEC)
         assert found.label.max() <= len(found.velocity)
         assert (np.linalg.eigvalsh(found.information) > -1e-9).all()
@@ -158,7 +159,8 @@ def test_a_matched_group_takes_the_information_of_its_detections_and_others_stay
     measured[label > 0] = 0.1, 0.8
     measured[30:40, 150:160] = 0.1, 0.8  # occupied, and in no group
     information = np.array([np.eye(2) / 0.5**2, np.eye(2), np.zeros((2, 2))])
-    matched = MeasuredVelocities(label, np.array([[4.0, 1.0], [1.0, 1.0], [9.0, 9.0]]), information)
+    velocity = np.array([[4.0, 1.0], [1.0, 1.0], [9.0, 9.0]])
+    matched = MeasuredVelocities(label, velocity, information, np.ones(3, bool))
     x, y = SPEC.cell_centers
     places = [(x[i, 0], y[0, j]) for i, j in ((120, 70), (35, 155), (75, 115), (10, 10))]  # the last on nothing
     speed, extent = np.array([2.0, 3.0, 5.0, 9.0]), np.full((4, 2), 0.2)
@@ -276,7 +278,7 @@ def test_sparse_scans_are_not_matched_and_dense_ones_are():
             mapper.update(block(k), np.eye(4), stamp=0.1 * k, radial=radial)
         between.update(EvidentialGrid(SPEC, specks), np.eye(4), stamp=0.1 * k + 0.05, radial=NOTHING)
         assert len(between._groups.rows) == 1
-    histories = [[(stamp, mask.sum()) for stamp, _, mask, _ in mapper._history._scans] for mapper in (alone, between)]
+    histories = [[(stamp, cells.sum()) for stamp, _, cells in mapper._history._scans] for mapper in (alone, between)]
     assert histories[0] == histories[1]
     np.testing.assert_array_equal(alone.dynamic_grid.mass, dense.dynamic_grid.mass)
     np.testing.assert_array_equal(alone.dynamic_grid.velocity, dense.dynamic_grid.velocity)

@@ -3,6 +3,7 @@
 Layers are float32 (nx, ny) in the order of the window. Nothing is checked here.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -165,6 +166,32 @@ def update_cells(
         for j in range(ny):  # apart, so that the loop above runs on vector units
             total += new.surviving[i, j] + new.born[i, j]
         out.dynamic[i] = total
+
+
+@kernel
+def forget_hidden_free(cells: DynamicCells, measured: np.ndarray, reach: float) -> None:
+    """Bound free by what the scan measures, near dynamic cells that it measures as occupied.
+
+    Parameters
+    ----------
+    cells : DynamicCells
+        After the update by the scan. Free is changed.
+    measured : (nx, 2 ny) float32
+        The scan's masses (free, occupied).
+    reach : float
+        Greatest distance of the middles of two cells [cells].
+    """
+    nx, ny = cells.free.shape
+    half = np.float32(0.5)
+    for i in range(nx):
+        for j in range(ny):
+            dynamic = cells.surviving[i, j] + cells.born[i, j]
+            if measured[i, 2 * j + 1] <= half or dynamic <= cells.static[i, j]:
+                continue
+            for k in range(max(i - int(reach), 0), min(i + int(reach) + 1, nx)):
+                wide = int(math.sqrt(reach * reach - (k - i) ** 2))
+                for n in range(max(j - wide, 0), min(j + wide + 1, ny)):
+                    cells.free[k, n] = min(cells.free[k, n], measured[k, 2 * n])
 
 
 @kernel

@@ -19,7 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion.dynamic.beliefs import beliefs, masses, seen_from
-from ogm.fusion.dynamic.cells import CellOutput, DynamicCells, no_cells, share_particles, update_cells
+from ogm.fusion.dynamic.cells import (
+    CellOutput,
+    DynamicCells,
+    forget_hidden_free,
+    no_cells,
+    share_particles,
+    update_cells,
+)
 from ogm.fusion.dynamic.hashed_noise import NORMALS, scan_key
 from ogm.fusion.dynamic.measured_velocities import SCAN_AGES, MeasuredVelocities, matched_velocities
 from ogm.fusion.dynamic.object_tracker import ObjectTracker
@@ -27,8 +34,15 @@ from ogm.fusion.dynamic.objects import Objects, find_objects
 from ogm.fusion.dynamic.particles import Step, cell_starts, count_in_cells, no_particles, sort_into_cells
 from ogm.fusion.dynamic.prediction import move_on, predict_dynamic
 from ogm.fusion.dynamic.radial import with_radial_velocities
-from ogm.fusion.dynamic.resampling import GroupVelocities, Moments, group_velocities, resample, weigh_motion
-from ogm.fusion.dynamic.scan_history import Extent, ScanHistory
+from ogm.fusion.dynamic.resampling import (
+    GroupVelocities,
+    Moments,
+    group_velocities,
+    renew_particles,
+    resample,
+    weigh_motion,
+)
+from ogm.fusion.dynamic.scan_history import Extent, ScanHistory, scan_cells, scan_states
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.dynamic.threads import Threads, spans
 from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
@@ -116,7 +130,9 @@ class DynamicMapper(Mapper):
         self.seed, self.threads = int(seed), int(threads)
         self.settings = settings or DynamicSettings()
         if self.filter == "nuss":
-            self.settings = replace(self.settings, static_share=0.0, to_dynamic_rate=0.0, motion_odds=1.0)
+            self.settings = replace(
+                self.settings, static_share=0.0, to_dynamic_rate=0.0, motion_odds=1.0, hiding_width=0.0
+            )
         self.half_life = self.settings.free_half_life, self.settings.static_half_life
         super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=True))
         nx, ny = spec.shape
@@ -127,7 +143,8 @@ class DynamicMapper(Mapper):
         self._measured = np.empty((nx, 2 * ny), np.float32)
         self._cell_of, self._survivors = np.empty(self.particles + 1, np.int32), np.empty(nx * ny, np.int32)
         self._count_of, self._no_label = np.empty((self.threads, nx * ny), np.int32), np.zeros(spec.shape, np.int32)
-        self._groups = group_velocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)), 0.0, 0.0)
+        self._nothing = MeasuredVelocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, bool))
+        self._groups = group_velocities(*self._nothing, 0.0, 0.0)
         self._history = ScanHistory(0.6, 0.04)
         self._tracker: ObjectTracker | None = None  # from the first time on that objects are asked for
         self._objects: Objects | None = None
@@ -222,10 +239,13 @@ class DynamicMapper(Mapper):
 
             threads.run(sort_and_update)
             self._begin_anew_beyond_border(scan, new)
-            extent = Extent(scan.affine, grid.spec.shape)
-            groups = self._measured_velocities(scan, extent, new.cells)
+            groups = self._measured_velocities(scan, new.cells)
             if len(groups.rows) > 1:
+                change = self.settings.change
                 threads.run(lambda k: weigh_motion(new.cells, groups, rows[k], new.dynamic))
+                threads.run(lambda k: renew_particles(new.cells, self._predicted, groups, change, rows[k]))
+            if self.settings.hiding_width and _shows_shapes(scan):
+                forget_hidden_free(new.cells, new.measured, self.settings.hiding_width / self._window.spec0.resolution)
             # From here on nothing can fail: until now the map is as it was.
             self._particle_mass = float(new.dynamic.sum()) / self.particles
             self._draw(new.cells, groups, step, threads)
@@ -233,9 +253,9 @@ class DynamicMapper(Mapper):
         self._cells, self._next_cells = new.cells, self._cells
         self._window.move_to(scan.corner)
         if scan.stamp is not None:
-            self._history.add_grid(scan.stamp, scan.corner, extent)
+            self._history.add_grid(scan.stamp, scan.corner, Extent(scan.affine, grid.spec.shape))
             if self.matching and _shows_shapes(scan):
-                self._history.add(scan.stamp, scan.corner, self._occupied, extent)
+                self._history.add(scan.stamp, scan.corner, scan_states(self._measured))
         self._update_objects(scan.stamp)
 
     def _begin_anew_beyond_border(self, scan: CheckedScan, new: CellOutput) -> None:
@@ -253,11 +273,6 @@ class DynamicMapper(Mapper):
         cells.surviving[rows, columns] = 0
         changed = np.unique(rows)
         new.dynamic[changed] = (cells.surviving[changed] + cells.born[changed]).sum(axis=1, dtype=np.float64)
-
-    @property
-    def _occupied(self) -> NDArray[np.bool_]:
-        """Cells that the last scan measured as occupied, (nx, ny)."""
-        return self._measured[:, 1::2] > 0.5
 
     def _count(self, step: Step, threads: Threads) -> None:
         """Move the particles on and count them in their new cells: each thread its part of them."""
@@ -281,14 +296,15 @@ class DynamicMapper(Mapper):
             len(survivors), lambda part: resample(old, part, survivors, groups, step, NORMALS, new, self._moments)
         )
 
-    def _measured_velocities(self, scan: CheckedScan, extent: Extent, cells: DynamicCells) -> GroupVelocities:
+    def _measured_velocities(self, scan: CheckedScan, cells: DynamicCells) -> GroupVelocities:
         """Return the velocities that are measured of groups of cells: the slot for matching, Doppler and others."""
         settings, resolution = self.settings, self._window.spec0.resolution
-        found = MeasuredVelocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)))
+        found = self._nothing
         if self.matching and scan.stamp is not None and _shows_shapes(scan):
             earlier = self._history.earlier(scan.stamp, scan.corner, SCAN_AGES)
             if earlier:
-                found = matched_velocities(self._occupied, cells, self._predicted, earlier, extent, resolution)
+                now = scan_cells(scan_states(self._measured), 0.0)
+                found = matched_velocities(now, cells, self._predicted, earlier, resolution)
         if scan.radial is not None and len(scan.radial.speed):
             window = self._window.spec_at(scan.corner)
             found = with_radial_velocities(found, scan.radial, self._measured, cells, window)

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.dynamic.groups import MAX_CAP, Groups, capped_distance, find_groups
-from ogm.fusion.dynamic.matching_kernels import MAX_CELLS, MatchNumbers, match_groups
+from ogm.fusion.dynamic.groups import LEVELS, MAX_CAP, Groups, capped_distance, find_groups
+from ogm.fusion.dynamic.matching_kernels import MAX_CELLS, UNSEEN, MatchNumbers, match_groups
+from ogm.fusion.dynamic.scan_history import ScanCells
 
 
 @dataclass(frozen=True)
@@ -36,14 +37,16 @@ class MatchSettings:
     max_cells : int
         Of a greater group as many cells are matched, evenly chosen; at most 655.
     min_gain : float
-        How much less the mean distance must be than that of standing still [m].
+        How much less the mean distance must be than that of standing still [m]; a group rests if standing still itself
+        costs no more.
     max_residual : float
         Greatest mean distance of a match [m]; for a group of fewer than `sure_cells` cells it is less, by
         sqrt(cells / sure_cells): few cells find something similar by chance.
     sure_cells : int
         See `max_residual`.
-    max_sigma : float
-        Greatest standard deviation of a match [m/s]: others are ambiguous.
+    max_sigma, relative_sigma : float
+        Greatest standard deviation of a match [m/s]; where the cells that were measured lie at most `min_gain` from
+        earlier ones, also share of the speed, if two deviations keep it below `max_speed`. Others are ambiguous.
     margin : float
         Earlier cells at most this far from a cell that is occupied now, and not by the group itself, are no match [m]:
         what moves leaves its place.
@@ -72,6 +75,7 @@ class MatchSettings:
     max_residual: float = 0.24
     sure_cells: int = 20
     max_sigma: float = 0.5
+    relative_sigma: float = 0.1
     margin: float = 0.16
     spread: float = 0.04
     sigma: float = 0.15
@@ -109,6 +113,9 @@ class Matches(NamedTuple):
         Mean distance of the cells, moved back, to earlier ones [m].
     gain : (G,) float64
         How much greater that distance is for standing still [m].
+    resting : (G,) bool
+        Whether the group is measured to rest: no velocity explains its cells better than 0, and 0 explains those that
+        the earlier scans measured, which are half of them or more.
     """
 
     label: NDArray[np.int32]
@@ -117,6 +124,7 @@ class Matches(NamedTuple):
     valid: NDArray[np.bool_]
     residual: NDArray[np.float64]
     gain: NDArray[np.float64]
+    resting: NDArray[np.bool_]
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -125,9 +133,9 @@ class Matches(NamedTuple):
 
 
 def match_velocities(
-    occupied: NDArray[np.bool_],
+    now: ScanCells,
     candidates: NDArray[np.bool_],
-    earlier: Sequence[tuple[NDArray[np.bool_], float]],
+    earlier: Sequence[ScanCells],
     resolution: float,
     settings: MatchSettings | None = None,
     prior: NDArray[np.floating] | None = None,
@@ -138,19 +146,20 @@ def match_velocities(
 
         mean over cells p and earlier scans of min(distance of p - v age to occupied cells, cap) + speed_cost |v|
 
-    at all displacements by whole cells since the oldest scan; distances are interpolated between cells, and are the cap
-    where others are still occupied now. The result is the mean over the velocities near the least, see the notes.
+    at all displacements by whole cells since the oldest scan. Distances are interpolated between cells. They are the
+    cap where others are still occupied now, and half the cap in cells that the earlier scan did not measure: what comes
+    out of a shadow may have been there or not. The result is the mean over the velocities near the least, see the
+    notes.
 
     Parameters
     ----------
-    occupied : (nx, ny) bool
-        Cells that the scan measures as occupied.
+    now : ScanCells
+        Its occupied cells make the groups.
     candidates : (nx, ny) bool
         Cells that may have moved: with belief in dynamic, or free before and occupied now. Groups without any are left
         out.
-    earlier : sequence of ((nx, ny) bool, float)
-        Occupied cells of earlier scans on the same lattice in map coordinates, and their ages [s], above 0. Those
-        without an occupied cell do not count.
+    earlier : sequence of ScanCells
+        On the same lattice in map coordinates, with ages above 0 s. Those without an occupied cell do not count.
     resolution : float
         Side of a cell [m].
     settings : MatchSettings, optional
@@ -174,21 +183,23 @@ def match_velocities(
     are equally good, and along a wall.
     """
     settings = settings or MatchSettings()
-    masks = _checked(occupied, candidates, earlier, resolution)
+    scans = _checked(now, candidates, earlier, resolution)
     cap = min(settings.cap / resolution, MAX_CAP)
     link = max(int(settings.link / resolution + 1e-6), 1)
-    now = np.ascontiguousarray(occupied).view(np.uint8)
-    groups = find_groups(now, (occupied & candidates).view(np.uint8), link, settings.min_cells)
+    occupied = np.ascontiguousarray(now.occupied).view(np.uint8)
+    groups = find_groups(occupied, (now.occupied & candidates).view(np.uint8), link, settings.min_cells)
     size = np.diff(groups.start)
     count = len(size)
-    if not masks or not count:
-        no_match = np.full(count, np.nan)
+    if not scans or not count:
+        no_match, nowhere = np.full(count, np.nan), np.zeros(count, bool)
         covariance = np.full((count, 2, 2), np.nan)
-        return Matches(groups.label, np.zeros((count, 2)), covariance, np.zeros(count, bool), no_match, no_match)
-    ages = np.array([seconds for _, seconds in masks])
-    distance = np.empty((len(masks), *occupied.shape), np.uint8)
-    for (mask, _), out in zip(masks, distance, strict=True):
-        capped_distance(np.ascontiguousarray(mask).view(np.uint8), cap, out)
+        return Matches(groups.label, np.zeros((count, 2)), covariance, nowhere, no_match, no_match, nowhere)
+    ages = np.array([scan.age for scan in scans])
+    distance = np.empty((len(scans), *candidates.shape), np.uint8)
+    for scan, out in zip(scans, distance, strict=True):
+        capped_distance(np.ascontiguousarray(scan.occupied).view(np.uint8), cap, out)
+        out[out == UNSEEN] += 1
+        out[scan.hidden] = UNSEEN
     step = resolution / ages.max()
     numbers = MatchNumbers(
         max(int(settings.max_speed / step + 1e-6), 1),
@@ -201,13 +212,21 @@ def match_velocities(
         settings.max_cells,
     )
     expected = _expected(groups, prior, settings)
-    velocity, covariance, cost = match_groups(now, groups, distance, ages / ages.max(), expected, numbers)
+    velocity, covariance, cost, unseen = match_groups(occupied, groups, distance, ages / ages.max(), expected, numbers)
     covariance += np.eye(2) * settings.sigma**2
-    residual, gain = cost[:, 0] * resolution, (cost[:, 1] - cost[:, 0]) * resolution
+    residual, still = cost.T * resolution
+    apart, contradicted = (cost - unseen * (UNSEEN / LEVELS * cap)).T * resolution  # of measured cells
+    gain = still - residual
     most = settings.max_residual * np.sqrt(np.minimum(size / settings.sure_cells, 1))
     sigma = _sigma(covariance)
-    valid = (gain >= settings.min_gain) & (residual <= most) & (sigma <= settings.max_sigma)
-    return Matches(groups.label, velocity, covariance, valid, residual, gain)
+    sure = sigma <= settings.max_sigma
+    speed = np.hypot(*velocity.T)
+    fast = (sigma <= settings.relative_sigma * speed) & (speed + 2 * sigma <= settings.max_speed)
+    fast &= apart <= settings.min_gain
+    valid = (sure | fast) & (gain >= settings.min_gain) & (residual <= most)
+    resting = sure & (gain < settings.min_gain) & (unseen[:, 1] <= 0.5)
+    resting &= contradicted <= settings.min_gain * (1 - unseen[:, 1])
+    return Matches(groups.label, velocity, covariance, valid, residual, gain, resting)
 
 
 def _sigma(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -216,22 +235,20 @@ def _sigma(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _checked(
-    occupied: NDArray[np.bool_],
-    candidates: NDArray[np.bool_],
-    earlier: Sequence[tuple[NDArray[np.bool_], float]],
-    resolution: float,
-) -> list[tuple[NDArray[np.bool_], float]]:
+    now: ScanCells, candidates: NDArray[np.bool_], earlier: Sequence[ScanCells], resolution: float
+) -> list[ScanCells]:
     """Refuse what does not fit together; return the earlier scans that have an occupied cell."""
     if not resolution > 0:
         raise ValueError(f"resolution must be greater than 0 m, got {resolution}")
-    named = [("occupied", occupied), ("candidates", candidates), *(("an earlier mask", mask) for mask, _ in earlier)]
+    named = [("occupied", now.occupied), ("hidden", now.hidden), ("candidates", candidates)]
+    named += [("an earlier mask", mask) for scan in earlier for mask in (scan.occupied, scan.hidden)]
     for name, mask in named:
-        if mask.dtype != bool or mask.shape != occupied.shape or mask.ndim != 2:
-            raise ValueError(f"{name} must be bool of shape {occupied.shape}, got {mask.dtype} of {mask.shape}")
-    for _, seconds in earlier:
-        if not 0 < seconds < math.inf:
-            raise ValueError(f"ages of earlier scans must be above 0 s, got {seconds}")
-    return [(mask, float(seconds)) for mask, seconds in earlier if mask.any()]
+        if mask.dtype != bool or mask.shape != now.occupied.shape or mask.ndim != 2:
+            raise ValueError(f"{name} must be bool of shape {now.occupied.shape}, got {mask.dtype} of {mask.shape}")
+    for scan in earlier:
+        if not 0 < scan.age < math.inf:
+            raise ValueError(f"ages of earlier scans must be above 0 s, got {scan.age}")
+    return [scan for scan in earlier if scan.occupied.any()]
 
 
 def _expected(groups: Groups, prior: NDArray[np.floating] | None, settings: MatchSettings) -> NDArray[np.float64]:

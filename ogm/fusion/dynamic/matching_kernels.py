@@ -14,6 +14,7 @@ from ogm.fusion.dynamic.groups import LEVELS, Groups
 from ogm.jit import kernel, vector
 
 MAX_CELLS = 655  # of one group, so that sums of levels fit 16 bits
+UNSEEN = LEVELS // 2  # level of cells that were not measured: the group may have been there or not
 NEAR = 2  # nodes around the best that make the mean
 FAR = np.float32(12.0)  # exponent beyond which a velocity has no share in the moments
 
@@ -110,7 +111,7 @@ def match_groups(
     ratios: NDArray[np.float64],
     expected: NDArray[np.float64],
     numbers: MatchNumbers,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Find the velocity of least cost for each group.
 
     Parameters
@@ -135,6 +136,8 @@ def match_groups(
         Second moments about it [m²/s²].
     cost : (G, 2) float64
         Mean distance at this velocity and at 0 [cells], without the cost of speed.
+    unseen : (G, 2) float64
+        Share of the cells, over all earlier scans, that at these velocities were not measured.
     """
     count, R, step = len(groups.start) - 1, numbers.reach, numbers.step
     side = 2 * R + 1
@@ -144,7 +147,7 @@ def match_groups(
             speed = step * np.sqrt((i - R) ** 2 + (j - R) ** 2)
             surcharge[i, j] = numbers.speed_cost * speed if speed <= (R + 1e-6) * step else np.inf
     nx, ny = occupied.shape
-    left = np.full((len(fields), nx + 2 * R, ny + 2 * R), np.uint8(LEVELS))  # with a border of R cells
+    left = np.full((len(fields), nx + 2 * R, ny + 2 * R), np.uint8(UNSEEN))  # with a border of R cells
     for k in range(len(fields)):
         for i in range(nx):
             for j in range(ny):
@@ -152,7 +155,7 @@ def match_groups(
     now_x, now_y = np.nonzero(occupied)
     _block_near(left, now_x, now_y, numbers.margin, R)  # what is still there has not moved
     velocity, covariance = np.zeros((count, 2)), np.zeros((count, 2, 2))
-    cost = np.full((count, 2), numbers.cap)
+    cost, unseen = np.empty((count, 2)), np.empty((count, 2))
     for g in range(count):
         x, y = groups.x[groups.start[g] : groups.start[g + 1]], groups.y[groups.start[g] : groups.start[g + 1]]
         _restore_near(left, fields, x, y, numbers.margin, R)
@@ -164,16 +167,34 @@ def match_groups(
             sums = np.empty((2 * reach + 1, 2 * reach + 1), np.uint16)
             _sum_levels(left[k], few_x, few_y, reach, sums)
             _add_interpolated(sums, ratios[k], weight, total)
-        _block_near(left, x, y, numbers.margin, R)
-        cost[g, 1] = total[R, R]
         p, q = _least(total, surcharge, expected[g], numbers)
-        cost[g, 0] = total[p, q]
+        for n, (i, j) in enumerate(((p, q), (R, R))):
+            unseen[g, n] = _unseen(left, few_x, few_y, ratios, (i - R, j - R)) / (len(few_x) * len(fields))
+            cost[g, n] = total[i, j]
+        _block_near(left, x, y, numbers.margin, R)
         mean = _moments(total, surcharge, (p, q), np.sqrt(len(x)) / numbers.spread, covariance[g])
         velocity[g, 0], velocity[g, 1] = -step * (p - R + mean[0]), -step * (q - R + mean[1])  # back in time
         for i in range(2):
             for j in range(2):
                 covariance[g, i, j] *= step * step
-    return velocity, covariance, cost
+    return velocity, covariance, cost, unseen
+
+
+@kernel
+def _unseen(
+    left: NDArray[np.uint8],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    ratios: NDArray[np.float64],
+    shift: tuple[int, int],
+) -> int:
+    """Count the cells, over all scans, that were not measured where they were by a displacement since the oldest."""
+    count = 0
+    for k in range(len(left)):
+        a, b = int(np.rint(shift[0] * ratios[k])), int(np.rint(shift[1] * ratios[k]))
+        for n in range(len(x)):
+            count += left[k, x[n] + a, y[n] + b] == UNSEEN
+    return count
 
 
 @kernel

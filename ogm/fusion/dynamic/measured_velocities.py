@@ -5,14 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ogm.fusion.dynamic.cells import DynamicCells
 from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
 from ogm.fusion.dynamic.particles import Particles
 from ogm.fusion.dynamic.resampling import mean_velocities
-from ogm.fusion.dynamic.scan_history import EarlierScan, Extent
+from ogm.fusion.dynamic.scan_history import ScanCells
 
 SCAN_AGES = 0.1, 0.2, 0.3  # [s] of the earlier scans with which cells are matched
+BESIDE = 2  # [cells] from a cell that is new to others of the same small thing
 MIN_CONFLICT = 0.2  # of free -> occupied, at which a cell may hold something that moves
 
 
@@ -27,58 +29,58 @@ class MeasuredVelocities(NamedTuple):
         [m/s]
     information : (G, 2, 2) float64
         Inverse covariance of the velocity [s²/m²], positive semi-definite; 0 where nothing is measured.
+    resting : (G,) bool
+        Whether the measurement may be evidence of rest.
     """
 
     label: NDArray[np.int32]
     velocity: NDArray[np.float64]
     information: NDArray[np.float64]
+    resting: NDArray[np.bool_]
 
 
 def matched_velocities(
-    occupied: NDArray[np.bool_],
-    cells: DynamicCells,
-    particles: Particles,
-    earlier: Sequence[EarlierScan],
-    extent: Extent,
-    resolution: float,
+    now: ScanCells, cells: DynamicCells, particles: Particles, earlier: Sequence[ScanCells], resolution: float
 ) -> MeasuredVelocities:
     """Return the velocities of groups of cells that match earlier scans.
 
-    A group that the border of the measurement grid cuts, now or in an earlier scan, has no velocity: where it seems to
-    end moves with the vehicle.
-
     Parameters
     ----------
-    occupied : (nx, ny) bool
-        Cells that the scan measures as occupied.
+    now : ScanCells
     cells : DynamicCells
         After the update by the scan. Only groups are matched with a cell that holds more dynamic than static, or that
         was free and became occupied.
     particles : Particles
         Predicted: a match must agree with the particles of its group, where these agree with each other.
-    earlier : sequence of EarlierScan
-    extent : Extent
-        Where the grid of this scan lies in the window.
+    earlier : sequence of ScanCells
     resolution : float
         Side of a cell [m].
     """
-    settings = MatchSettings()
     dynamic = cells.surviving > cells.static + cells.born
-    candidates = occupied & (dynamic | (cells.to_occupied >= MIN_CONFLICT))
-    prior = np.empty((*occupied.shape, 2), np.float32)
-    mean_velocities(particles, (occupied & dynamic).reshape(-1), prior.reshape(-1, 2))
-    matches = match_velocities(occupied, candidates, [scan[:2] for scan in earlier], resolution, settings, prior)
-    grids = [(extent,), *(scan.extents for scan in earlier)]
-    valid = matches.valid & ~_cut(matches.label, len(matches.valid), grids, settings.link / resolution)
-    information = np.zeros((len(valid), 2, 2))
-    information[valid] = np.linalg.inv(matches.covariance[valid])
-    return MeasuredVelocities(matches.label, matches.velocity, information)
+    candidates = now.occupied & (dynamic | (cells.to_occupied >= MIN_CONFLICT))
+    prior = np.empty((*dynamic.shape, 2), np.float32)
+    mean_velocities(particles, (now.occupied & dynamic).reshape(-1), prior.reshape(-1, 2))
+    matches = match_velocities(now, candidates, earlier, resolution, MatchSettings(), prior)
+    measured = matches.valid | matches.resting
+    information = np.zeros((len(measured), 2, 2))
+    information[measured] = np.linalg.inv(matches.covariance[measured])
+    label = _without_newcomers(matches.label, matches.resting, earlier)
+    return MeasuredVelocities(label, matches.velocity, information, matches.resting)
 
 
-def _cut(label: NDArray[np.int32], groups: int, grids: Sequence[Sequence[Extent]], margin: float) -> NDArray[np.bool_]:
-    """Return which groups have a cell that the grids of one of the scans do not hold, with a margin [cells]; (G,)."""
-    cells = np.nonzero(label)
-    outside = np.zeros(len(cells[0]), bool)
-    for extents in grids:
-        outside |= ~np.any([extent.holds(np.stack(cells), margin) for extent in extents], axis=0)
-    return np.bincount(label[cells][outside], minlength=groups + 1)[1:] > 0
+def _without_newcomers(
+    label: NDArray[np.int32], resting: NDArray[np.bool_], earlier: Sequence[ScanCells]
+) -> NDArray[np.int32]:
+    """Leave out cells of groups at rest that may be new: what walks along a wall is in its group.
+
+    New are cells that an earlier scan measured as clear, or that the newest of them did not measure, and those within
+    `BESIDE` of such a cell.
+    """
+    cells = np.argwhere(np.append(False, resting)[label])
+    at = tuple(cells.T)
+    new = np.any([~(scan.occupied | scan.hidden)[at] for scan in earlier], axis=0)
+    new |= min(earlier, key=lambda scan: scan.age).hidden[at]
+    if new.any():
+        near = cKDTree(cells[new]).query(cells, distance_upper_bound=BESIDE + 0.5, p=np.inf)[0] <= BESIDE
+        label[tuple(cells[near].T)] = 0
+    return label

@@ -76,7 +76,9 @@ def with_radial_velocities(
     velocity = np.zeros((len(total), 2))
     velocity[:count] = matched.velocity
     velocity[target], total[target] = _solved(total[target], vector[target])
-    return MeasuredVelocities(label, velocity, total)
+    resting = np.concatenate([matched.resting, np.zeros(len(total) - count, bool)])
+    resting[target] = False
+    return MeasuredVelocities(label, velocity, total, resting)
 
 
 def radial_evidence(

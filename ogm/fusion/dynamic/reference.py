@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.special import ndtri
 from scipy.stats import multivariate_normal
 
@@ -35,11 +36,12 @@ def bits(h: NDArray[np.uint64], k: int) -> NDArray[np.int64]:
 
 @dataclass
 class MeasuredGroups:
-    """Measured velocities: label (nx, ny) from 1 on, velocity (G, 2), information (G, 2, 2)."""
+    """Measured velocities: label (nx, ny) from 1 on, velocity (G, 2), information (G, 2, 2), resting (G,)."""
 
     label: NDArray[np.int32]
     velocity: Array
     information: Array
+    resting: NDArray[np.bool_]
 
 
 @dataclass
@@ -87,7 +89,9 @@ class NumpyFilter:
             born = np.where(new, (1 - self.settings.static_share) * occupied, born)
             surviving = np.where(new, 0, surviving)
         surviving, born = self._weigh_motion(surviving, born, groups)
+        surviving, born = self._renew(surviving, born, cell, groups)
         self.dynamic = surviving + born
+        self._forget_hidden_free(measured)
         self._draw(surviving.reshape(-1), born.reshape(-1), cell, key, groups)
 
     def _scrolled(self, layer: Array, shift: tuple[int, int]) -> Array:
@@ -146,17 +150,18 @@ class NumpyFilter:
         return share * dynamic, (1 - s.static_share) * born + leaves
 
     def _weigh_motion(self, surviving: Array, born: Array, groups: MeasuredGroups | None) -> tuple[Array, Array]:
-        """Multiply the odds of dynamic where a velocity was measured by the ratio of its likelihoods, at least 1."""
+        """Multiply the odds of dynamic where a velocity was measured by the ratio of its likelihoods, within bounds."""
         dynamic = surviving + born
         if groups is None:
             return surviving, born
         ratio, wide = [1.0], np.eye(2) * self.settings.birth_speed**2
-        for v, information in zip(groups.velocity, groups.information, strict=True):
+        most = math.log(self.settings.motion_odds)
+        for v, information, rests in zip(groups.velocity, groups.information, groups.resting, strict=True):
             value = 1.0
             if np.linalg.matrix_rank(information) == 2:
                 noise = np.linalg.inv(information)
                 moving, still = multivariate_normal([0, 0], noise + wide), multivariate_normal([0, 0], noise)
-                value = math.exp(np.clip(moving.logpdf(v) - still.logpdf(v), 0, math.log(self.settings.motion_odds)))
+                value = math.exp(np.clip(moving.logpdf(v) - still.logpdf(v), -most if rests else 0, most))
             ratio.append(value)
         odds = np.array(ratio)[groups.label] * dynamic / np.maximum(self.static, 1e-300)
         occupied = self.static + dynamic
@@ -164,6 +169,28 @@ class NumpyFilter:
         self.static = occupied - more
         factor = more / np.maximum(dynamic, 1e-300)
         return surviving * factor, born * factor
+
+    def _renew(
+        self, surviving: Array, born: Array, cell: NDArray[np.int64], groups: MeasuredGroups | None
+    ) -> tuple[Array, Array]:
+        """Turn what survives into births where the particles cannot have made the measurement."""
+        if groups is None:
+            return surviving, born
+        a, change = self.settings.association, self.settings.change
+        chance, row = self._chances(cell, groups)
+        size = np.bincount(cell, minlength=len(row))
+        likely = np.bincount(cell, (chance - 1 + a) / a, len(row)) / np.maximum(size, 1)
+        measured = np.append(False, groups.information.any(axis=(1, 2)))[row] & (size > 0)
+        renewed = np.where(measured, a * change / (change + likely), 0).reshape(self.shape) * surviving
+        return surviving - renewed, born + renewed
+
+    def _forget_hidden_free(self, measured: Array) -> None:
+        """Bound free by that of the scan near what is occupied in the scan, and rather dynamic than static."""
+        seen = np.argwhere((measured[..., 1] > 0.5) & (self.dynamic > self.static))
+        if self.settings.hiding_width and len(seen):
+            near = cKDTree(seen).query(np.argwhere(np.ones(self.shape)))[0].reshape(self.shape)
+            hidden = near <= self.settings.hiding_width / self.resolution + 1e-9
+            self.free = np.where(hidden, np.minimum(self.free, measured[..., 0]), self.free)
 
     def _draw(
         self, surviving: Array, born: Array, cell: NDArray[np.int64], key: np.uint64, groups: MeasuredGroups | None

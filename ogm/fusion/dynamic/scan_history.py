@@ -1,4 +1,4 @@
-"""The occupied cells of the last scans, in map coordinates, and the grids that they were measured on."""
+"""The measured cells of the last scans, in map coordinates, and the grids that they were measured on."""
 
 import math
 from collections import deque
@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Corner = tuple[int, int]
+KNOWN = 0.5  # mass of free and occupied above which a scan measures a cell, and mass of an occupied one
+HIDDEN, CLEAR, OCCUPIED = range(3)  # states of a cell in one scan: not measured, measured as not occupied, occupied
 
 
 class Extent(NamedTuple):
@@ -35,16 +37,27 @@ class Extent(NamedTuple):
         return inside
 
 
-class EarlierScan(NamedTuple):
-    """A scan, aligned with a later window: its occupied cells (nx, ny), its age [s], and its measurement grids."""
+class ScanCells(NamedTuple):
+    """Cells (nx, ny) that a scan measures as occupied, those that it does not measure, and its age [s]."""
 
     occupied: NDArray[np.bool_]
+    hidden: NDArray[np.bool_]
     age: float
-    extents: tuple[Extent, ...]
+
+
+def scan_states(measured: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the states of cells (nx, ny) by the masses (free, occupied) of a scan, (nx, 2 ny)."""
+    free, occupied = measured[:, ::2], measured[:, 1::2]
+    return (HIDDEN + (free + occupied > KNOWN).astype(np.uint8) + (occupied > KNOWN)).astype(np.uint8)
+
+
+def scan_cells(states: NDArray[np.uint8], age: float) -> ScanCells:
+    """Return the cells of a scan by their states."""
+    return ScanCells(states == OCCUPIED, states == HIDDEN, age)
 
 
 class ScanHistory:
-    """Which cells of a scrolling window the last scans measured as occupied.
+    """The cells of a scrolling window that the last scans measured.
 
     Parameters
     ----------
@@ -59,7 +72,7 @@ class ScanHistory:
 
     def __init__(self, seconds: float, spacing: float) -> None:
         self.seconds, self.spacing = seconds, spacing
-        self._scans: deque[tuple[float, Corner, NDArray[np.bool_], tuple[Extent, ...]]] = deque()
+        self._scans: deque[tuple[float, Corner, NDArray[np.uint8]]] = deque()
         self._grids: deque[tuple[float, Corner, Extent]] = deque()  # of all scans, also of those without shapes
 
     def clear(self) -> None:
@@ -67,19 +80,28 @@ class ScanHistory:
         self._scans.clear()
         self._grids.clear()
 
-    def add(self, stamp: float, corner: Corner, occupied: NDArray[np.bool_], extent: Extent) -> None:
-        """Keep a scan's occupied cells (nx, ny), with the lattice index of the first; those of one stamp are merged."""
+    def add(self, stamp: float, corner: Corner, cells: NDArray[np.uint8]) -> None:
+        """Keep the cells of a scan; those of one stamp are merged.
+
+        Parameters
+        ----------
+        stamp : float
+            [s]
+        corner : (int, int)
+            Lattice index of the first cell.
+        cells : (nx, ny) uint8
+            `HIDDEN`, `CLEAR` or `OCCUPIED`.
+        """
         while self._scans and self._scans[0][0] < stamp - self.seconds:
             self._scans.popleft()
         if self._scans:
-            newest, where, mask, extents = self._scans[-1]
+            newest, where, others = self._scans[-1]
             if newest == stamp:
-                both = occupied | _shifted(mask, where, corner)
-                self._scans[-1] = stamp, corner, both, (*_moved(extents, where, corner), extent)
+                self._scans[-1] = stamp, corner, np.maximum(cells, _shifted(others, where, corner))
                 return
             if stamp - newest < self.spacing:
                 return
-        self._scans.append((stamp, corner, occupied, (extent,)))
+        self._scans.append((stamp, corner, cells))
 
     def add_grid(self, stamp: float, corner: Corner, extent: Extent) -> None:
         """Keep where a scan's measurement grid lies in the window."""
@@ -91,34 +113,27 @@ class ScanHistory:
         """Return which cells (2, n) of a window lie in the grid of a kept scan, with a margin [cells] inside."""
         found = np.zeros(cells.shape[1], bool)
         for _, where, extent in self._grids:
-            found |= _moved([extent], where, corner)[0].holds(cells, margin)
+            step = np.subtract(corner, where)
+            affine = np.column_stack([extent.affine[:, :2], extent.affine[:, 2] + extent.affine[:, :2] @ step])
+            found |= Extent(affine, extent.shape).holds(cells, margin)
         return found
 
-    def earlier(self, stamp: float, corner: Corner, ages: Sequence[float]) -> list[EarlierScan]:
+    def earlier(self, stamp: float, corner: Corner, ages: Sequence[float]) -> list[ScanCells]:
         """Return the scans whose ages are closest to some ages, aligned with a window.
 
-        Cells that were outside the window of a scan are not occupied. None of the scans is newer than half the least
+        Cells that were outside the window of a scan are hidden. None of the scans is newer than half the least
         of `ages`.
         """
         past = [scan for scan in self._scans if stamp - scan[0] >= min(ages) / 2]
         chosen = {min(range(len(past)), key=lambda k: math.fabs(stamp - past[k][0] - age)) for age in ages if past}
         return [
-            EarlierScan(_shifted(mask, where, corner), stamp - then, _moved(extents, where, corner))
-            for then, where, mask, extents in (past[k] for k in sorted(chosen))
+            scan_cells(_shifted(states, where, corner), stamp - then)
+            for then, where, states in (past[k] for k in sorted(chosen))
         ]
 
 
-def _moved(extents: Sequence[Extent], at: Corner, corner: Corner) -> tuple[Extent, ...]:
-    """Return measurement grids that lie in a window with some corner as they lie in another window."""
-    step = np.subtract(corner, at)
-    return tuple(
-        Extent(np.column_stack([affine[:, :2], affine[:, 2] + affine[:, :2] @ step]), shape)
-        for affine, shape in extents
-    )
-
-
-def _shifted(mask: NDArray[np.bool_], at: Corner, corner: Corner) -> NDArray[np.bool_]:
-    """Return the cells of a window with some corner; what the old one did not hold is False."""
+def _shifted(mask: NDArray[np.uint8], at: Corner, corner: Corner) -> NDArray[np.uint8]:
+    """Return the cells of a window with some corner; what the old one did not hold is `HIDDEN`."""
     if at == corner:
         return mask
     out = np.zeros_like(mask)
