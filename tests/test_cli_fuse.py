@@ -218,6 +218,12 @@ def test_deskewing_takes_the_ego_motion_out(tmp_path: Path) -> None:
         grids.append(EvidentialGrid.load(tmp_path / "m.npz").occupied)
     off = [float(np.abs(one - grids[0]).mean()) for one in grids[1:]]
     assert off[0] < 0.1 * off[1]
+    assert "while turning" not in result.output
+    kitti(tmp_path / "q.txt", np.array([pose(2.0 * k, yaw=-0.1 * k) for k in range(4)]), 0)
+    turning = ("--poses", tmp_path / "q.txt", *words[2:], "--out", tmp_path / "t.npz")
+    result = completed("fuse", distorted, *turning)
+    assert "3 of 4 scans were taken while turning, by up to 5.7 degrees" in " ".join(result.output.split())
+    assert "while turning" not in completed("fuse", distorted, *turning, "--deskew").output
     result = ogm("fuse", straight, *words, "--deskew", "--out", tmp_path / "n.npz")
     assert result.exit_code == 2
     assert "no times, so that they cannot be de-skewed" in result.output

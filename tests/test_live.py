@@ -259,6 +259,16 @@ def test_a_slow_model_drops_scans_and_keeps_its_latency() -> None:
     assert numbers[-1] == 99  # the newest is mapped, also at the end
 
 
+@each(("turn", "distorted"), [(0.1, 3), (0.02, 0)])
+def test_scans_that_a_turn_distorts_are_counted(turn: float, distorted: int) -> None:
+    scan = Scan(np.full((2, 4), 0.25, np.float32), time=np.array([-0.1, 0.0], np.float32))
+    frames = [Frame(scan, MOUNT, T_map_sensor=pose(yaw=turn * k), stamp=0.1 * k, name=f"{k}") for k in range(4)]
+    fused = mapper()
+    report = serve(one_by_one(fused, *frames), LShape(), fused, ignore)
+    assert report.distorted == distorted
+    assert ("distorted by a turn" in str(report)) == bool(distorted)
+
+
 def test_a_quick_model_drops_nothing() -> None:
     report = serve(at_rate(30, 0.02), LShape(), mapper(), ignore)
     assert (report.mapped, report.dropped) == (30, 0)

@@ -19,6 +19,8 @@ from ogm.pose import Trajectory, inverse
 from ogm.scan import Frame, LazyFrame, Scan, SensorModels, of_sensor, run_model
 
 _DAMAGED = (ValueError, TypeError, OSError)  # what is wrong with one frame, not with the program
+MAX_TURN = math.radians(2.0)  # while a scan is taken: points at 20 m are then off by 0.7 m
+
 _MAX_JUMPS = 3  # in a row, at the last of which the map begins anew
 _MARGIN = 0.5  # [s] by which a trajectory is extrapolated for the points of its first and last scans
 
@@ -193,6 +195,27 @@ class _Jumps:
         self._stamps = self._stamps + 1 if 0 < time - self._last <= LONG_GAP else 1
         self._last = time
         return self._stamps >= _MAX_JUMPS
+
+
+def turn_within_scan(previous: FusionStep, step: FusionStep) -> float:
+    """Return the angle by which the vehicle turns while the points of a scan are measured [rad], 0 or more.
+
+    Of scans that are not de-skewed, points at a distance r are off by up to r times this angle, so that static objects
+    seem to move.
+
+    Parameters
+    ----------
+    previous, step : FusionStep
+        Successive steps of one drive. Without times of the points, poses or stamps the angle is 0.
+    """
+    time, (now, then) = step.frame.scan.time, (step.frame.stamp, previous.frame.stamp)
+    if time is None or not len(time) or now is None or then is None or now <= then:
+        return 0.0
+    if step.T_map_grid is None or previous.T_map_grid is None:
+        return 0.0
+    R = previous.T_map_grid[:2, :2].T @ step.T_map_grid[:2, :2]
+    turn = abs(math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]))
+    return turn * float(np.ptp(time)) / (now - then)
 
 
 def update_map(

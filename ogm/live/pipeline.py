@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.fusion import FusionStep, Mapper, fuse
-from ogm.fusion.pipeline import OnError, log_error
+from ogm.fusion.pipeline import MAX_TURN, OnError, log_error, turn_within_scan
 from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.live.playback import NewestFrames, play, read_ahead
 from ogm.pose import pose
@@ -40,6 +40,9 @@ class LiveReport(NamedTuple):
     p50, p99, worst : float
         Median, 99 % quantile and maximum of the latency of the last 10 000 mapped frames [s]: from when a frame became
         available to when its map was published. NaN if there is none.
+    distorted : int
+        Mapped frames whose points may be off, since the vehicle turned by more than 2 degrees while the scan was taken:
+        `serve` does not de-skew.
     """
 
     seconds: float
@@ -49,11 +52,13 @@ class LiveReport(NamedTuple):
     p50: float
     p99: float
     worst: float
+    distorted: int = 0
 
     def __str__(self) -> str:
         counts = f"{self.mapped} mapped, {self.dropped} dropped, {self.failed} failed"
         p50, p99, worst = (f"{1e3 * one:.1f} ms" for one in (self.p50, self.p99, self.worst))
-        return f"{self.seconds:.0f} s: {counts}; latency p50 {p50}, p99 {p99}, worst {worst}"
+        turned = f"; {self.distorted} distorted by a turn, `ogm fuse --deskew` undoes it" if self.distorted else ""
+        return f"{self.seconds:.0f} s: {counts}; latency p50 {p50}, p99 {p99}, worst {worst}{turned}"
 
 
 def serve(
@@ -122,6 +127,8 @@ def serve(
     def map_frames() -> None:
         """Fuse and publish what comes, until there is no more."""
         reported, explained = log.start, False
+        last: FusionStep | None = None
+        exact = not getattr(frames, "motion_distorted", True)
         try:
             for step in fuse(newest, ism, mapper, on_error=log.failed):
                 if step.restart:
@@ -134,7 +141,9 @@ def serve(
                     _logger.warning("%s: %s", step.frame.name, text)
                 publish(step, mapper)
                 now = time.monotonic()
-                log.mapped(now - newest.due)
+                turned = 0.0 if exact or last is None else turn_within_scan(last, step)
+                log.mapped(now - newest.due, turned > MAX_TURN)
+                last = step
                 if now - reported >= report_every:
                     reported = now
                     on_report(log.report())
@@ -199,11 +208,12 @@ class _Log:
         self.start = time.monotonic()
         self._newest, self._on_error = newest, on_error
         self._latencies: deque[float] = deque(maxlen=KEPT)
-        self._mapped = self._failed = 0
+        self._mapped = self._failed = self._distorted = 0
         self._lock = threading.Lock()
 
-    def mapped(self, latency: float) -> None:
+    def mapped(self, latency: float, distorted: bool) -> None:
         self._mapped += 1
+        self._distorted += distorted
         self._latencies.append(latency)
 
     def failed(self, frame: Frame, error: Exception) -> None:
@@ -215,7 +225,7 @@ class _Log:
         found = np.array(self._latencies if self._latencies else [np.nan])
         p50, p99, worst = np.percentile(found, (50, 99, 100)).tolist()
         seconds = time.monotonic() - self.start
-        return LiveReport(seconds, self._mapped, self._newest.dropped, self._failed, p50, p99, worst)
+        return LiveReport(seconds, self._mapped, self._newest.dropped, self._failed, p50, p99, worst, self._distorted)
 
 
 def _level_ground(height: float) -> NDArray[np.float32]:

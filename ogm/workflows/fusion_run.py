@@ -16,6 +16,7 @@ from ogm import plot
 from ogm.datasets import Dataset, frame_numbers
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion import BinaryBayesMapper, DynamicMapper, FusionStep, Mapper
+from ogm.fusion.pipeline import MAX_TURN, turn_within_scan
 from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
@@ -82,6 +83,7 @@ class FusionRun:
     speed: float = math.nan  # [m/s]
     seconds: list[tuple[float, float]] = field(default_factory=list)  # of model and mapper
     reasons: Counter[str] = field(default_factory=Counter)  # of skipped scans, without their numbers
+    turned: list[float] = field(default_factory=list)  # [rad] within scans by more than `MAX_TURN`
 
     @property
     def ground_z(self) -> float:
@@ -160,6 +162,8 @@ class FusionRun:
             seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
             self.path += metres
             self.speed = metres / seconds if seconds > 0 else math.nan
+            turn = turn_within_scan(self.last, step)
+            self.turned += [turn] if turn > MAX_TURN else []
         if step.grid is not None and shows_nothing(step.frame.scan, step.grid):
             self.why_nothing = self.why_nothing or explain_nothing(step.frame.scan, step.grid.spec, step.frame.mount)
             self.nothing += 1

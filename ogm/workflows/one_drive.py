@@ -1,6 +1,7 @@
 """One drive fused to files: map, picture, film, page, poses. ``ogm fuse`` parses its options and calls `fuse_drive`."""
 
 import logging
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -92,6 +93,12 @@ def fuse_drive(
         run.check_shown()
         for path in outputs.given().values():  # the folder may have been removed
             path.parent.mkdir(parents=True, exist_ok=True)
+        if run.turned and dataset.motion_distorted and not o.deskew:
+            tell(
+                f"{len(run.turned)} of {len(run.taken)} scans were taken while turning, by up to "
+                f"{math.degrees(max(run.turned)):.1f} degrees within one, and are not de-skewed: static objects blur, "
+                "and seem to move; give `deskew`"
+            )
         if outputs.map is not None and not is_log:
             write_grid(outputs.map, run.placed)
         if outputs.poses is not None:
