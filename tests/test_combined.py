@@ -251,6 +251,7 @@ def test_the_default_model_is_combined_where_the_network_runs(monkeypatch):
     engine = load_model("lite", GridSpec.centered(), Mount(1.9)).engine
     assert default_model(engine.spec) == ("combined", "")
     assert default_model(GridSpec.centered()) == ("combined", "")
+    assert default_model(GridSpec.centered(), "dynamic") == ("ray", "")
     sides = [default_model(GridSpec(0.16, (n, 512), (-0.08 * n, -40.96)))[0] for n in (496, 500, 512)]
     assert sides == ["combined", "ray", "combined"]
     refused("500", engine.on, GridSpec(0.16, (500, 512), (-40.0, -40.96)))

@@ -86,13 +86,13 @@ out: SafeConsole = SafeConsole(highlight=False)
 stderr: SafeConsole = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
 
 
-def chosen_model(name: str | None, spec: "GridSpec") -> str:
+def chosen_model(name: str | None, spec: "GridSpec", rule: str = "") -> str:
     """Return the name of the sensor model; where none was given the default, with a line where it is not `combined`."""
     from ogm.models.named import default_model
 
     if name is not None:
         return name
-    usual, reason = default_model(spec)
+    usual, reason = default_model(spec, rule)
     if reason:
         stderr.print(f"sensor model {usual}: {reason}", markup=False)
     return usual

@@ -31,7 +31,10 @@ _MODELS = (
 )
 UsualModel = Annotated[
     str | None,
-    Option(help=f"{_MODELS} [default: combined; ray where the network is not installed or does not suit the grid]"),
+    Option(
+        help=f"{_MODELS} [default: combined; ray for dynamic maps, and where the network is not installed or does not "
+        "suit the grid]"
+    ),
 ]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]
 RadarReliability = Annotated[
@@ -147,7 +150,8 @@ def fuse(
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     spec = GridSpec.centered(length, width, resolution)
-    ism, rule = chosen_model(ism, spec), _checked_rule(rule, dynamic, particles)
+    rule = _checked_rule(rule, dynamic, particles)
+    ism = chosen_model(ism, spec, rule)
     options = FuseOptions(
         ism=ism,
         spec=spec,

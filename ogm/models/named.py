@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.evidence.map_rules import DYNAMIC, NUSS
 from ogm.extras import install_line
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
@@ -50,21 +51,26 @@ _TILT = math.radians(3)  # of a sensor whose tilt the released code may neglect
 NETWORK_CELL, NETWORK_MULTIPLE = 0.16, 16  # [m] side of the cells of `lite`, and what the sides of its grids divide by
 
 
-def default_model(spec: GridSpec) -> tuple[str, str]:
+def default_model(spec: GridSpec, rule: str = "") -> tuple[str, str]:
     """Return the name of the model to use where none is given, and why it is not `combined`.
 
     Parameters
     ----------
     spec : GridSpec
         The grid to fill.
+    rule : str
+        Rule of the map, see `ogm.fusion.make_mapper`.
 
     Returns
     -------
     name : str
-        ``"combined"``, or ``"ray"`` where the network cannot run.
+        ``"combined"``, or ``"ray"`` where the network cannot run and for dynamic maps: borders that move from scan to
+        scan, as those of the network do, look like motion (docs/dynamic.md).
     reason : str
         What `combined` lacks; empty if nothing.
     """
+    if rule in (DYNAMIC, NUSS):
+        return RAY, ""
     if find_spec("onnxruntime") is None:
         return RAY, f"without the learned model, which `{install_line('deep')}` adds"
     if spec.resolution != NETWORK_CELL or any(n % NETWORK_MULTIPLE for n in spec.shape):

@@ -147,7 +147,7 @@ class FuseOptions:
 
     def __post_init__(self) -> None:
         if self.ism is None:
-            object.__setattr__(self, "ism", default_model(self.spec)[0])
+            object.__setattr__(self, "ism", default_model(self.spec, self.rule)[0])
 
     def load_model(self) -> InverseSensorModel:
         """Return the sensor model, for all sensors of the vehicle; that of the last name is kept."""
