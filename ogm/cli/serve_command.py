@@ -93,7 +93,7 @@ def serve(
     import_extra("foxglove", "live")  # before kernels are compiled
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
-    ism = chosen_model(ism, spec)
+    ism = chosen_model(ism, spec, rule or "")
     model = load_model(with_radar(ism), spec)
     mapper = make_mapper(rule or REVISE, rolling_window(spec), half_life)
     if warning := adding_rule_warning(rule or REVISE):

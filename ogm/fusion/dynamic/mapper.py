@@ -143,8 +143,10 @@ class DynamicMapper(Mapper):
         self._measured = np.empty((nx, 2 * ny), np.float32)
         self._cell_of, self._survivors = np.empty(self.particles + 1, np.int32), np.empty(nx * ny, np.int32)
         self._count_of, self._no_label = np.empty((self.threads, nx * ny), np.int32), np.zeros(spec.shape, np.int32)
-        self._nothing = MeasuredVelocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, bool))
-        self._groups = group_velocities(*self._nothing, 0.0, 0.0)
+        self._no_velocities = MeasuredVelocities(
+            self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0, bool)
+        )
+        self._groups = group_velocities(*self._no_velocities, 0.0, 0.0)
         self._history = ScanHistory(0.6, 0.04)
         self._tracker: ObjectTracker | None = None  # from the first time on that objects are asked for
         self._objects: Objects | None = None
@@ -299,7 +301,7 @@ class DynamicMapper(Mapper):
     def _measured_velocities(self, scan: CheckedScan, cells: DynamicCells) -> GroupVelocities:
         """Return the velocities that are measured of groups of cells: the slot for matching, Doppler and others."""
         settings, resolution = self.settings, self._window.spec0.resolution
-        found = self._nothing
+        found = self._no_velocities
         if self.matching and scan.stamp is not None and _shows_shapes(scan):
             earlier = self._history.earlier(scan.stamp, scan.corner, SCAN_AGES)
             if earlier:

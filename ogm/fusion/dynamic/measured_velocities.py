@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ogm.fusion.dynamic.cells import DynamicCells
 from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
@@ -76,11 +75,11 @@ def _without_newcomers(
     New are cells that an earlier scan measured as clear, or that the newest of them did not measure, and those within
     `BESIDE` of such a cell.
     """
-    cells = np.argwhere(np.append(False, resting)[label])
-    at = tuple(cells.T)
+    at = np.nonzero(np.append(False, resting)[label])
     new = np.any([~(scan.occupied | scan.hidden)[at] for scan in earlier], axis=0)
     new |= min(earlier, key=lambda scan: scan.age).hidden[at]
-    if new.any():
-        near = cKDTree(cells[new]).query(cells, distance_upper_bound=BESIDE + 0.5, p=np.inf)[0] <= BESIDE
-        label[tuple(cells[near].T)] = 0
+    beside = np.zeros((label.shape[0] + 2 * BESIDE, label.shape[1] + 2 * BESIDE), bool)
+    for i, j in np.ndindex(2 * BESIDE + 1, 2 * BESIDE + 1):
+        beside[at[0][new] + i, at[1][new] + j] = True
+    label[beside[BESIDE:-BESIDE, BESIDE:-BESIDE] & np.append(False, resting)[label]] = 0
     return label
