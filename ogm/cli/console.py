@@ -87,7 +87,7 @@ stderr: SafeConsole = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
 
 
 def chosen_model(name: str | None, spec: "GridSpec", rule: str = "") -> str:
-    """Return the name of the sensor model; where none was given the default, with a line where it is not `combined`."""
+    """Return the name of the sensor model: by default that of `default_model`, with a line on why not `combined`."""
     from ogm.models.named import default_model
 
     if name is not None:

@@ -206,10 +206,11 @@ def turn_within_scan(previous: FusionStep, step: FusionStep) -> float:
     Parameters
     ----------
     previous, step : FusionStep
-        Successive steps of one drive. Without times of the points, poses or stamps the angle is 0.
+        Successive steps of one drive. Without times of the points, poses or stamps, and where the map begins anew, the
+        angle is 0.
     """
     time, (now, then) = step.frame.scan.time, (step.frame.stamp, previous.frame.stamp)
-    if time is None or not len(time) or now is None or then is None or now <= then:
+    if step.restart or time is None or not len(time) or now is None or then is None or now <= then:
         return 0.0
     if step.T_map_grid is None or previous.T_map_grid is None:
         return 0.0

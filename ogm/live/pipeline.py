@@ -22,7 +22,6 @@ from ogm.scan import Frame, Mount, Scan, SensorModels
 _logger = logging.getLogger(__name__)
 
 Publish = Callable[[FusionStep, Mapper], object]
-_log = logging.getLogger(__name__)
 
 KEPT = 10_000  # latencies from which quantiles are computed: memory stays flat
 
@@ -128,11 +127,11 @@ def serve(
         """Fuse and publish what comes, until there is no more."""
         reported, explained = log.start, False
         last: FusionStep | None = None
-        exact = not getattr(frames, "motion_distorted", True)
+        distorted = getattr(frames, "motion_distorted", True)
         try:
             for step in fuse(newest, ism, mapper, on_error=log.failed):
                 if step.restart:
-                    _log.warning("%s: %s; the map begins anew", step.frame.name, step.restart)
+                    _logger.warning("%s: %s; the map begins anew", step.frame.name, step.restart)
                 if step.grid is None:
                     continue
                 if not explained and shows_nothing(step.frame.scan, step.grid):
@@ -141,8 +140,8 @@ def serve(
                     _logger.warning("%s: %s", step.frame.name, text)
                 publish(step, mapper)
                 now = time.monotonic()
-                turned = 0.0 if exact or last is None else turn_within_scan(last, step)
-                log.mapped(now - newest.due, turned > MAX_TURN)
+                turn = turn_within_scan(last, step) if distorted and last is not None else 0.0
+                log.mapped(now - newest.due, turn > MAX_TURN)
                 last = step
                 if now - reported >= report_every:
                     reported = now

@@ -52,7 +52,7 @@ NETWORK_CELL, NETWORK_MULTIPLE = 0.16, 16  # [m] side of the cells of `lite`, an
 
 
 def default_model(spec: GridSpec, rule: str = "") -> tuple[str, str]:
-    """Return the name of the model to use where none is given, and why it is not `combined`.
+    """Return the name of the model to use where none is given, and why `combined` cannot run.
 
     Parameters
     ----------

@@ -11,8 +11,8 @@ from ogm import evidence
 from ogm.fusion import DynamicMapper, EvidentialMapper, fuse, make_mapper, rolling_window
 from ogm.fusion.dynamic.cells import share_particles
 from ogm.fusion.dynamic.prediction import predict_dynamic
-from ogm.fusion.dynamic.resampling import group_velocities
 from ogm.fusion.dynamic.settings import DynamicSettings
+from ogm.fusion.dynamic.velocity_evidence import group_velocities
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan

@@ -49,7 +49,7 @@ def test_arguments_and_settings_out_of_range_are_refused():
         ("association", -0.1, r"in \[0, 1\]"),
         ("min_unknown", 1.0, r"in \[0, 1\)"),
         ("conflict_half_life", -1.0, "0 s or more"),
-        ("change", 0.0, "greater than 0"),
+        ("renewal_likelihood", 0.0, "greater than 0"),
         ("hiding_width", -1.0, "0 or more and finite"),
     ):
         refused(f"{name} must be {words}", DynamicSettings, **{name: value})

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from ogm.fusion import DynamicMapper
 from ogm.fusion.dynamic.hashed_noise import scan_key
 from ogm.fusion.dynamic.reference import MeasuredGroups, NumpyFilter
-from ogm.fusion.dynamic.resampling import group_velocities
 from ogm.fusion.dynamic.settings import DynamicSettings
+from ogm.fusion.dynamic.velocity_evidence import group_velocities
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 

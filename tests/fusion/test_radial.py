@@ -11,7 +11,7 @@ from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan
 from ogm.fusion import BinaryBayesMapper, DynamicMapper, EvidentialMapper, update_map
 from ogm.fusion.dynamic.measured_velocities import MeasuredVelocities
 from ogm.fusion.dynamic.radial import LEAST_DEVIATION, TURN_RATE, _solved, radial_evidence, with_radial_velocities
-from ogm.fusion.dynamic.resampling import group_velocities
+from ogm.fusion.dynamic.velocity_evidence import group_velocities
 from ogm.geometric import RadarISM
 from ogm.geometric.doppler import RadialVelocities, radial_velocities
 from ogm.pose import pose

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion.dynamic.cells import DynamicCells
-from ogm.fusion.dynamic.resampling import GroupVelocities, Moments
+from ogm.fusion.dynamic.resampling import Moments
+from ogm.fusion.dynamic.velocity_evidence import GroupVelocities
 from ogm.fusion.resample import view_layers
 from ogm.grid import GridSpec
 from ogm.jit import kernel

@@ -34,17 +34,11 @@ from ogm.fusion.dynamic.objects import Objects, find_objects
 from ogm.fusion.dynamic.particles import Step, cell_starts, count_in_cells, no_particles, sort_into_cells
 from ogm.fusion.dynamic.prediction import move_on, predict_dynamic
 from ogm.fusion.dynamic.radial import with_radial_velocities
-from ogm.fusion.dynamic.resampling import (
-    GroupVelocities,
-    Moments,
-    group_velocities,
-    renew_particles,
-    resample,
-    weigh_motion,
-)
+from ogm.fusion.dynamic.resampling import Moments, resample
 from ogm.fusion.dynamic.scan_history import Extent, ScanHistory, scan_cells, scan_states
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.dynamic.threads import Threads, spans
+from ogm.fusion.dynamic.velocity_evidence import GroupVelocities, group_velocities, renew_particles, weigh_motion
 from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup
 from ogm.fusion.mapper import Mapper, locked
@@ -243,9 +237,9 @@ class DynamicMapper(Mapper):
             self._begin_anew_beyond_border(scan, new)
             groups = self._measured_velocities(scan, new.cells)
             if len(groups.rows) > 1:
-                change = self.settings.change
+                threshold = self.settings.renewal_likelihood
                 threads.run(lambda k: weigh_motion(new.cells, groups, rows[k], new.dynamic))
-                threads.run(lambda k: renew_particles(new.cells, self._predicted, groups, change, rows[k]))
+                threads.run(lambda k: renew_particles(new.cells, self._predicted, groups, threshold, rows[k]))
             if self.settings.hiding_width and _shows_shapes(scan):
                 forget_hidden_free(new.cells, new.measured, self.settings.hiding_width / self._window.spec0.resolution)
             # From here on nothing can fail: until now the map is as it was.

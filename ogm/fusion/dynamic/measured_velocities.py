@@ -13,7 +13,7 @@ from ogm.fusion.dynamic.resampling import mean_velocities
 from ogm.fusion.dynamic.scan_history import ScanCells
 
 SCAN_AGES = 0.1, 0.2, 0.3  # [s] of the earlier scans with which cells are matched
-BESIDE = 2  # [cells] from a cell that is new to others of the same small thing
+NEW_REACH = 0.4  # [m] from a cell that is new to others of the same person
 MIN_CONFLICT = 0.2  # of free -> occupied, at which a cell may hold something that moves
 
 
@@ -63,23 +63,25 @@ def matched_velocities(
     measured = matches.valid | matches.resting
     information = np.zeros((len(measured), 2, 2))
     information[measured] = np.linalg.inv(matches.covariance[measured])
-    label = _without_newcomers(matches.label, matches.resting, earlier)
+    label = _without_new_cells(matches.label, matches.resting, earlier, int(NEW_REACH / resolution + 1e-6))
     return MeasuredVelocities(label, matches.velocity, information, matches.resting)
 
 
-def _without_newcomers(
-    label: NDArray[np.int32], resting: NDArray[np.bool_], earlier: Sequence[ScanCells]
+def _without_new_cells(
+    label: NDArray[np.int32], resting: NDArray[np.bool_], earlier: Sequence[ScanCells], reach: int
 ) -> NDArray[np.int32]:
-    """Leave out cells of groups at rest that may be new: what walks along a wall is in its group.
+    """Leave out cells of groups at rest that may be new: a person who walks along a wall is in its group.
 
     New are cells that an earlier scan measured as clear, or that the newest of them did not measure, and those within
-    `BESIDE` of such a cell.
+    `reach` of such a cell [cells].
     """
-    at = np.nonzero(np.append(False, resting)[label])
-    new = np.any([~(scan.occupied | scan.hidden)[at] for scan in earlier], axis=0)
-    new |= min(earlier, key=lambda scan: scan.age).hidden[at]
-    beside = np.zeros((label.shape[0] + 2 * BESIDE, label.shape[1] + 2 * BESIDE), bool)
-    for i, j in np.ndindex(2 * BESIDE + 1, 2 * BESIDE + 1):
-        beside[at[0][new] + i, at[1][new] + j] = True
-    label[beside[BESIDE:-BESIDE, BESIDE:-BESIDE] & np.append(False, resting)[label]] = 0
+    at_rest = np.append(False, resting)[label]
+    x, y = np.nonzero(at_rest)
+    new = np.any([~(scan.occupied | scan.hidden)[x, y] for scan in earlier], axis=0)
+    new |= min(earlier, key=lambda scan: scan.age).hidden[x, y]
+    near = np.zeros(np.add(label.shape, 2 * reach), bool)
+    for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        near[x[new] + i, y[new] + j] = True
+    nx, ny = label.shape
+    label[at_rest & near[reach : reach + nx, reach : reach + ny]] = 0
     return label

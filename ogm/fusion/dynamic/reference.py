@@ -176,12 +176,12 @@ class NumpyFilter:
         """Turn what survives into births where the particles cannot have made the measurement."""
         if groups is None:
             return surviving, born
-        a, change = self.settings.association, self.settings.change
+        a, threshold = self.settings.association, self.settings.renewal_likelihood
         chance, row = self._chances(cell, groups)
         size = np.bincount(cell, minlength=len(row))
         likely = np.bincount(cell, (chance - 1 + a) / a, len(row)) / np.maximum(size, 1)
         measured = np.append(False, groups.information.any(axis=(1, 2)))[row] & (size > 0)
-        renewed = np.where(measured, a * change / (change + likely), 0).reshape(self.shape) * surviving
+        renewed = np.where(measured, a * threshold / (threshold + likely), 0).reshape(self.shape) * surviving
         return surviving - renewed, born + renewed
 
     def _forget_hidden_free(self, measured: Array) -> None:

@@ -30,9 +30,9 @@ class DynamicSettings:
         Of the particles, along each axis: their variances grow by the square per second [m/√s], [m/s/√s].
     association : float
         Probability that the particles of a group of cells have made the measurement of the group's velocity, [0, 1].
-    change : float
-        Mean likelihood of the measured velocity of a group under the particles of a cell, relative to its greatest, at
-        which half of them are born anew with the measured velocity, above 0: the group has accelerated.
+    renewal_likelihood : float
+        Mean likelihood of a measured velocity under the particles of a cell, relative to its greatest, at which half of
+        them are born anew with the measured velocity, above 0. The default is that of three standard deviations.
     motion_odds : float
         Greatest factor by which the measured velocity of a group raises the odds of dynamic against static in its
         cells, at least 1; 1 leaves that to the particles.
@@ -60,7 +60,7 @@ class DynamicSettings:
     position_noise: float = 0.1
     velocity_noise: float = 0.7
     association: float = 0.95
-    change: float = 0.01
+    renewal_likelihood: float = 0.01
     motion_odds: float = 100.0
     hiding_width: float = 2.6
     conflict_half_life: float = 2.0
@@ -71,7 +71,7 @@ class DynamicSettings:
             value: Any = getattr(self, name)
             if name == "conflict_half_life":
                 good, wanted = value >= 0, "0 s or more"
-            elif name == "change":
+            elif name == "renewal_likelihood":
                 good, wanted = 0 < value < math.inf, "greater than 0 and finite"
             elif name.endswith("half_life"):
                 good, wanted = value > 0, "greater than 0 s; infinity forgets nothing"
