@@ -217,7 +217,7 @@ def test_measured_velocities_steer_survivors_and_births():
     velocity, moving = np.array([[5.0, -3.0], [5.0, np.nan], [np.nan, np.nan]]), np.zeros(3, bool)
     slot = group_velocities(label, velocity, information, moving, 6.0, 1.0)
     mapper = DynamicMapper(SPEC, 100_000, filter="nuss")
-    mapper._measured_velocities = lambda scan, cells: slot
+    mapper._measured_velocities = lambda scan, states, cells: slot
     mass = np.full((*SPEC.shape, 2), (0.0, 0.6), np.float32)
     for k in range(3):
         mapper.update(EvidentialGrid(SPEC, mass), np.eye(4), stamp=0.1 * k)
@@ -320,7 +320,7 @@ def test_a_measured_velocity_is_evidence_of_motion_or_of_rest():
     factors = slot.rows[1:, 10]
     np.testing.assert_allclose(factors, [100, 1, 0.01, 100], rtol=1e-5)
     maps = [DynamicMapper(SPEC, 20_000, matching=False) for _ in range(2)]
-    maps[1]._measured_velocities = lambda scan, cells: slot
+    maps[1]._measured_velocities = lambda scan, states, cells: slot
     mass = np.full((*SPEC.shape, 2), (0.0, 0.6), np.float32)
     for mapper in maps:
         mapper.update(EvidentialGrid(SPEC, mass), np.eye(4), stamp=0.0)

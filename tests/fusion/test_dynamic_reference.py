@@ -79,7 +79,7 @@ def test_map_equals_its_slow_reference(seed, filter, particles, speed, measured)
         slot = group_velocities(
             GROUPS.label, GROUPS.velocity, GROUPS.information, GROUPS.resting, 6.0, 0.95, mapper.settings.motion_odds
         )
-        mapper._measured_velocities = lambda scan, cells: slot
+        mapper._measured_velocities = lambda scan, states, cells: slot
     corner, places = np.zeros(2, int), []
     for k, seconds in enumerate([0.0, 0.1, 0.25, 0.0, 0.1]):
         copy_state(mapper, plain)

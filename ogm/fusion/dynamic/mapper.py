@@ -235,7 +235,8 @@ class DynamicMapper(Mapper):
 
             threads.run(sort_and_update)
             self._begin_anew_beyond_border(scan, new)
-            groups = self._measured_velocities(scan, new.cells)
+            states = scan_states(self._measured) if self.matching and _shows_shapes(scan) else None
+            groups = self._measured_velocities(scan, states, new.cells)
             if len(groups.rows) > 1:
                 threshold = self.settings.renewal_likelihood
                 threads.run(lambda k: weigh_motion(new.cells, groups, rows[k], new.dynamic))
@@ -250,8 +251,8 @@ class DynamicMapper(Mapper):
         self._window.move_to(scan.corner)
         if scan.stamp is not None:
             self._history.add_grid(scan.stamp, scan.corner, Extent(scan.affine, grid.spec.shape))
-            if self.matching and _shows_shapes(scan):
-                self._history.add(scan.stamp, scan.corner, scan_states(self._measured))
+            if states is not None:
+                self._history.add(scan.stamp, scan.corner, states)
         self._update_objects(scan.stamp)
 
     def _begin_anew_beyond_border(self, scan: CheckedScan, new: CellOutput) -> None:
@@ -292,15 +293,16 @@ class DynamicMapper(Mapper):
             len(survivors), lambda part: resample(old, part, survivors, groups, step, NORMALS, new, self._moments)
         )
 
-    def _measured_velocities(self, scan: CheckedScan, cells: DynamicCells) -> GroupVelocities:
+    def _measured_velocities(
+        self, scan: CheckedScan, states: NDArray[np.uint8] | None, cells: DynamicCells
+    ) -> GroupVelocities:
         """Return the velocities that are measured of groups of cells: the slot for matching, Doppler and others."""
         settings, resolution = self.settings, self._window.spec0.resolution
         found = self._no_velocities
-        if self.matching and scan.stamp is not None and _shows_shapes(scan):
+        if states is not None and scan.stamp is not None:
             earlier = self._history.earlier(scan.stamp, scan.corner, SCAN_AGES)
             if earlier:
-                now = scan_cells(scan_states(self._measured), 0.0)
-                found = matched_velocities(now, cells, self._predicted, earlier, resolution)
+                found = matched_velocities(scan_cells(states, 0.0), cells, self._predicted, earlier, resolution)
         if scan.radial is not None and len(scan.radial.speed):
             window = self._window.spec_at(scan.corner)
             found = with_radial_velocities(found, scan.radial, self._measured, cells, window)

@@ -198,8 +198,8 @@ def match_velocities(
     distance = np.empty((len(scans), *candidates.shape), np.uint8)
     for scan, out in zip(scans, distance, strict=True):
         capped_distance(np.ascontiguousarray(scan.occupied).view(np.uint8), cap, out)
-        out[out == UNSEEN] += 1
-        out[scan.hidden] = UNSEEN
+        np.copyto(out, UNSEEN + 1, where=out == UNSEEN)
+        np.copyto(out, UNSEEN, where=scan.hidden)
     step = resolution / ages.max()
     numbers = MatchNumbers(
         max(int(settings.max_speed / step + 1e-6), 1),

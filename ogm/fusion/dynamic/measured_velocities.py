@@ -75,13 +75,14 @@ def _without_new_cells(
     New are cells that an earlier scan measured as clear, or that the newest of them did not measure, and those within
     `reach` of such a cell [cells].
     """
-    at_rest = np.append(False, resting)[label]
-    x, y = np.nonzero(at_rest)
-    new = np.any([~(scan.occupied | scan.hidden)[x, y] for scan in earlier], axis=0)
+    x, y = np.nonzero(label)
+    at_rest = resting[label[x, y] - 1]
+    x, y = x[at_rest], y[at_rest]
+    new = np.any([~(scan.occupied[x, y] | scan.hidden[x, y]) for scan in earlier], axis=0)
     new |= min(earlier, key=lambda scan: scan.age).hidden[x, y]
     near = np.zeros(np.add(label.shape, 2 * reach), bool)
     for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
         near[x[new] + i, y[new] + j] = True
-    nx, ny = label.shape
-    label[at_rest & near[reach : reach + nx, reach : reach + ny]] = 0
+    left_out = near[x + reach, y + reach]
+    label[x[left_out], y[left_out]] = 0
     return label

@@ -136,9 +136,11 @@ def renew_particles(
     ny = cells.free.shape[1]
     for i in range(rows[0], rows[1]):
         for j in range(ny):
-            group, first, last = groups.label[i, j], p.start[i * ny + j], p.start[i * ny + j + 1]
-            g = groups.rows[group]
-            if last > first and g[2] + g[4] > 0:
+            first, last = p.start[i * ny + j], p.start[i * ny + j + 1]
+            if groups.label[i, j] == 0 or first == last:
+                continue
+            g = groups.rows[groups.label[i, j]]
+            if g[2] + g[4] > 0:
                 likely = np.float32(0)
                 for k in range(first, last):
                     likely += likelihood(p.vx[k] - g[0], p.vy[k] - g[1], g)
