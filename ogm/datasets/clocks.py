@@ -16,6 +16,9 @@ _APART = 1000.0  # [s] between two parts on the time line: more than any transfo
 _SLACK = 1.0  # [s] by which messages of one time are recorded one after the other
 _COARSE = 2.0**-9  # [s] the least step of stamps that are too coarse: that of 32 bits is a power of 2
 _START = 10.0  # [s] after 0, up to which the scan after one of stamp 0 shows that its clock began at 0
+_TWICE = 0.3  # of the step of stamps, at least, that messages of one coarse stamp last
+_EXAMPLES = 100  # stamps
+_OFFSET = 2.0  # [s] between two clocks: more than any transform takes to be computed
 STRAY = -1
 """Part of a scan with a stamp that agrees with no other."""
 
@@ -26,7 +29,8 @@ class ClockFinding(NamedTuple):
     Attributes
     ----------
     kind : str
-        "clock put back", "clock put ahead", "wrong stamps", "missing stamps" or "coarse stamps".
+        "clock put back", "clock put ahead", "wrong stamps", "missing stamps", "coarse stamps", or "clock
+        offset" between scans and transforms.
     what : str
         The fault, in words.
     where : str
@@ -158,6 +162,76 @@ def _begun_at_zero(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(unset & (after > 0) & (after < _START), 0.0, stamps)
 
 
+def coarse_stamps(
+    where: str, noun: str, log_times: NDArray[np.float64], stamps: NDArray[np.float64]
+) -> list[ClockFinding]:
+    """Return a finding where most stamps are those of the message before, in steps of 1/512 s, or all are 0; else none.
+
+    Messages that were recorded twice have equal stamps, too, but in pairs that follow each other quickly.
+
+    Parameters
+    ----------
+    where, noun : str
+        Name of the messages, and their kind in words.
+    log_times, stamps : (K,) float64
+        Of the messages, in the order of log time [s].
+    """
+    if len(stamps) > 1 and not stamps.any():
+        return [
+            ClockFinding(
+                "coarse stamps", f"all {len(stamps)} {noun} have the stamp 0", where, "their sender must set them"
+            )
+        ]
+    same = (np.diff(stamps) == 0) & (np.diff(log_times) > 0)
+    if len(same) < AGREE or 2 * np.count_nonzero(same) <= len(same) or (stamps % _COARSE).any():
+        return []
+    different = np.unique(stamps)
+    lasting = float(np.median([np.ptp(log_times[stamps == stamp]) for stamp in different[:_EXAMPLES]]))
+    if len(different) > 1 and lasting < _TWICE * float(np.median(np.diff(different))):
+        return []
+    what = f"{len(stamps)} {noun} have {len(different)} different stamps in {np.ptp(log_times):.3g} s"
+    way = "they are too coarse for poses: record or convert the log anew with whole stamps (64 bits)"
+    return [ClockFinding("coarse stamps", what, where, way)]
+
+
+def clock_offset(
+    topic: str,
+    log_times: NDArray[np.float64],
+    stamps: NDArray[np.float64],
+    what: str,
+    other_times: NDArray[np.float64],
+    others: NDArray[np.float64],
+) -> list[ClockFinding]:
+    """Return a finding where the clocks of scans and of other messages differ by over 2 s; else none.
+
+    Parameters
+    ----------
+    topic : str
+        Of the scans.
+    log_times, stamps : (K,) float64
+        Of the scans [s].
+    what : str
+        Name of the other messages.
+    other_times, others : (M,) float64
+        Log times and stamps of the other messages [s].
+    """
+    if min(len(others), len(stamps)) < 2 or not np.ptp(other_times) or not np.ptp(log_times):
+        return []
+    inside = (log_times >= other_times.min()) & (log_times <= other_times.max()) & np.isfinite(stamps)
+    if not inside.any():
+        return []
+    order = np.argsort(other_times)
+    behind = np.interp(log_times[inside], other_times[order], (other_times - others)[order])
+    offset = float(np.median(behind - (log_times - stamps)[inside]))
+    if abs(offset) <= _OFFSET:
+        return []
+    text = f"stamps are {abs(offset):.4g} s {'ahead of' if offset > 0 else 'behind'} those of the {what}, by log times"
+    way = (
+        "scans get poses of another time: record both with one clock, or --odometry kiss-icp, which needs no transforms"
+    )
+    return [ClockFinding("clock offset", text, topic, way)]
+
+
 def clock_findings(
     topic: str, log_times: NDArray[np.float64], stamps: NDArray[np.float64], parts: NDArray[np.int64]
 ) -> list[ClockFinding]:
@@ -171,15 +245,9 @@ def clock_findings(
     parts : (K,) int64
         Result of `clock_parts`.
     """
-    found = []
+    found = list[ClockFinding]()
     known = np.isfinite(stamps)
-    s, t = stamps[known], log_times[known]
-    same = (np.diff(s) == 0) & (np.diff(t) > 0)
-    if len(same) >= AGREE and 2 * np.count_nonzero(same) > len(same) and not (s % _COARSE).any():
-        different = np.unique(s)
-        what = f"{len(s)} scans have {len(different)} different stamps in {t[-1] - t[0]:.3g} s"
-        way = "they are too coarse for poses: record or convert the log anew with whole stamps (64 bits)"
-        found.append(ClockFinding("coarse stamps", what, topic, way))
+    found += coarse_stamps(topic, "scans", log_times[known], stamps[known])
     numbers = [n for n in np.unique(parts) if n != STRAY]
     for before, after in zip(numbers, numbers[1:], strict=False):
         last, first = np.flatnonzero(parts == before)[-1], np.flatnonzero(parts == after)[0]

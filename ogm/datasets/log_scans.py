@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.clocks import STRAY
+from ogm.datasets.clocks import STRAY, ClockFinding
 from ogm.datasets.frames import FrameRef, SensorPlace
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.sensor_setup import SensorSetup, setup_of
@@ -59,6 +59,11 @@ class LogScans:
     setups : iterable of SensorSetup
         Their mounts count instead of transforms from base_link.
 
+    Attributes
+    ----------
+    pose_findings : list of ClockFinding
+        Faults of the clocks of transforms, which `poses` finds.
+
     Raises
     ------
     OgmError
@@ -73,11 +78,12 @@ class LogScans:
         self.types = {log.topics[name].type for name in self.topics}
         self.transforms = LogTransforms(log, self.topics)
         self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
-        sensors = {head.frame: self._sensor(head.frame, placed) for _, head in self.transforms.heads}
+        frames = {name: self._spelled(name) for name in {head.frame for _, head in self.transforms.heads}}
+        sensors = {frame: self._sensor(name, placed) for frame, name in frames.items()}
         clock = self.transforms.clock
         rows = zip(self.transforms.heads, clock.stamps.tolist(), clock.parts.tolist(), strict=True)
         scans = [
-            ScanRef(ref, log.topic_of(ref), sensors[head.frame], head.frame, head.time, stamp, part)
+            ScanRef(ref, log.topic_of(ref), sensors[head.frame], frames[head.frame], head.time, stamp, part)
             for (ref, head), stamp, part in rows
             if part != STRAY
         ]
@@ -86,6 +92,7 @@ class LogScans:
             if (T := mounts[name]) is not None:
                 self.transforms.mount(frame, T)
         self.refs = sorted(scans, key=lambda scan: (scan.part, scan.time))
+        self.pose_findings: list[ClockFinding] = []
         self.warnings, lost = [*log.warnings], self.transforms.lost
         if lost:
             self.warnings.append(f"{len(lost)} messages are left out: {lost[0]}")
@@ -131,6 +138,13 @@ class LogScans:
                 reasons.append(self.transforms.missing(sensor, topics[sensor]))
                 continue
             fixed = found
+            logged = np.array([self.refs[n].ref.log_time * 1e-9 for n in numbers])
+            faults = self.transforms.clock_findings(found, sensor, topics[sensor], logged, self.stamps[numbers])
+            self.pose_findings += faults
+            self.transforms.note_parents(found, sensor)
+            if coarse := [fault for fault in faults if fault.kind == "coarse stamps"]:
+                reasons += map(str, coarse)
+                continue
             poses[numbers], why = self.transforms.lookup(found, sensor, self.stamps[numbers])
             chains.append(self.transforms.chain(found, sensor))
             if why:
@@ -140,6 +154,21 @@ class LogScans:
         known = int(np.isfinite(poses[:, 0, 0]).sum())
         how = f"{known} of {len(poses)} scans, by {self.transforms.source} ({', '.join(chains)})" if known else "none"
         return poses, {"poses": "; ".join([how, *reasons]), "frame": fixed or ""}
+
+    def transform_delays(self, fixed: str) -> NDArray[np.float64]:
+        """Return how long after each scan the transforms to its sensor were recorded, (K,) [s]; NaN where unknown.
+
+        Parameters
+        ----------
+        fixed : str
+            Frame of the poses; "" for none.
+        """
+        delays = np.full(len(self.refs), np.nan)
+        logged = np.array([scan.ref.log_time * 1e-9 for scan in self.refs])
+        for sensor, numbers in self.by_frame.items():
+            if fixed and self.transforms.fixed_frame(sensor, None, fixed):
+                delays[numbers] = self.transforms.recorded(fixed, sensor, self.stamps[numbers]) - logged[numbers]
+        return delays
 
     @cached_property
     def T_sensor_cloud(self) -> NDArray[np.float64] | None:  # noqa: N802
@@ -154,8 +183,8 @@ class LogScans:
         return T if pairs else None
 
     def frame_notes(self, placed: bool) -> list[tuple[str, str]]:
-        """Return topics whose points are not in their sensor's frame, each with the way out ("" for none)."""
-        notes = []
+        """Return what is unusual about frames and transforms, each with the way out ("" for none)."""
+        notes = [(text, "") for text in self.transforms.notes]
         for topic, ref in {ref.topic: ref for ref in self.refs}.items():
             if ref.cloud != ref.frame and not placed:
                 text = f"the points of {topic} are in {ref.cloud}: rays start at {ref.frame}, by transforms"
@@ -174,6 +203,15 @@ class LogScans:
         return (
             "" if np.allclose(self.T_vehicle_sensor[0], np.eye(4)) else f"{frame}, at {x:g} {y:g} {z:g} m in {vehicle}"
         )
+
+    def _spelled(self, frame: str) -> str:
+        """Return a frame as transforms spell it, where only capitals differ."""
+        known = self.transforms.buffer.frames
+        alike = [name for name in known if name.casefold() == frame.casefold()]
+        if frame in known or len(alike) != 1:
+            return frame
+        self.transforms.notes.append(f"the frame {frame} of scans is taken for {alike[0]}, that of transforms")
+        return alike[0]
 
     def _sensor(self, frame: str, placed: bool) -> str:
         """Return the frame of the sensor of clouds, or that of the vehicle, in which its position is given."""
@@ -263,7 +301,8 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
     if not scans:
         way = _decoded(log, log.topics)
         read = "" if way else f" ({types})"
-        raise OgmError(f"{path} has no scans{read}; its topics are {', '.join(named.values()) or 'none'}{way}")
+        damage = f"; {log.warnings[0]}" if log.warnings else ""
+        raise OgmError(f"{path} has no scans{read}; its topics are {', '.join(named.values()) or 'none'}{way}{damage}")
     usual = [name for name in scans if log.topics[name].type in _LIDAR_TYPES] or scans
     if not wanted and len(usual) > 1:
         raise OgmError(f"{path} has several topics with scans, {listed}: choose one by `topic`")

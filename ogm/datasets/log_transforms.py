@@ -3,22 +3,25 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.clocks import DriveClock
+from ogm.datasets.clocks import ClockFinding, DriveClock, clock_offset, coarse_stamps
 from ogm.datasets.log_frames import FIXED, sensor_frame
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageHead, MessageRef
 from ogm.io.messages import StampedTransform, transform_from_odometry, transforms_from_tf
 from ogm.io.notices import one_notice_per_kind
-from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
+from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError, frame_name
 from ogm.pose import inverse
 from ogm.storage.files import OgmError
 
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ODOMETRY = "nav_msgs/msg/Odometry"
+_SEVERAL = 3  # different poses of a static transform, from which on it moves
+_SAME = 1e-6  # [m], and of the numbers of a rotation: rounding
 _VEHICLE, _FLOOR = "base_link", "base_footprint"  # never fixed, though ROS 1 sends their mounts as if they moved
 
 
@@ -44,14 +47,18 @@ class LogTransforms:
         Parts of the drive. Stamps of the buffer are those of its time line.
     lost : list of str
         Why messages could not be read.
+    notes : list of str
+        Unusual properties of transforms that were repaired.
     """
 
     def __init__(self, log: LogReader, scans: Iterable[str] = ()) -> None:
         self.buffer, self.source = TransformBuffer(), "transforms"
+        self._recorded: dict[tuple[str, str], list[tuple[float, float]]] = {}  # stamps and log times [s]
         self._log = log
         self._odometry = sorted(self._of_type(_ODOMETRY), key=lambda name: -log.topics[name].count)
         self.heads: list[tuple[MessageRef, MessageHead]] = []
         self.lost: list[str] = []
+        self.notes: list[str] = []
         known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
         found: list[tuple[str, int, StampedTransform]] = []
         with one_notice_per_kind(Counter()):
@@ -71,6 +78,7 @@ class LogTransforms:
             np.array([head.stamp if head.time else np.nan for _, head in self.heads]),
         )
         self._add(found, [name for name, static in known.items() if static])
+        self._hold_mounts()
 
     def fixed_frame(self, sensor: str, wanted: str | None = None, preferred: str | None = None) -> str | None:
         """Return the frame that poses of a sensor are given in; None if there is none.
@@ -91,7 +99,7 @@ class LogTransforms:
             If the wanted frame is not there, or no transforms join it with the sensor.
         """
         if wanted is not None:
-            return self._wanted(sensor, wanted.lstrip("/"))
+            return self._wanted(sensor, frame_name(wanted))
         if preferred is not None:
             return self._joined([preferred], sensor)
         while True:
@@ -157,16 +165,74 @@ class LogTransforms:
                 reasons[int(k)] = str(error)
         return T, reasons
 
+    def recorded(self, target: str, source: str, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return when the transforms between two frames at some times had been recorded.
+
+        Parameters
+        ----------
+        target, source : str
+            Names of frames.
+        stamps : (K,) float
+            [s]
+
+        Returns
+        -------
+        (K,) float64
+            Log times [s]; NaN where no transform is as late as the stamp.
+        """
+        latest = np.full(len(stamps), -np.inf)
+        for pair in pairwise(self.buffer.chain(target, source)):
+            rows = self._recorded.get(pair) or self._recorded.get(pair[::-1])
+            if rows is None:  # a mount that is given
+                continue
+            known, times = np.array(sorted(rows)).T
+            first = np.append(np.minimum.accumulate(times[::-1])[::-1], np.nan)
+            latest = np.maximum(latest, first[np.searchsorted(known, stamps)])
+        return latest
+
+    def clock_findings(
+        self, target: str, source: str, topic: str, log_times: NDArray[np.float64], stamps: NDArray[np.float64]
+    ) -> list[ClockFinding]:
+        """Return the faults of the clock of the transforms between two frames, against that of scans.
+
+        Parameters
+        ----------
+        target, source : str
+            Names of frames.
+        topic : str
+            Of the scans.
+        log_times, stamps : (K,) float64
+            Of the scans [s].
+        """
+        found = []
+        for parent, child in pairwise(self.buffer.chain(target, source)):
+            rows = self._recorded.get((parent, child)) or self._recorded.get((child, parent)) or []
+            times, known = np.array([(time, stamp) for stamp, time in rows if math.isfinite(stamp)]).reshape(-1, 2).T
+            where = f"{child} in {parent}"
+            coarse = coarse_stamps(where, "transforms", times, known)
+            found += coarse or clock_offset(topic, log_times, stamps, f"transforms of {where}", times, known)
+        return found
+
+    def note_parents(self, target: str, source: str) -> None:
+        """Note frames with several parents on the way from one frame to another."""
+        for frame in self.buffer.chain(target, source):
+            if len(parents := [parent for parent, child in self.buffer.pairs if child == frame]) > 1:
+                way = " <- ".join(self.buffer.chain(target, source))
+                self.notes.append(f"{frame} has the parents {', '.join(parents)}: the shortest way counts, {way}")
+
     def missing(self, sensor: str, topic: str) -> str:
         """Return which transforms lack for poses of a sensor, in words."""
         if not (frames := ", ".join(self.buffer.frames)):
-            return "the log has no transforms (/tf, /tf_static) and no odometry"
+            read = " that can be read" * bool(self.lost)
+            return f"the log has no transforms (/tf, /tf_static){read} and no odometry"
         if sensor not in self.buffer.frames:
             return f"no transform leads to {sensor or 'a frame without name'}, the frame of {topic}; there are {frames}"
         root = self._root(sensor)
         fixed = [frame for name in FIXED for frame in self._named(name)]
         if root == sensor or not self._joined([root], sensor):
             return f"no transform leads from another frame to {sensor}, the frame of {topic}; there are {frames}"
+        if root in fixed:
+            return f"all transforms from {root} to {sensor} are static: if the sensor stands still, give `frame` {root}"
         lacking = f"from {' or '.join(fixed) if fixed else 'a fixed frame (map, odom, world)'} to {root}"
         return f"transforms lead from {root} to {sensor}, the frame of {topic}; one {lacking} is missing"
 
@@ -247,8 +313,50 @@ class LogTransforms:
         times, stamps = np.array([(1e-9 * time, one.stamp) for _, time, one in transforms]).reshape(-1, 2).T
         for name in {*topics} - {*static}:
             stamps[topics == name] = self.clock.on_line(times[topics == name], stamps[topics == name])
-        for (name, _, one), stamp in zip(transforms, stamps.tolist(), strict=True):
+        moving = self._moving([one for name, _, one in transforms if name in static])
+        for (name, _, one), time, stamp in zip(transforms, times.tolist(), stamps.tolist(), strict=True):
+            pair, holds = (one.parent, one.child), name in static and (one.parent, one.child) not in moving
             try:
-                self.buffer.add(one._replace(stamp=stamp), name in static)
+                self.buffer.add(one._replace(stamp=stamp), holds)
             except OgmError as error:
                 self.lost.append(str(error))
+                continue
+            self._recorded.setdefault(pair, []).append((math.inf if holds else stamp, time))
+
+    def _moving(self, transforms: Iterable[StampedTransform]) -> set[tuple[str, str]]:
+        """Return the pairs of frames with three or more different static transforms: these count as those of /tf."""
+        poses: dict[tuple[str, str], list[StampedTransform]] = {}
+        for one in transforms:
+            known = poses.setdefault((one.parent, one.child), [])
+            same = (np.allclose(one.T_parent_child, other.T_parent_child, atol=1e-3) for other in known)
+            if len(known) < _SEVERAL and not any(same):
+                known.append(one)
+        moving = set()
+        for (parent, child), known in poses.items():
+            what = f"different static transforms from {child} to {parent}"
+            if len(known) == _SEVERAL == len({one.stamp for one in known}):
+                moving.add((parent, child))
+                self.notes.append(f"there are {what}: each counts at its stamp")
+            elif len(known) > 1:
+                self.notes.append(f"there are {what}: the last counts")
+        return moving
+
+    def _hold_mounts(self) -> None:
+        """Let transforms that never change count at all times, where one above them changes: drivers send some once."""
+        parents, vehicle = self._parents(), self._named(_VEHICLE) + self._named(_FLOOR)
+        changing = {pair for pair in self.buffer.pairs if self.buffer.changes(*pair, by=_SAME)}
+        for (parent, child), static in self.buffer.pairs.items():
+            if static or (parent, child) in changing:
+                continue
+            frame, passed = parent, {child}
+            while frame in parents and frame not in passed and (parents[frame], frame) not in changing:
+                passed.add(frame)
+                frame = parents[frame]
+            if parent not in vehicle and (frame not in parents or frame in passed):
+                continue
+            first = self.buffer.covers(parent, child)[0]
+            stamps = np.sort([stamp for stamp, _ in self._recorded[parent, child]])
+            self.buffer.add(StampedTransform(parent, child, 0.0, self.buffer.lookup(parent, child, first)), static=True)
+            if len(stamps) == 1 or np.diff(stamps).max() > self.buffer.max_gap:
+                times = f"{len(stamps)} times" if len(stamps) > 1 else "once"
+                self.notes.append(f"the transform from {child} to {parent} comes {times}, unchanged: it counts always")

@@ -78,7 +78,10 @@ class LogRecording(Recording):
         self.stamped = not np.isnan(scans.stamps).any()
         self.known_height = self._places is not None and self._places[0].height is not None
         self.known_truth, self.motion_distorted = several, not several
-        self.clock_findings = scans.transforms.clock.findings
+        self.clock_findings = [*scans.transforms.clock.findings, *scans.pose_findings]
+        for warning in (*scans.transforms.notes, *scans.pose_findings):
+            _log.warning("%s: %s", path, warning)
+        self.transform_delays = scans.transform_delays(facts["frame"])
         if scans.transforms.clock.is_cut:
             self.main_sequence = max(self.groups, key=lambda name: len(self.groups[name]))
 
@@ -185,8 +188,8 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
             poses = one.poses(frame)[1]["poses"]
         except OgmError as error:
             poses = str(error)
-        if one.transforms.clock.findings:
-            found[f"clock of {name}"] = "; ".join(map(str, one.transforms.clock.findings))
+        if faults := [*one.transforms.clock.findings, *one.pose_findings]:
+            found[f"clock of {name}"] = "; ".join(map(str, faults))
         found[f"poses of {name}"] = f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
     if damage := [warning for one in scans.values() for warning in one.warnings] or log.warnings:
         found["damage"] = "; ".join(dict.fromkeys(damage))

@@ -108,6 +108,9 @@ class Recording(ABC):
         Faults of the clock that were found when the recording was opened.
     frame_notes : sequence of (str, str)
         What is unusual about the frames of the points, and the way out, "" where nothing need be done.
+    transform_delays : (len(frames),) float64 array or None
+        Time from the recording of a scan to that of the transforms that its pose needs [s]: above 0 where these came
+        later; NaN where unknown.
     shards : (len(frames),) int array or None
         Shard of each frame in an object store, where reading a shard costs little more than reading a frame.
     main_sequence : str
@@ -136,6 +139,7 @@ class Recording(ABC):
     warnings: Sequence[str] = ()
     clock_findings: Sequence[ClockFinding] = ()
     frame_notes: Sequence[tuple[str, str]] = ()
+    transform_delays: NDArray[np.float64] | None = None
     shards: NDArray[np.int64] | None = None
     sensor_height: float | None = None  # [m] given by the user
     sensor_position: tuple[float, float, float] | None = None  # [m] given by the user
@@ -293,20 +297,24 @@ class Recording(ABC):
 
     def _median_height(self, group: str, sensor: str) -> float:
         members = [k for k in self.groups[group] if self.place(k).name == sensor]
-        estimates, failed, above = list[float](), "", (self.sensor_position or (0, 0, 0))[2]
+        estimates, reasons, above = list[float](), list[str](), (self.sensor_position or (0, 0, 0))[2]
+        unreadable = ""
         for k in _sample(members):
             try:
                 height = self.estimate_height(k)
                 if height is None or height + above <= 0:
-                    failed = failed or why_no_height(self.levelled_points(k))
+                    reasons.append(why_no_height(self.levelled_points(k)))
                 else:
                     estimates.append(height + above)
             except _UNREADABLE as error:
-                failed = f" ({error})"
+                unreadable = unreadable or str(error)
+        if not estimates and unreadable and not reasons:
+            raise OgmError(f"no scan of {group} can be read: {unreadable}")
         if not estimates:
+            why = next(filter(None, reasons), "")
             raise OgmError(
-                f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
-                "so its height is not known: give `sensor_height` [m]"
+                f"no scan of {group} in {self.path} shows the ground around the sensor{why}, so its height "
+                " is not known: give `sensor_height` [m]"
             )
         return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}")
 

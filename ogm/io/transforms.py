@@ -15,13 +15,18 @@ from ogm.storage.files import OgmError
 
 __all__ = [
     "ExtrapolationError", "NotConnectedError", "StampedTransform", "TransformBuffer", "TransformError",
-    "UnknownFrameError",
+    "UnknownFrameError", "frame_name",
 ]  # fmt: skip
 
 log: logging.Logger = logging.getLogger(__name__)
 
 
 _CHANGE = 0.01  # [m], and of the numbers of a rotation
+
+
+def frame_name(name: object) -> str:
+    """Return the name of a frame without slashes, blanks and zeros around it, which some drivers add."""
+    return str(name).strip("/ \t\0")
 
 
 class TransformError(OgmError):
@@ -187,7 +192,7 @@ class TransformBuffer:
         if not np.isfinite(times).all():
             raise ValueError(f"stamps must be finite [s], got {times}")
         T = np.broadcast_to(np.eye(4), (*times.shape, 4, 4))
-        for outer, inner in pairwise(self._chain(target, source)):
+        for outer, inner in pairwise(self.chain(target, source)):
             T = T @ self._step(outer, inner, times)
         return T.copy()
 
@@ -199,20 +204,26 @@ class TransformBuffer:
         UnknownFrameError, NotConnectedError
             As for `lookup`.
         """
-        spans = [self._edges[self._pair(*pair)].span for pair in pairwise(self._chain(target, source))]
+        spans = [self._edges[self._pair(*pair)].span for pair in pairwise(self.chain(target, source))]
         return max((first for first, _ in spans), default=-math.inf), min((last for _, last in spans), default=math.inf)
 
-    def changes(self, target: str, source: str) -> bool:
-        """Return whether a transform between two frames changes, by more than 1 cm or 0.01 rad.
+    def changes(self, target: str, source: str, by: float = _CHANGE) -> bool:
+        """Return whether a transform between two frames changes.
+
+        Parameters
+        ----------
+        target, source : str
+        by : float
+            Greatest change that counts as none [m], and of the numbers of a rotation.
 
         Raises
         ------
         UnknownFrameError, NotConnectedError
             See `lookup`.
         """
-        edges = [self._edges[self._pair(*pair)] for pair in pairwise(self._chain(target, source))]
+        edges = [self._edges[self._pair(*pair)] for pair in pairwise(self.chain(target, source))]
         several = [np.array(edge.poses)[:, :3] for edge in edges if edge.static is None and len(edge.poses) > 1]
-        return any(bool((np.ptp(rows, axis=0) > _CHANGE).any()) for rows in several)
+        return any(bool((np.ptp(rows, axis=0) > by).any()) for rows in several)
 
     def _connect(self, parent: str, child: str) -> None:
         if others := [one for one, frame in self._edges if frame == child]:
@@ -222,8 +233,14 @@ class TransformBuffer:
             self._neighbours.setdefault(one, []).append(other)
         self._chains.clear()
 
-    def _chain(self, target: str, source: str) -> list[str]:
-        """Return the frames from `target` to `source`, both included, with the fewest between them."""
+    def chain(self, target: str, source: str) -> list[str]:
+        """Return the frames from `target` to `source`, both included, with the fewest between them.
+
+        Raises
+        ------
+        UnknownFrameError, NotConnectedError
+            See `lookup`.
+        """
         for name in (target, source):
             if name not in self._neighbours:
                 known = ", ".join(self._neighbours) or "none: no transform was added"
@@ -286,6 +303,6 @@ class TransformBuffer:
             k = after[bad].flat[0] if after.ndim else after
             raise ExtrapolationError(
                 f"{where} has a gap of {t[k] - t[k - 1]:.3g} s, from {t[k - 1]:.6f} to {t[k]:.6f} s, allowed are "
-                f"{self.max_gap:g} s: give TransformBuffer a larger max_gap to interpolate there",
+                f"{self.max_gap:g} s",
                 0.0,
             )

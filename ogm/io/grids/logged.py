@@ -15,7 +15,7 @@ from ogm.io.messages.grids import cells_from_update, grid_from_occupancy_grid, o
 from ogm.io.messages.layers import foxglove_grid, grid_from_foxglove_grid, grid_from_grid_map, grid_map
 from ogm.io.messages.plain import stamp_seconds, tf_message
 from ogm.io.reading import optional
-from ogm.io.transforms import StampedTransform
+from ogm.io.transforms import StampedTransform, frame_name
 from ogm.storage.files import FilePath, OgmError, error_context
 
 _log = logging.getLogger(__name__)
@@ -185,7 +185,7 @@ def _placed(message: LogMessage) -> PlacedGrid:
     else:
         header = made.header if hasattr(made, "header") else made.info.header
         frame, stamp = str(header.frame_id), stamp_seconds(header.stamp)
-    return PlacedGrid(grid, T, frame.lstrip("/"), stamp or None)
+    return PlacedGrid(grid, T, frame_name(frame), stamp or None)
 
 
 _SIZES = {1: 8, 5: 4}  # [byte] of the wire types of fixed length

@@ -19,8 +19,8 @@ from ogm.storage.limits import current_limits, too_large
 
 DB3_MAGIC = b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_INDEX = "SELECT topic_id, timestamp, id FROM messages WHERE " + " AND ".join(
-    f"typeof({name}) = 'integer'" for name in ("topic_id", "timestamp", "id")
+_INDEX = (  # blobs are opened by rowid, which `id` is another name for only as a primary key
+    "SELECT topic_id, timestamp, rowid, typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' FROM messages"
 )
 _ROWS = 10_000  # of the index that become one array
 
@@ -98,11 +98,14 @@ class Db3File:
     def _read_index(self) -> None:
         """Collect topics, times and row numbers of all messages, without their data."""
         rows: list[NDArray[np.int64]] = []
-        part: list[tuple[int, int, int]] = []
+        part: list[list[int]] = []
+        count = 0
         try:
             cursor = self._connection().execute(_INDEX)
-            for row in cursor:
-                part.append(row)
+            for *row, whole in cursor:
+                count += 1
+                if whole and row[0] in self.channels:
+                    part.append(row)
                 if len(part) == _ROWS:
                     rows.append(np.array(part, np.int64))
                     part = []
@@ -112,8 +115,14 @@ class Db3File:
         self.index: dict[int, Any] = {}
         for number in self.channels:
             mine = table[table[:, 0] == number]
+            count -= len(mine)
             if len(mine):
                 self.index[number] = np.column_stack([mine[:, 1:], np.zeros(len(mine), np.int64)])
+        if count:
+            self.warnings.append(
+                f"{self.path}: {count} messages are left out: their topic is not in the table topics, or their time is "
+                "no whole number"
+            )
 
     def _check_size(self) -> None:
         """Warn where the file has fewer pages than it states: SQLite takes what a cut page lacks for zeros."""

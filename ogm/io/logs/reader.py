@@ -13,6 +13,7 @@ from ogm.io.logs.bag_file import BAG_MAGIC, BagFile
 from ogm.io.logs.db3_file import DB3_MAGIC, Db3File
 from ogm.io.logs.definitions import LOG_ENDINGS, Channel, LogFile, decode, log_files
 from ogm.io.logs.mcap_file import MCAP_MAGIC, McapFile
+from ogm.io.transforms import frame_name
 from ogm.storage.files import FilePath, OgmError, error_context
 
 _ROWS = 10_000  # of the index that become objects at once
@@ -256,9 +257,7 @@ def _head(channel: Channel, raw: bytes | memoryview) -> MessageHead:
     if length > _HEAD - 16:
         raise struct.error(f"its frame has a name of {length} bytes")
     return MessageHead(
-        sec * 10**9 + nanosec,
-        sec + nanosec * 1e-9,
-        bytes(raw[start:end]).decode("utf-8", "replace").strip("\0").lstrip("/"),
+        sec * 10**9 + nanosec, sec + nanosec * 1e-9, frame_name(bytes(raw[start:end]).decode("utf-8", "replace"))
     )
 
 

@@ -94,13 +94,16 @@ def _columns(message: Any, where: str) -> tuple[dict[str, NDArray[Any]], tuple[i
     row_step, data = int(message.row_step), as_bytes(message.data, where)
     if min(height, width, step) < 0 or (height * width and step < 1):
         raise OgmError(f"{where} has height {height}, width {width} and point_step {step}: it is damaged")
-    if len(data) == height * width * step:  # some drivers do not set row_step
+    if len(data) == height * width * step or not row_step:  # some drivers do not set row_step
         row_step = width * step
-    elif row_step < width * step or len(data) != height * row_step:
+    if row_step < width * step or len(data) < height * row_step:
         raise OgmError(
             f"{where} has {len(data)} bytes, wanted {height} rows of {width} points of {step} bytes, or of row_step "
             f"{row_step} bytes: it is cut short or damaged"
         )
+    if surplus := len(data) - height * row_step:
+        text = "%s has %d bytes after its %d points, which are ignored: is its width right?"
+        notice(log, "surplus bytes", text, where, surplus, height * width)
     fields = [field for field in message.fields if field.name not in _PADDING]
     refuse_doubles((field.name for field in fields), where)
     order = ">" if message.is_bigendian else "<"

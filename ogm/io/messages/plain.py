@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.io.notices import notice
 from ogm.io.reading import from_quaternions
-from ogm.io.transforms import StampedTransform
+from ogm.io.transforms import StampedTransform, frame_name
 from ogm.pose import check_pose, check_stamp, matrix_to_quaternion
 from ogm.storage.files import OgmError, error_context
 
@@ -78,8 +78,8 @@ def header(stamp: float | None, frame_id: str) -> SimpleNamespace:
 
 
 def frame_of(message: Any) -> str:
-    """Return the frame of a message, without the slash in front that old ROS 1 drivers write."""
-    return str(message.header.frame_id).lstrip("/")
+    """Return the frame of a message, see `ogm.io.transforms.frame_name`."""
+    return frame_name(message.header.frame_id)
 
 
 def reads_message(convert: Callable[P, R]) -> Callable[P, R]:
@@ -134,7 +134,7 @@ def transforms_from_tf(message: Any) -> list[StampedTransform]:
     for one in several:
         try:
             where = describe_message(one, "TransformStamped")
-            child = str(one.child_frame_id).lstrip("/")
+            child = frame_name(one.child_frame_id)
             T = _rigid(one.transform.translation, one.transform.rotation, f"{where}, of {child}")
             result.append(StampedTransform(frame_of(one), child, stamp_seconds(one.header.stamp), T))
         except OgmError as error:
@@ -157,7 +157,7 @@ def transform_from_odometry(message: Any) -> StampedTransform:
     """
     placed = message.pose.pose
     T = _rigid(placed.position, placed.orientation, describe_message(message, "Odometry"))
-    child = str(message.child_frame_id).lstrip("/")
+    child = frame_name(message.child_frame_id)
     return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
 
 

@@ -206,10 +206,11 @@ def test_an_encrypted_bag_is_refused(write: Callable[..., Path]) -> None:
     refused("is encrypted", open_log, path, error=OgmError)
 
 
-@each(
-    "row", ["NULL,1,1,x'00'", "'abc',1,1,x'00'", "1.5,1,1,x'00'", "2,'a',1,x'00'", "2,1,'b',x'00'", "2,NULL,NULL,NULL"]
-)
-def test_a_row_of_a_db3_without_whole_numbers_is_left_out(tmp_path: Path, row: str) -> None:
+@each("row, read", [
+        ("NULL,1,2,x'01'", True), ("'abc',1,2,x'01'", True), ("1.5,1,2,x'01'", True), ("7,1,2,x'01'", True),
+        ("2,'a',1,x'00'", False), ("2,1,'b',x'00'", False), ("2,NULL,NULL,NULL", False), ("2,9,1,x'00'", False),
+    ])  # fmt: skip
+def test_rows_of_a_db3_need_a_topic_and_a_time_but_no_id(tmp_path: Path, row: str, read: bool) -> None:
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.executescript(
             "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
@@ -217,4 +218,8 @@ def test_a_row_of_a_db3_without_whole_numbers_is_left_out(tmp_path: Path, row: s
             "INSERT INTO topics VALUES(1, '/map', 'nav_msgs/msg/OccupancyGrid', 'cdr');"
             f"INSERT INTO messages VALUES(7, 1, 1, x'00'); INSERT INTO messages VALUES({row});"
         )
-    assert len(open_log(tmp_path / "a.db3").refs()) == 1
+    log = open_log(tmp_path / "a.db3")
+    assert [bytes(message.raw) for message in log.messages()] == [b"\0", b"\1"][: 1 + read]
+    assert [warning.partition(": ")[2][:30] for warning in log.warnings] == ["1 messages are left out: their"] * (
+        not read
+    )
