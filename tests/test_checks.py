@@ -1,18 +1,22 @@
 """`ogm check`: findings about drives, and the file of setups that mends them."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import odd_logs
 import pytest
+import random_logs
 from cases import each
 from commands import completed, ogm
-from odd_logs import MAST, tilted, way, write_log
+from odd_logs import MAST, TF, tilted, way, write_log
+from random_logs import Message, clouds, column, exchange, made_scans, messages_of, write
 
 from ogm.datasets import open_dataset, read_setups
 from ogm.io.logs import LogWriter, open_log
+from ogm.io.messages import StampedTransform, tf_message
 from ogm.pose import pose
 from ogm.workflows import DriveCheck, check_drive, check_log
 
@@ -126,6 +130,74 @@ def test_planar_scans_and_scans_without_ground_are_named(tmp_path: Path) -> None
     np.save(tmp_path / "planar.npy", np.column_stack([8 * np.cos(a), 6 * np.sin(a), 0 * a]).astype(np.float32))
     assert {"ground", "height"} <= kinds(only(tmp_path / "planar.npy"))
     assert kinds(only(tmp_path / "planar.npy", sensor_height=0.8)) == {"ground"}
+
+
+def _switched(cloud: Any, k: int) -> None:
+    column(cloud, "intensity")[:] *= 0.004 if k < 3 else 1
+
+
+def _saturated(cloud: Any, k: int) -> None:
+    column(cloud, "intensity")[: cloud.width // 4] = 1
+
+
+def _decibels(cloud: Any, k: int) -> None:
+    column(cloud, "intensity")[:] = -150 + 140 * column(cloud, "intensity")
+
+
+def _same_rings(cloud: Any, k: int) -> None:
+    column(cloud, "ring", "<u2")[:] = 7
+
+
+def _numbers(cloud: Any, k: int) -> None:
+    column(cloud, "ring", "<u2")[:] = np.arange(cloud.width)
+
+
+def _crossed(cloud: Any, k: int) -> None:
+    column(cloud, "ring", "<u2")[:] = np.random.default_rng(k).integers(0, 16, cloud.width)
+
+
+def _falling(cloud: Any, k: int) -> None:
+    x, y, z = (column(cloud, name).astype(float) for name in "xyz")
+    column(cloud, "ring", "<u2")[:] = np.clip(40 - np.degrees(np.arctan2(z, np.hypot(x, y))), 0, 80)
+
+
+@each("change, kind, text", [
+        (_switched, "intensities", "their scale changes: in 3 of 6 scans they are at least 248 times smaller"),
+        (_saturated, "intensities", "25 % of the points have the greatest one: they are saturated"),
+        (_decibels, "intensities", "all 6 scans have negative intensities (decibels?), whose range becomes 0 to 1"),
+        (_same_rings, "rings", "all points of a scan have the same"),
+        (_numbers, "rings", "in a scan, but lidars have at most 256: is the field another one?"),
+        (_crossed, "rings", "their numbers do not follow elevation in all 6 scans"),
+        (_falling, "rings", ""),
+        (lambda cloud, k: exchange(cloud, "ring", None), "rings", "points have none; maps need none"),
+        (lambda cloud, k: exchange(cloud, "ring", np.full(cloud.width, 0.5)), "rings", "all 6 scans have rings that"),
+    ])  # fmt: skip
+def test_values_of_points_are_told(tmp_path: Path, change: Callable[[Any, int], None], kind: str, text: str) -> None:
+    drive = messages_of(made_scans())
+    for k, cloud in enumerate(clouds(drive)):
+        change(cloud, k)
+    texts = [finding.text for finding in only(write(tmp_path / "a.mcap", drive)).findings if finding.kind == kind]
+    assert len(texts) == bool(text)
+    assert all(text in found for found in texts)
+
+
+@each("late, static, text", [
+        (0.0, 0.0, ""),
+        (0.25, 0.0, "those of all 6 scans are recorded after them, by 0.2 s (median), 0.2 s at most"),
+        (0.0, 0.3, "those of 2 of 6 scans are recorded after them, by 0.178 s (median), 0.24 s at most"),
+    ])  # fmt: skip
+def test_transforms_that_come_late_are_told(tmp_path: Path, late: float, static: float, text: str) -> None:
+    """Also a mount that a driver sends after the first scans."""
+    drive = messages_of(made_scans())
+    mount = tf_message([StampedTransform("base_link", "lidar", random_logs.START, np.eye(4))])
+    drive.append(Message(topic="/tf_static", type=TF, message=mount, time=random_logs.START + static))
+    for message in drive:
+        if message.topic == "/tf":
+            message.time += late
+            if static:
+                message.message.transforms[0].child_frame_id = "base_link"
+    texts = [f.text for f in only(write(tmp_path / "a.mcap", drive)).findings if f.kind == "late transforms"]
+    assert texts == [text] * bool(text)
 
 
 def test_topics_and_drives_have_findings_of_their_own(tmp_path: Path) -> None:

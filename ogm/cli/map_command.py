@@ -2,6 +2,7 @@
 
 import statistics
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
     from ogm.scan import InverseSensorModel
 
+_LISTED = 3  # scans that are listed of those that fail for one reason
 DEMO_SCANS = {  # output: file, axes (Velodyne: y forward, x right), height by the ground returns [m], cells shown
     "ogm-demo": ("vls128_road.pcd.xz", ("+y", "-x", "+z"), 1.98, slice(None), slice(None)),
     "ogm-demo-sector": ("at128_sector.pcd.xz", "flu", 0.45, slice(244, 316), slice(132, 204)),
@@ -118,6 +120,7 @@ def map_(
     from ogm.models.named import RELEASED
     from ogm.workflows import map_to_files
     from ogm.workflows.checks import gravest
+    from ogm.workflows.findings import without_numbers
 
     options.check_first(first)
     spec = GridSpec.centered(length, width, resolution)
@@ -132,11 +135,14 @@ def map_(
         _check_replaced(dataset, spec)
     results = map_to_files(dataset, model, out_path, picture, title=ism, first_call=first_call)
     names = distinct([frame.name.replace("/", "_") for frame in dataset])
-    table, heights, failed, done = _table(), set(), False, list[str]()
+    table, heights, failed, done = _table(), set(), Counter[str](), list[str]()
     for name, (frame, grid, seconds, error) in ticked(zip(names, results, strict=True), "mapping", len(names)):
         if grid is None:
-            complain(f"{frame.name}: {error}")
-            failed = True
+            kind = without_numbers(error.replace(frame.name, ""))
+            failed[kind] += 1
+            if failed[kind] <= _LISTED:
+                more = "; further scans with the same reason are not listed" if failed[kind] == _LISTED else ""
+                complain(f"{frame.name}: {error}{more}")
             continue
         _row(table, name, len(frame.scan), grid, seconds)
         done.append(frame.name.replace("/", "_"))

@@ -13,6 +13,7 @@ from ogm.datasets.frames import EGO
 from ogm.datasets.log_scans import SCAN_TYPES
 from ogm.datasets.logs import is_log
 from ogm.io.logs import open_log
+from ogm.io.notices import one_notice_per_kind
 from ogm.pose import rotate
 from ogm.storage.files import OgmError, error_text
 from ogm.workflows.drive_checks import check_direction, check_frames, check_tilt_of_poses, check_topics
@@ -109,7 +110,8 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
     read = recording.raw if recording.ego_footprint is None else recording.read  # with the returns of the vehicle
     for n in progress(numbers.tolist()):
         try:
-            scan = read(rows[n]).scan
+            with one_notice_per_kind(recording.notices):
+                scan = read(rows[n]).scan
         except _UNREADABLE as error:
             found.failed[error_text(error)] += 1
             continue
@@ -124,7 +126,11 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
             if plane is not None and recording.sensor_position is None:
                 level = rotate(plane.levelling, points.T).T
                 ego.add(level, plane.distance, None if T is None else T[:2, 3])
-    findings = [*check_frames(dataset), *found.findings(), *_sensor_findings(dataset, readable, found, ego)]
+    findings = [
+        *check_frames(dataset),
+        *found.findings(recording.notices),
+        *_sensor_findings(dataset, readable, found, ego),
+    ]
     name = dataset.refs[0].sequence or dataset.name
     return DriveCheck(name, by_severity(findings), _estimated(findings, found, ego))
 
@@ -172,7 +178,7 @@ def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, eg
 
 def _estimated(findings: Sequence[Finding], found: ScanChecks, ego: EgoChecks) -> SensorSetup:
     """Return the setup of a sensor as its scans show it; without a footprint where that in use is right."""
-    kinds = {finding.kind for finding in findings}
+    kinds = {finding.kind for finding in findings if finding.severity == "wrong map"}
     planes = [plane for plane in found.planes if plane is not None]
     roll, pitch = found.tilt()
     tilted = math.acos(math.cos(roll) * math.cos(pitch)) > math.radians(3)

@@ -21,7 +21,9 @@ _GAP = 1.5  # intervals between two scans, above which some are missing
 _LONG = 2.0  # [s] gap that transforms are not interpolated over
 _SPEED = 70.0  # [m/s] that no vehicle exceeds, as mappers have it
 _WAY = 5.0  # [m] from which on the direction of a drive is known
+_BACK = 0.3  # [m] between two scans, from which on a way back is no noise
 _JUMP = 5.0  # usual steps, above which one is no motion
+_LATE = 1e-3  # [s] between a scan and its transforms in a log
 _LEVEL = math.radians(2)
 _STEEP = math.radians(15)  # beyond the slope of any road
 
@@ -38,7 +40,8 @@ def check_frames(dataset: Dataset) -> Iterator[Finding]:
     if recording.warnings:
         yield Finding("lost data", "damage", listed([str(warning) for warning in recording.warnings]))
     for fault in recording.clock_findings:
-        yield Finding("lost data", "clock", f"{fault.where}: {fault.what}", fault.way_out)
+        severity = "wrong map" if fault.kind == "clock offset" else "lost data"
+        yield Finding(severity, "clock", f"{fault.where}: {fault.what}", fault.way_out)
     for text, way in recording.frame_notes:
         yield Finding("wrong map" if way else "note", "frames", text, way)
     posed = [ref for ref in refs if ref.T_map_sensor is not None]
@@ -52,6 +55,19 @@ def check_frames(dataset: Dataset) -> Iterator[Finding]:
             parts.setdefault(ref.sequence, []).append(ref.stamp)
     yield from _check_rate(list(parts.values()))
     yield from _check_jumps(dataset)
+    if recording.transform_delays is not None and len(refs):
+        yield from _check_delays(recording.transform_delays[list(dataset.numbers)])
+
+
+def _check_delays(delays: NDArray[np.float64]) -> Iterator[Finding]:
+    """Yield a finding about transforms that were recorded after the scans that need them."""
+    late = delays[delays > _LATE]
+    if len(late):
+        text = (
+            f"those of {counted(len(late), len(delays))} are recorded after them, by {np.median(late):.3g} s (median)"
+        )
+        way = f"`ogm fuse` reads all first; a live node must wait {late.max():.3g} s for them"
+        yield Finding("note", "late transforms", f"{text}, {late.max():.3g} s at most", way)
 
 
 def _check_rate(parts: list[list[float]]) -> Iterator[Finding]:
@@ -79,6 +95,13 @@ def _check_jumps(dataset: Dataset) -> Iterator[Finding]:
         return
     seconds = np.abs(np.diff([stamp for stamp, _ in rows]))
     metres = np.linalg.norm(np.diff([place for _, place in rows], axis=0), axis=1)
+    steps = np.diff([place for _, place in rows], axis=0)
+    back = (steps[1:] * steps[:-1]).sum(axis=1) < -0.5 * metres[1:] * metres[:-1]
+    back &= (metres[1:] > _BACK) & (metres[:-1] > _BACK)
+    if np.count_nonzero(back) > max(2, 0.1 * len(back)):
+        often = counted(int(np.count_nonzero(back)), len(back), "step")
+        text = f"they go back and forth by {np.median(metres[1:][back]):.3g} m in {often}"
+        yield Finding("wrong map", "poses", text, "two senders of one transform? record one, or --odometry kiss-icp")
     jumps = np.flatnonzero(metres > _SPEED * seconds + 1.0)
     if len(jumps):
         text = f"{len(jumps)} jumps of the pose, the farthest of {metres[jumps].max():.3g} m: scans there are skipped"

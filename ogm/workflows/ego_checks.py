@@ -110,7 +110,14 @@ class EgoChecks:
         box, inside = self.footprint(), self._inside(used)
         size = f"the footprint of {used[1] - used[0]:.1f} m x {used[3] - used[2]:.1f} m"
         if box is None:
-            if self.masks and (dropped := int(np.count_nonzero(self.masks[-1] & inside))) > 1:
+            if not self.masks:
+                return
+            why = f"it moves less than {_WAY:g} m" if len(self.places) == len(self.masks) else "the scans have no poses"
+            why = why if len(self.masks) >= _FEWEST else "too few scans show the ground"
+            yield Finding(
+                "note", "ego footprint", f"{why}, so that returns of the vehicle and obstacles are not distinguished"
+            )
+            if (dropped := int(np.count_nonzero(self.masks[-1] & inside))) > 1:
                 text = f"returns in {dropped} cells within {size} are dropped as those of the vehicle"
                 severity = "wrong map" if self.height < _CAR else "note"
                 yield Finding(severity, "ego footprint", text, "--ego-footprint X_MIN X_MAX Y_MIN Y_MAX")
@@ -126,6 +133,9 @@ class EgoChecks:
         if hidden > 1:
             text = f"obstacles within {size} are dropped in {counted(hidden, len(self.masks))}"
             yield Finding("wrong map", "ego footprint", text, way)
+        if not outside and hidden <= 1:
+            seen = f"x {box[0]:g} to {box[1]:g}, y {box[2]:g} to {box[3]:g} m" if ego.any() else "no cell"
+            yield Finding("note", "ego footprint", f"returns that move with the vehicle fill {seen}, within {size}")
 
     def _inside(self, box: Footprint) -> NDArray[np.bool_]:
         middle = (np.arange(self.cells) + 0.5) * _SIDE - _REACH

@@ -1,5 +1,6 @@
 """Findings about a drive: records of what spoils its map, with the way out."""
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -44,3 +45,8 @@ def listed(items: Sequence[str], most: int = 5) -> str:
     """Return some items in words, and how many more there are."""
     more = f" and {len(items) - most} more" if len(items) > most else ""
     return ", ".join(items[:most]) + more
+
+
+def without_numbers(text: str) -> str:
+    """Return a text with 0 for every number: the same for errors of one kind."""
+    return re.sub(r"[0-9.eE+-]*[0-9]", "0", text)

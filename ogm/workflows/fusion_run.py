@@ -1,7 +1,6 @@
 """The course of fusing one drive: what was mapped, and what of it is drawn, saved and reported."""
 
 import math
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -27,6 +26,7 @@ from ogm.plot.moving import moving_groups
 from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Boxes, Frame
 from ogm.storage.files import OF_DISK, error_text
+from ogm.workflows.findings import without_numbers
 
 ARROW_SECONDS = 1.0  # [s] of the way that an arrow shows
 _LISTED = 3  # scans that are listed of those that are skipped for one reason
@@ -137,7 +137,7 @@ class FusionRun:
     def skip(self, frame: Frame, error: Exception) -> None:
         """Count a scan that is skipped, and tell why."""
         self.failed += 1
-        kind = re.sub(r"[0-9.eE+-]*[0-9]", "0", error_text(error).replace(frame.name, ""))
+        kind = without_numbers(error_text(error).replace(frame.name, ""))
         self.reasons[kind] += 1
         if self.reasons[kind] <= _LISTED:
             more = "; further scans with the same reason are only counted" if self.reasons[kind] == _LISTED else ""

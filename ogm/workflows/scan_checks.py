@@ -1,9 +1,9 @@
-"""Checks of the scans of a drive, one after the other: ranges, intensities, times, ground, ego vehicle."""
+"""Checks of the scans of a drive, one after the other: ranges, times, ground."""
 
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from statistics import median
 
@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from ogm.io.ground_plane import SIDES, GroundPlane, ground_plane, ground_side
 from ogm.scan import Scan
-from ogm.workflows.findings import Finding, counted
+from ogm.workflows.findings import Finding, counted, without_numbers
+from ogm.workflows.value_checks import ValueChecks
 
-_THIN = 16  # every 16th point gives elevations and intensities
+_THIN = 17  # every 17th point gives elevations and values; a power of 2 would meet the same ring again and again
 _SATURATED = 0.02  # [m] below the greatest range
 _GAP = 0.5  # [m] below those, with less than half as many points
 _SHARE = 0.01  # of the points at one range, from which on it is no distance
 _RING = math.sin(math.radians(3))  # of the elevations there, more than those of one beam on level ground
 _NEAR = 0.2  # [m] that no lidar measures
+_REMOTE = 300.0  # [m] beyond which half of the points of no lidar lie
 _FLAT = math.radians(1.5)  # spread of elevations of a planar lidar
 _TILT = math.radians(3)  # that the slope of the road does not reach on average
 _HEIGHT = 0.2  # [m] between a stated height and that of the ground
@@ -42,8 +44,9 @@ class ScanChecks:
     points: list[int] = field(default_factory=list)
     planar: int = 0
     greatest: list[tuple[float, float]] = field(default_factory=list)  # range [m], and share of points at it
+    distances: list[float] = field(default_factory=list)  # [m] median of the points
     near: int = 0  # points nearer than `_NEAR`
-    dark: int = 0  # scans whose intensities are all the same
+    values: ValueChecks = field(default_factory=ValueChecks)
     spans: list[float] = field(default_factory=list)  # [s] of the times in a scan
     silent: int = 0  # scans whose beams without echo are known
     repeated: int = 0  # scans with the points of the one before
@@ -58,18 +61,18 @@ class ScanChecks:
         if not len(scan):
             return
         xyz = scan.points[:, :3]
+        some = np.s_[::_THIN] if len(scan) > 100 * _THIN else np.s_[:]
         reach = np.sqrt(sum(column * column for column in xyz.T))
         farthest = float(reach.max())
         heights = xyz[reach > farthest - _SATURATED, 2] / max(farthest, _NEAR)
         near = int(np.count_nonzero(reach > farthest - _SATURATED - _GAP))
         ring = near < 1.5 * len(heights) and np.ptp(np.percentile(heights, (5, 95))) > _RING
         self.greatest.append((farthest, len(heights) / len(scan) if ring else 0.0))
+        self.distances.append(float(np.median(reach[some])))
         self.near += int(np.count_nonzero(reach < _NEAR))
-        some = np.s_[::_THIN] if len(scan) > 100 * _THIN else np.s_[:]
         elevation = np.arctan2(xyz[some, 2], np.hypot(xyz[some, 0], xyz[some, 1]))
         self.planar += bool(np.ptp(np.percentile(elevation, (2, 98))) < _FLAT)
-        intensity = scan.points[some, 3]
-        self.dark += bool(intensity.min() == intensity.max())
+        self.values.add(scan, some)
         if scan.time is not None:
             self.spans.append(float(np.ptp(scan.time)))
         self.silent += scan.no_returns is not None
@@ -85,11 +88,16 @@ class ScanChecks:
         self.sides += [axes] if axes else []
         return self.planes[-1]
 
-    def findings(self) -> Iterator[Finding]:
-        """Yield what the scans show, apart from their ground."""
+    def findings(self, notices: Mapping[str, int]) -> Iterator[Finding]:
+        """Yield what the scans show, apart from their ground; for the notices see `ValueChecks.findings`."""
         total = self.count + sum(self.failed.values())
+        kinds: dict[str, list[tuple[str, int]]] = {}
         for error, count in self.failed.items():
-            yield Finding("lost data", "damage", f"{counted(count, total)} cannot be read: {error}")
+            kinds.setdefault(without_numbers(error), []).append((error, count))
+        for errors in kinds.values():
+            count = sum(number for _, number in errors)
+            first = "the first: " * (len(errors) > 1)
+            yield Finding("lost data", "damage", f"{counted(count, total)} cannot be read: {first}{errors[0][0]}")
         if not self.count:
             return
         usual = median(self.points)
@@ -102,8 +110,7 @@ class ScanChecks:
         if self.planar > self.count / 2:
             text = "scans are planar, without ground: walls farther than 4 m per metre of sensor height may be free"
             yield Finding("wrong map", "ground", text, "--ism height-band, for sensors from 0.5 m above ground")
-        if self.dark == self.count:
-            yield Finding("note", "intensities", "all are the same, so that models cannot use them")
+        yield from self.values.findings(notices)
         yield from self._check_times()
         if not self.silent:
             yield Finding("note", "beams without echo", "not known: free space ends at the farthest points")
@@ -117,6 +124,9 @@ class ScanChecks:
         return round(median(ranges), 2)
 
     def _check_ranges(self) -> Iterator[Finding]:
+        if self.distances and (distance := median(self.distances)) > _REMOTE:
+            text = f"half of the points lie beyond {distance:.3g} m: are they in millimetres or centimetres?"
+            yield Finding("wrong map", "ranges", text, "write points in metres")
         if (farthest := self.saturated()) is not None:
             share = 100 * median(share for _, share in self.greatest)
             text = f"{share:.0f} % of the points lie at the greatest range, {farthest:g} m: a ring of obstacles"
@@ -133,7 +143,9 @@ class ScanChecks:
         if span > 1.5 * self.interval:
             text = f"they last {span:.3g} s in a scan, but scans follow each other by {self.interval:.3g} s"
             yield Finding("lost data", "times", text, "--time-unit sets their unit")
-        elif 0 < span < 1e-3:
+        elif span == 0:
+            yield Finding("note", "times", "all are the same in a scan, so that --deskew cannot undo the ego motion")
+        elif span < 1e-3:
             yield Finding("note", "times", f"they last {1e6 * span:.3g} us in a scan", "--time-unit sets their unit")
 
     def tilt(self) -> tuple[float, float]:
