@@ -314,7 +314,7 @@ class Recording(ABC):
             why = next(filter(None, reasons), "")
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor{why}, so its height "
-                " is not known: give `sensor_height` [m]"
+                "is not known: give `sensor_height` [m]"
             )
         return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}")
 
