@@ -62,9 +62,9 @@ class Scan(ShownInNotebooks):
     mount : Mount, optional
         How the sensor is mounted. A `Frame` sets it; a sensor model with a mount of its own uses that instead.
     kind : {"", "planar", "depth", "cone"}
-        Kind of the sensor, for measurements whose points do not show it: a laser whose beams lie in the x-y plane of
-        the points, a depth camera, or a sensor with one wide beam per point (ultrasound, infrared). "" for lidars and
-        radars.
+        Kind of the sensor, for measurements whose points do not show it: a laser whose beams lie in one plane, x-y of
+        its own axes, a depth camera, or a sensor with one wide beam per point (ultrasound, infrared). "" for lidars
+        and radars.
     max_range : float, optional
         Greatest range of the sensor, above 0 [m]: a beam without echo is free at most up to it. None where unknown.
     beam_width : float, optional

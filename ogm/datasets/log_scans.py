@@ -25,13 +25,19 @@ RADAR_TYPES = (
     "radar_msgs/msg/RadarScan", "continental_msgs/msg/ContinentalArs548DetectionList",
     "continental_msgs/msg/ContinentalSrr520DetectionList",
 )  # fmt: skip
-SCAN_TYPES = (*_LIDAR_TYPES, *RADAR_TYPES)
+PLANAR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
+CONE_TYPES = ("sensor_msgs/msg/Range",)
+_BY_DEFAULT = (_LIDAR_TYPES, PLANAR_TYPES, RADAR_TYPES, CONE_TYPES)  # the first kind that a log has is used
+SCAN_TYPES = tuple(name for types in _BY_DEFAULT for name in types)
 PACKET_TYPES = (  # what sensors send, as it came
     "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg", "hesai_ros_driver/msg/UdpFrame",
     "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets", "pandar_msgs/msg/PandarScan",
 )  # fmt: skip
 _RADAR = re.compile(r"radar|continental|(?<![a-z])(ars|srr|umrr)", re.IGNORECASE)  # in names and types of topics
 _HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, as `Mount` has it around one
+_NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)  # robots with planar lasers are small, and most of these do not see them
+PLANE_HEIGHT = 0.3  # [m] above ground of planar lasers and range sensors, where nothing states it: it names their plane
+_ON_GROUND = 0.03  # [m] in base_link, up to which base_link may be in the sensor
 
 
 class ScanRef(NamedTuple):
@@ -53,7 +59,7 @@ class LogScans:
     ----------
     log : LogReader
     topic : str or iterable of str
-        By default the only one of a lidar, or of a radar where there is no lidar.
+        By default the only one of a lidar; without lidars of a planar laser, else of a radar, else of a range sensor.
     placed : bool
         Whether the user gives the position of the sensor, in base_link if clouds are in a frame above that.
     setups : iterable of SensorSetup
@@ -77,6 +83,7 @@ class LogScans:
         self.topics = _chosen(log, [topic] if isinstance(topic, str) else list(topic))
         self.types = {log.topics[name].type for name in self.topics}
         self.transforms = LogTransforms(log, self.topics)
+        self._assumes_height = False
         self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
         frames = {name: self._spelled(name) for name in {head.frame for _, head in self.transforms.heads}}
         sensors = {frame: self._sensor(name, placed) for frame, name in frames.items()}
@@ -183,8 +190,11 @@ class LogScans:
         return T if pairs else None
 
     def frame_notes(self, placed: bool) -> list[tuple[str, str]]:
-        """Return what is unusual about frames and transforms, each with the way out ("" for none)."""
+        """Return what is unusual about frames, heights and transforms, each with the way out ("" for none)."""
         notes = [(text, "") for text in self.transforms.notes]
+        if self._assumes_height:
+            text = f"the height of {', '.join(self.topics)} above ground is not known: {self.places()[0].height:g} m is"  # type: ignore[index]
+            notes.append((f"{text} assumed, which names the plane of free cells (--sensor-height)", ""))
         for topic, ref in {ref.topic: ref for ref in self.refs}.items():
             if ref.cloud != ref.frame and not placed:
                 text = f"the points of {topic} are in {ref.cloud}: rays start at {ref.frame}, by transforms"
@@ -253,8 +263,11 @@ class LogScans:
         """
         floor = self._in_frames(self.transforms.floor_frame)
         heights = [None] * len(self.refs) if floor is None or (floor[:, 2, 3] <= 0).any() else floor[:, 2, 3].tolist()
+        if heights[0] is None and self.types <= {*PLANAR_TYPES, *CONE_TYPES}:
+            heights, self._assumes_height = self._plane_heights(), True
         if len(self.topics) == 1:
-            return None if heights[0] is None else [SensorPlace(height=height) for height in heights]
+            box = _NO_FOOTPRINT if self.is_flat(self.topics[0]) else None
+            return None if heights[0] is None else [SensorPlace(height=height, ego_footprint=box) for height in heights]
         if (T := self.T_vehicle_sensor) is None:
             raise OgmError(
                 f"{self.path}: {self.transforms.missing_vehicle(list(self.by_frame))}, so that the scans of several "
@@ -266,7 +279,18 @@ class LogScans:
         box = (x - _HALF_LENGTH, x + _HALF_LENGTH, y - _HALF_WIDTH, y + _HALF_WIDTH)
         above = places[:, 2] - places[first[self.topics[0]], 2]
         rows = zip(self.refs, places, above, heights, strict=True)
-        return [SensorPlace(scan.topic, (at[0], at[1]), up, high, box) for scan, at, up, high in rows]
+        boxes = {topic: _NO_FOOTPRINT if self.is_flat(topic) else box for topic in self.topics}
+        return [SensorPlace(scan.topic, (at[0], at[1]), up, high, boxes[scan.topic]) for scan, at, up, high in rows]
+
+    def is_flat(self, topic: str) -> bool:
+        """Return whether a topic is of a planar laser or a range sensor."""
+        return self.log.topics[topic].type in (*PLANAR_TYPES, *CONE_TYPES)
+
+    def _plane_heights(self) -> list[float]:
+        """Return the heights of planar lasers and range sensors that nothing states: those in base_link, or 0.3 m."""
+        T = self.T_vehicle_sensor
+        above = [PLANE_HEIGHT] * len(self.refs) if T is None else T[:, 2, 3].tolist()
+        return [height if height > _ON_GROUND else PLANE_HEIGHT for height in above]
 
     def frame_refs(self, poses: NDArray[np.float64]) -> tuple[FrameRef, ...]:
         """Return the frames: each has the name of its stamp in nanoseconds, after that of its topic if several."""
@@ -303,7 +327,8 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
         read = "" if way else f" ({types})"
         damage = f"; {log.warnings[0]}" if log.warnings else ""
         raise OgmError(f"{path} has no scans{read}; its topics are {', '.join(named.values()) or 'none'}{way}{damage}")
-    usual = [name for name in scans if log.topics[name].type in _LIDAR_TYPES] or scans
+    kinds = ([name for name in scans if log.topics[name].type in types] for types in _BY_DEFAULT)
+    usual = next(kind for kind in kinds if kind)
     if not wanted and len(usual) > 1:
         raise OgmError(f"{path} has several topics with scans, {listed}: choose one by `topic`")
     return tuple(dict.fromkeys(wanted or usual))

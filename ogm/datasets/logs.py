@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.frames import FrameRef, RawFrame, SensorPlace
-from ogm.datasets.log_scans import CLOUD, RADAR_TYPES, SCAN_TYPES, LogScans
+from ogm.datasets.log_scans import CLOUD, CONE_TYPES, PLANAR_TYPES, RADAR_TYPES, SCAN_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
@@ -22,6 +22,7 @@ from ogm.io.columns import IntensityRange
 from ogm.io.logs import LogMessage, LogReader, log_ending, open_log
 from ogm.io.logs.definitions import log_files
 from ogm.io.messages.clouds import cloud_table, scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
+from ogm.io.messages.lasers import laser_intensity_range, scan_from_laser_scan, scan_from_range
 from ogm.io.messages.livox import scan_from_livox
 from ogm.io.messages.velodyne import scan_from_velodyne_scan, scans_from_pcap
 from ogm.io.scan_table import rotation_to_flu, stated_range
@@ -134,8 +135,10 @@ class LogRecording(Recording):
         return {"intensity_max": partial(self.intensities, n), **self._units}
 
     def intensity_range(self, n: int) -> IntensityRange | None:
-        """Return the intensities that mean 0 and 1 by the values of one point cloud; None for other messages."""
+        """Return the intensities that mean 0 and 1 by the values of one cloud or laser scan, else None."""
         message = self.log.message(self._scans[n].ref)
+        if message.type in PLANAR_TYPES:
+            return laser_intensity_range(message.decode())
         return stated_range(cloud_table(message.decode())[0]) if message.type == CLOUD else None
 
     def place(self, n: int) -> SensorPlace:
@@ -148,13 +151,13 @@ class LogRecording(Recording):
         return replace(setup, mount=None) if self._in_vehicle else setup  # as points are turned by it already
 
     def height(self, n: int) -> float:
-        """Return the height of a sensor; that of a radar, which shows no ground, by the transform from a lidar."""
-        lidars = (k for k, ref in enumerate(self._scans) if not self._is_radar(ref.topic))
-        reference = next(lidars, n) if self._is_radar(self._scans[n].topic) else n
+        """Return the height of a sensor; that of one that shows no ground by the transform from a lidar."""
+        lidars = (k for k, ref in enumerate(self._scans) if self._shows_ground(ref.topic))
+        reference = n if self._shows_ground(self._scans[n].topic) else next(lidars, n)
         return super().height(reference) + self.place(n).above_first - self.place(reference).above_first
 
-    def _is_radar(self, topic: str) -> bool:
-        return self.log.topics[topic].type in RADAR_TYPES
+    def _shows_ground(self, topic: str) -> bool:
+        return self.log.topics[topic].type not in (*RADAR_TYPES, *PLANAR_TYPES, *CONE_TYPES)
 
     def truth(self, n: int) -> NoReturn:
         """Raise OgmError: scans of several sensors have no truth."""
@@ -208,6 +211,10 @@ def _scan(message: LogMessage, units: Mapping[str, Any]) -> Scan:
     """Return the scan of a message of any of `SCAN_TYPES`."""
     if message.type == CLOUD:
         return scan_from_point_cloud2(message.decode(), **units)
+    if message.type in PLANAR_TYPES:
+        return scan_from_laser_scan(message.decode(), intensity_max=units["intensity_max"])
+    if message.type in CONE_TYPES:
+        return scan_from_range(message.decode())
     if message.type.endswith("/CustomMsg"):
         return scan_from_livox(message.raw)
     if message.type.startswith("continental_msgs/"):

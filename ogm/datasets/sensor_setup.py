@@ -42,7 +42,7 @@ class SensorSetup:
     ego_footprint : (x_min, x_max, y_min, y_max), optional
         See `ogm.Mount`.
     min_range, max_range : float
-        Points nearer or farther than these are dropped [m].
+        Points nearer or farther than these are dropped [m]; beams without echo are free at most up to `max_range`.
     max_range_no_echo : bool
         Whether points at `max_range` and beyond are beams without echo, as some drivers report them.
     leave_out : sequence of (float, float)
@@ -110,6 +110,8 @@ class SensorSetup:
             silent = far & in_view & np.isfinite(distance)
             added = ways[silent] / distance[silent, None]
             no_returns = added if no_returns is None else np.concatenate([no_returns, added])
+        if math.isfinite(self.max_range):
+            raw = raw._replace(scan=replace(scan, max_range=min(scan.max_range or math.inf, self.max_range)))
         return raw.kept(in_view & ~far & (distance >= self.min_range), no_returns)
 
     def _in_view(self, ways: NDArray[np.float32]) -> NDArray[np.bool_]:

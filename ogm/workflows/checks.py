@@ -120,6 +120,8 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
         found.add(scan)
         if n in examined and len(scan):
             readable.append(n)
+            if scan.kind in ("planar", "cone"):
+                continue  # shows neither ground nor ego vehicle
             thin = scan.points[:: max(1, len(scan) // _POINTS)]
             points = rotate(recording.levelling(rows[n]), thin[:, :3].T).T
             plane, T = found.add_ground(points), recording.frames[rows[n]].T_map_sensor

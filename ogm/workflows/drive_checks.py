@@ -14,8 +14,7 @@ from ogm.pose import pose, tilt_of
 from ogm.workflows.findings import Finding, counted, listed
 
 _UNREAD = (  # types of range measurements that are not read
-    "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan", "sensor_msgs/msg/PointCloud",
-    "sensor_msgs/msg/Range", *PACKET_TYPES,
+    "sensor_msgs/msg/PointCloud", *PACKET_TYPES,
 )  # fmt: skip
 _GAP = 1.5  # intervals between two scans, above which some are missing
 _LONG = 2.0  # [s] gap that transforms are not interpolated over

@@ -57,6 +57,9 @@ class ScanChecks:
     def add(self, scan: Scan) -> None:
         """Add a scan, as it was read."""
         self.count += 1
+        self.silent += scan.no_returns is not None
+        if scan.kind == "cone":
+            return  # has one range alone
         self.points.append(len(scan))
         if not len(scan):
             return
@@ -69,13 +72,12 @@ class ScanChecks:
         ring = near < 1.5 * len(heights) and np.ptp(np.percentile(heights, (5, 95))) > _RING
         self.greatest.append((farthest, len(heights) / len(scan) if ring else 0.0))
         self.distances.append(float(np.median(reach[some])))
-        self.near += int(np.count_nonzero(reach < _NEAR))
+        self.near += 0 if scan.kind else int(np.count_nonzero(reach < _NEAR))
         elevation = np.arctan2(xyz[some, 2], np.hypot(xyz[some, 0], xyz[some, 1]))
-        self.planar += bool(np.ptp(np.percentile(elevation, (2, 98))) < _FLAT)
+        self.planar += not scan.kind and bool(np.ptp(np.percentile(elevation, (2, 98))) < _FLAT)
         self.values.add(scan, some)
         if scan.time is not None:
             self.spans.append(float(np.ptp(scan.time)))
-        self.silent += scan.no_returns is not None
         content = hashlib.md5(np.ascontiguousarray(xyz[some]).tobytes(), usedforsecurity=False).hexdigest()
         self.repeated += content == self._hash
         self._hash = content
@@ -100,8 +102,8 @@ class ScanChecks:
             yield Finding("lost data", "damage", f"{counted(count, total)} cannot be read: {first}{errors[0][0]}")
         if not self.count:
             return
-        usual = median(self.points)
-        if few := sum(one < _FEW * usual for one in self.points) if usual else self.count:
+        usual = median(self.points or [0])
+        if few := sum(one < _FEW * usual for one in self.points) if usual else len(self.points):
             yield Finding("lost data", "points", f"{counted(few, self.count)} have less than a tenth of the usual ones")
         if self.repeated:
             text = f"{counted(self.repeated, self.count)} with the points of the one before"
