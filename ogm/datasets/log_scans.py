@@ -35,7 +35,7 @@ PACKET_TYPES = (  # what sensors send, as it came
 )  # fmt: skip
 _RADAR = re.compile(r"radar|continental|(?<![a-z])(ars|srr|umrr)", re.IGNORECASE)  # in names and types of topics
 _HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, as `Mount` has it around one
-_NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)  # robots with planar lasers are small, and most of these do not see them
+NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)  # robots with planar lasers are small, and most of these do not see them
 PLANE_HEIGHT = 0.3  # [m] above ground of planar lasers and range sensors, where nothing states it: it names their plane
 _ON_GROUND = 0.03  # [m] in base_link, up to which base_link may be in the sensor
 
@@ -266,7 +266,7 @@ class LogScans:
         if heights[0] is None and self.types <= {*PLANAR_TYPES, *CONE_TYPES}:
             heights, self._assumes_height = self._plane_heights(), True
         if len(self.topics) == 1:
-            box = _NO_FOOTPRINT if self.is_flat(self.topics[0]) else None
+            box = NO_FOOTPRINT if self.is_flat(self.topics[0]) else None
             return None if heights[0] is None else [SensorPlace(height=height, ego_footprint=box) for height in heights]
         if (T := self.T_vehicle_sensor) is None:
             raise OgmError(
@@ -279,7 +279,7 @@ class LogScans:
         box = (x - _HALF_LENGTH, x + _HALF_LENGTH, y - _HALF_WIDTH, y + _HALF_WIDTH)
         above = places[:, 2] - places[first[self.topics[0]], 2]
         rows = zip(self.refs, places, above, heights, strict=True)
-        boxes = {topic: _NO_FOOTPRINT if self.is_flat(topic) else box for topic in self.topics}
+        boxes = {topic: NO_FOOTPRINT if self.is_flat(topic) else box for topic in self.topics}
         return [SensorPlace(scan.topic, (at[0], at[1]), up, high, boxes[scan.topic]) for scan, at, up, high in rows]
 
     def is_flat(self, topic: str) -> bool:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ogm.datasets.argoverse2 import Argoverse2Recording
+from ogm.datasets.carmen import CarmenRecording
 from ogm.datasets.dataset import Dataset
 from ogm.datasets.kitti import KittiObjectRecording, KittiOdometryRecording, KittiRawRecording, KittiTrackingRecording
 from ogm.datasets.logs import CaptureRecording, LogRecording
@@ -30,7 +31,7 @@ from ogm.storage.remote import ObjectPath, as_path
 RECORDINGS: tuple[type[Recording], ...] = (
     *(SimulatedRecording, LogRecording, NuScenesRecording, Argoverse2Recording, SustechRecording),
     *(RadarScenesRecording, KittiObjectRecording, KittiTrackingRecording, KittiOdometryRecording, KittiRawRecording),
-    *(RangeImagesRecording, TruthGridsRecording, CaptureRecording, ScansRecording),
+    *(RangeImagesRecording, TruthGridsRecording, CaptureRecording, CarmenRecording, ScansRecording),
 )
 _OTHERS = ("all", "later")
 _KNOWN = (
@@ -39,7 +40,7 @@ _KNOWN = (
     "SemanticKITTI (velodyne/ labels/, or sequences/*/); nuScenes (v1.0-*/ samples/) and mmdetection3d's info as JSON; "
     "Argoverse 2 logs (sensors/lidar/ annotations.feather map/); SUSTechPOINTS (lidar/ label/); RadarScenes "
     "(scenes.json radar_data.h5, or sequence_*/); labelled range images (*.npy in semantic_kitti/ or nuscenes/); logs "
-    "(.mcap, .db3, .bag); captures of Velodynes (.pcap); data sets that `ogm simulate` made (zarr.json)"
+    "(.mcap, .db3, .bag); CARMEN logs; captures of Velodynes (.pcap); data sets that `ogm simulate` made (zarr.json)"
 )
 
 
@@ -73,8 +74,9 @@ def open_dataset(
         SUSTechPOINTS, one or several sequences of RadarScenes, labelled range images, the output of ``ogm simulate``,
         or a folder of truth grids. The files decide. A log of ROS 1 or ROS 2 (.bag, .db3, .mcap, or a folder of its
         parts) is one drive: the scans of `topic`, in the order of their headers' stamps, with poses by the transforms
-        or the odometry in it. A capture of a Velodyne (.pcap) is one drive without poses. The output of
-        ``ogm simulate`` may also lie in an object store, ``s3://bucket/prefix``.
+        or the odometry in it. A CARMEN log, known by its content, is one drive of the laser with most scans, or of the
+        `topic` (FLASER, RLASER, ROBOTLASER1), with the poses in it. A capture of a Velodyne (.pcap) is one drive
+        without poses. The output of ``ogm simulate`` may also lie in an object store, ``s3://bucket/prefix``.
     storage : mapping of str to str, optional
         Endpoint and credentials of the object store, see `ogm.storage.remote.as_path`.
     axes, intensity_max, time_unit

@@ -44,13 +44,17 @@ def describe_path(
     """
     from ogm.datasets import open_dataset
     from ogm.datasets.logs import CAPTURE_ENDINGS, describe_log, is_log
+    from ogm.datasets.scans import ending_of
     from ogm.io import describe, read_scan_file
+    from ogm.io.carmen import is_carmen
 
     units = {"intensity_max": intensity_max, "time_unit": time_unit}
     if not path.exists():
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")
     if is_log([path]):
         return describe_log(path, frame)
+    if path.is_file() and not ending_of(path) and is_carmen(path):
+        return open_dataset(path, axes=axes, **units).describe()  # type: ignore[arg-type]
     of_folder = next((read for name, read in _FOLDERS.items() if path.is_dir() and list(path.glob(name))), None)
     if found := of_folder or _FILES.get(path.suffix.lower()):
         with error_context(path, KeyError, TypeError):
