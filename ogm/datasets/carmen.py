@@ -35,7 +35,7 @@ class CarmenRecording(Recording):
     format = "CARMEN log"
     wanted_labels = "poses of the scans"
     ego_footprint = None
-    motion_distorted = False
+    motion_distorted = aggregated = False
     own_options = ("topic",)
     known_height = False
 
@@ -181,6 +181,8 @@ def _rising(times: NDArray[np.float64]) -> NDArray[np.intp]:
         if not 0 < time < _LATEST:
             continue
         at = bisect_left(least, time)
+        if least[at : at + 1] == [time]:
+            continue  # the first scan of a time has it
         before[n] = last[at - 1] if at else -1
         least[at : at + 1], last[at : at + 1] = [time], [n]
     row = last[-1:]
