@@ -25,9 +25,11 @@ from ogm.io.messages import (
     occupancy_grid,
     point_cloud2,
     scan_from_continental,
+    scan_from_laser_scan,
     scan_from_livox,
     scan_from_point_cloud2,
     scan_from_radar_scan,
+    scan_from_range,
     scan_from_velodyne_scan,
     tf_message,
     transform_from_odometry,
@@ -68,6 +70,22 @@ def _livox() -> Any:
     points = [point(k * 5000, *map(float, row[:3]), k, 0, k % 6) for k, row in enumerate(cloud())]
     rest = {"point_num": 24, "lidar_id": 1, "rsvd": np.zeros(3, np.uint8), "points": points}
     return SimpleNamespace(header=HEADER, timebase=int(START) * 10**9, **rest)
+
+
+def _laser(several: bool = False) -> Any:
+    limits = {"angle_min": -1.0, "angle_max": 0.9, "angle_increment": 0.1, "time_increment": 0.001, "scan_time": 0.1}
+    ranges = np.array([0.0, np.nan, np.inf, -np.inf, 8.0, *np.linspace(0.2, 7.0, 15)], np.float32)
+    bright = np.arange(20, dtype=np.float32)
+    if several:
+        echo = message_types(2).types["sensor_msgs/msg/LaserEcho"]
+        ranges, bright = ([echo(one[[k, -1]]) for k in range(20)] for one in (ranges, bright))
+    rest = {"range_min": 0.1, "range_max": 8.0, "ranges": ranges, "intensities": bright}
+    return SimpleNamespace(header=HEADER, **limits, **rest)
+
+
+def _range() -> Any:
+    rest = {"radiation_type": 0, "field_of_view": 0.5, "min_range": 0.2, "max_range": 4.0, "range": 1.5}
+    return SimpleNamespace(header=HEADER, variance=0.0, **rest)
 
 
 def _placed() -> Any:
@@ -172,6 +190,12 @@ _MESSAGES: dict[str, tuple[str, Callable[[], Any], Callable[[Any], object]]] = {
         "velodyne_msgs/msg/VelodyneScan", _packets, lambda message: check_scan(scan_from_velodyne_scan(message)),
     ),
     "livox": ("livox_ros_driver2/msg/CustomMsg", _livox, lambda message: check_scan(scan_from_livox(message))),
+    "laser": ("sensor_msgs/msg/LaserScan", _laser, lambda message: check_scan(scan_from_laser_scan(message))),
+    "lasers": (
+        "sensor_msgs/msg/MultiEchoLaserScan", partial(_laser, True),
+        lambda message: check_scan(scan_from_laser_scan(message)),
+    ),
+    "range": ("sensor_msgs/msg/Range", _range, lambda message: check_scan(scan_from_range(message))),
     "tf": (TF, _transforms, lambda message: _tf(transforms_from_tf(message))),
     "odometry": ("nav_msgs/msg/Odometry", _odometry, lambda message: _tf([transform_from_odometry(message)])),
     "occupancy": (

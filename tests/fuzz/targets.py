@@ -30,6 +30,7 @@ Maker = Callable[[Path], Target]
 
 def every_target() -> dict[str, Maker]:
     """Return the targets by name."""
+    import seed_carmen
     import seed_datasets
     import seed_grids
     import seed_logs
@@ -38,7 +39,10 @@ def every_target() -> dict[str, Maker]:
     import seed_points
     import seed_worlds
 
-    modules = (seed_points, seed_grids, seed_datasets, seed_logs, seed_messages, seed_networks, seed_worlds)
+    modules = (
+        *(seed_points, seed_grids, seed_datasets, seed_logs, seed_carmen, seed_messages, seed_networks),
+        seed_worlds,
+    )
     return {name: maker for module in modules for name, maker in module.TARGETS.items()}
 
 
@@ -59,6 +63,8 @@ def check_scan(scan: Any) -> None:
     assert scan.points.dtype == np.float32, "type of the points"
     assert np.isfinite(scan.points).all(), "points not finite"
     assert ((scan.points[:, 3] >= 0) & (scan.points[:, 3] <= 1)).all(), "intensity outside of [0, 1]"
+    beams = scan.no_returns
+    assert beams is None or not scan.kind or (np.abs((beams**2).sum(axis=1) - 1) < 1e-4).all(), "beams without echo"
     assert scan.ring is None or scan.ring.shape == (n,), "rings"
     assert scan.time is None or (scan.time.shape == (n,) and np.isfinite(scan.time).all()), "times"
     assert scan.stamp is None or np.isfinite(scan.stamp), "stamp"
