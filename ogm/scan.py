@@ -582,7 +582,7 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
     Raises
     ------
     ValueError
-        If a mapping has none for the frame's sensor.
+        If a mapping has no model for the frame's sensor.
     """
     model = of_sensor(ism, frame.scan.sensor, "model") if isinstance(ism, Mapping) else ism
     return model(frame.scan)

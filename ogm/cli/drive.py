@@ -53,6 +53,7 @@ def print_sensor(dataset: "Dataset") -> None:
     given = recording.sensor_height is not None or recording.setup(0).sensor_height is not None
     if not given and not recording.known_mount:
         how = "stated by the data set" if recording.known_height else "estimated from up to five scans"
+        how = "assumed, as nothing shows it" if recording.assumed_height else how
         out.print(f"sensor height {height:.2f} m, {how}; --sensor-height sets it", soft_wrap=True)
 
 

@@ -25,6 +25,8 @@ _log = logging.getLogger(__name__)
 
 _RATE = 10.0  # [Hz] at which scans are counted where the log has no times of theirs
 _OWN = 0.25  # of the scans, at least, have times of their own that rise, or the log has none
+_SPEED, _TURN_RATE = 5.0, 2.0  # [m/s], [rad/s] that robots with planar lasers do not exceed
+_LONGEST = 10.0  # [s] that a jump of the pose takes
 _LATEST = 2.0**33  # [s] that no time in seconds since 1970 exceeds
 _BEHIND = 0.9  # of the rear laser's poses with the robot's heading, from which on the heading is not the laser's
 
@@ -37,7 +39,7 @@ class CarmenRecording(Recording):
     ego_footprint = None
     motion_distorted = aggregated = False
     own_options = ("topic",)
-    known_height = False
+    known_height = assumed_height = True
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "CarmenRecording | None":
@@ -106,7 +108,7 @@ class CarmenRecording(Recording):
         return place._replace(origin=(float(T[0, 3]), float(T[1, 3])), yaw=float(np.arctan2(T[1, 0], T[0, 0])))
 
     def _pose(self, line: LaserLine) -> NDArray[np.float64] | None:
-        """Return T_map_sensor of a scan; None where its line has none."""
+        """Return T_map_sensor of a scan; None if it is not known."""
         if not np.isfinite(line.pose).all():
             return None
         x, y, heading = line.pose
@@ -146,8 +148,9 @@ def _is_behind(lines: Sequence[LaserLine]) -> bool:
 def _stamps(lines: Sequence[LaserLine], where: str) -> tuple[NDArray[np.float64], ClockFinding | None]:
     """Return the time of each scan [s]: when it was measured, else when it was logged, else counted at 10 Hz.
 
-    Times that do not rise with the lines of their laser are wrong: those scans lie evenly between others. The poses do
-    not depend on the times, so that no scan is left out.
+    Times that do not rise with the lines of their laser are wrong: those scans lie evenly between others. Where the
+    poses would move faster than robots do, later scans are put later. The poses do not depend on the times, so that no
+    scan is left out.
     """
     times = np.array([line.times for line in lines])
     kinds = np.array([line.kind for line in lines])
@@ -163,13 +166,34 @@ def _stamps(lines: Sequence[LaserLine], where: str) -> tuple[NDArray[np.float64]
         for kind in np.unique(kinds):
             mine = kinds == kind
             stamps[mine] = _evenly(column[mine], np.flatnonzero(rising[mine]))
-        text = f"{wrong} of {len(lines)} scans have no time of their own, or one that goes back"
-        finding = ClockFinding("wrong stamps", text, where, "they are put evenly between the others")
-        return stamps, finding if wrong else None
+        stamps, hurried = _within_speeds(stamps, lines)
+        text = (
+            f"{wrong} of {len(lines)} scans have no time of their own, or one that goes back; {hurried} follow the one"
+        )
+        text = f"{text} before faster than {_SPEED:g} m/s and {_TURN_RATE:g} rad/s allow"
+        way = "the former are put evenly between others, the latter later"
+        return stamps, ClockFinding("wrong stamps", text, where, way) if wrong or hurried else None
     known = len(np.unique(times[:, 0]))
     text = f"the log has {known} different time{'s' * (known != 1)} for {len(lines)} scans"
-    way = f"they are counted at {_RATE:g} Hz: velocities and half-lives are of that clock"
-    return np.arange(len(lines)) / _RATE, ClockFinding("missing stamps", text, where, way)
+    way = f"they are counted at up to {_RATE:g} Hz: velocities and half-lives are of that clock"
+    counted, _ = _within_speeds(np.arange(len(lines)) / _RATE, lines)
+    return counted, ClockFinding("missing stamps", text, where, way)
+
+
+def _within_speeds(stamps: NDArray[np.float64], lines: Sequence[LaserLine]) -> tuple[NDArray[np.float64], int]:
+    """Return times between which the robot moves no faster than robots do, and how many steps were too short."""
+    order = np.argsort(stamps, kind="stable")
+    poses = np.array([lines[n].robot for n in order])
+    with np.errstate(invalid="ignore", over="ignore"):
+        moved = np.diff(poses, axis=0)
+        turn = np.abs((moved[:, 2] + np.pi) % (2 * np.pi) - np.pi)
+        least = np.maximum(np.hypot(moved[:, 0], moved[:, 1]) / _SPEED, turn / _TURN_RATE)
+    least = np.where(np.isfinite(least), np.minimum(least, _LONGEST), 0.0)
+    steps = np.diff(stamps[order])
+    result = stamps.copy()
+    if (short := steps < least - 1e-9).any():
+        result[order[1:]] = stamps[order[0]] + np.cumsum(np.maximum(steps, least))
+    return result, int(np.count_nonzero(short))
 
 
 def _rising(times: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -83,7 +83,7 @@ class LogScans:
         self.topics = _chosen(log, [topic] if isinstance(topic, str) else list(topic))
         self.types = {log.topics[name].type for name in self.topics}
         self.transforms = LogTransforms(log, self.topics)
-        self._assumes_height = False
+        self.assumes_height = False  # known with `places`
         self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
         frames = {name: self._spelled(name) for name in {head.frame for _, head in self.transforms.heads}}
         sensors = {frame: self._sensor(name, placed) for frame, name in frames.items()}
@@ -113,7 +113,7 @@ class LogScans:
 
     @cached_property
     def stamps(self) -> NDArray[np.float64]:
-        """Times of the scans among the transforms, (K,) [s]; NaN where there is none."""
+        """Times of the scans among the transforms, (K,) [s]; NaN if missing."""
         stamps, parts = np.array([scan.stamp for scan in self.refs]), np.array([scan.part for scan in self.refs])
         return self.transforms.clock.shifted(stamps, parts)
 
@@ -192,7 +192,7 @@ class LogScans:
     def frame_notes(self, placed: bool) -> list[tuple[str, str]]:
         """Return what is unusual about frames, heights and transforms, each with the way out ("" for none)."""
         notes = [(text, "") for text in self.transforms.notes]
-        if self._assumes_height:
+        if self.assumes_height:
             text = f"the height of {', '.join(self.topics)} above ground is not known: {self.places()[0].height:g} m is"  # type: ignore[index]
             notes.append((f"{text} assumed, which names the plane of free cells (--sensor-height)", ""))
         for topic, ref in {ref.topic: ref for ref in self.refs}.items():
@@ -264,7 +264,7 @@ class LogScans:
         floor = self._in_frames(self.transforms.floor_frame)
         heights = [None] * len(self.refs) if floor is None or (floor[:, 2, 3] <= 0).any() else floor[:, 2, 3].tolist()
         if heights[0] is None and self.types <= {*PLANAR_TYPES, *CONE_TYPES}:
-            heights, self._assumes_height = self._plane_heights(), True
+            heights, self.assumes_height = self._plane_heights(), True
         if len(self.topics) == 1:
             box = NO_FOOTPRINT if self.is_flat(self.topics[0]) else None
             return None if heights[0] is None else [SensorPlace(height=height, ego_footprint=box) for height in heights]

@@ -78,6 +78,7 @@ class LogRecording(Recording):
         self.facts = {"format": scans.log.format, "frames": len(scans.refs), "topics": list(scans.topics), **facts}
         self.stamped = not np.isnan(scans.stamps).any()
         self.known_height = self._places is not None and self._places[0].height is not None
+        self.assumed_height = scans.assumes_height
         self.known_truth, self.motion_distorted = several, not several
         self.clock_findings = [*scans.transforms.clock.findings, *scans.pose_findings]
         for warning in (*scans.transforms.notes, *scans.pose_findings):

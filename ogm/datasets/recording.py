@@ -113,6 +113,8 @@ class Recording(ABC):
         later; NaN where unknown.
     shards : (len(frames),) int array or None
         Shard of each frame in an object store, where reading a shard costs little more than reading a frame.
+    assumed_height : bool
+        Whether `known_height` is assumed, as the scans show no ground and nothing states it.
     main_sequence : str
         Sequence that commands use by default; "" for the first.
     own_options : tuple of str
@@ -133,6 +135,7 @@ class Recording(ABC):
     known_axes: ClassVar[bool] = True
     known_mount: ClassVar[bool] = False
     known_height: bool = False
+    assumed_height: bool = False
     known_truth: bool = False
     main_sequence: str = ""
     own_options: ClassVar[tuple[str, ...]] = ()

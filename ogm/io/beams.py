@@ -103,7 +103,7 @@ def planar_scan(beams: Beams, where: str, stamp: float | None, intensity_max: In
 
 
 def range_limits(low: float, high: float, where: str) -> tuple[float, float | None]:
-    """Return the least and the greatest range that a driver states [m], 0 and None where they are none.
+    """Return the least and the greatest range that a driver states [m]; 0 and None if they are no limits.
 
     Parameters
     ----------

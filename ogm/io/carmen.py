@@ -84,7 +84,7 @@ class CarmenLog:
     damage : str
         Why the file ends early, in words; "" where it does not.
     stated_range : float
-        Greatest range of the front laser by a parameter of the log [m]; inf where there is none.
+        Greatest range of the front laser by a parameter of the log [m]; inf if it is not stated.
     """
 
     lines: list[LaserLine] = field(default_factory=list)
@@ -244,7 +244,7 @@ def _counted(words: Sequence[str]) -> tuple[NDArray[np.float64], Sequence[str]]:
 
 
 def _times(words: Sequence[str]) -> NDArray[np.float64]:
-    """Return the time of the message and that of the logger, NaN where there is none."""
+    """Return the time of the message and that of the logger; NaN if missing."""
     found = np.full(2, np.nan)
     for k, word in enumerate((words[:1], words[2:3])):
         with suppress(ValueError, IndexError):

@@ -149,6 +149,8 @@ def test_the_laser_with_most_scans_is_used_and_others_on_request(log: Callable[.
         ([f"{t} host 0" for t in ("nan", 6, "x", 8, 9, 10, 11, 0)], [5, 6, 7, 8, 9, 10, 11, 12], "wrong stamps"),
         ([f"{t} host 0" for t in (5, 6, 7, 8, 105, 106, 107, 108)], [5, 6, 7, 8, 105, 106, 107, 108], ""),
         ([f"{t} host 0" for t in (5, 6, 7, 8, 9, 1, 2, 3)], [5, 6, 7, 8, 9, 10, 11, 12], "wrong stamps"),
+        ([f"{t} host 0" for t in (5, 6, 7, 7.01, 9, 10, 11, 12)], [5, 6, 7, 7.1, 9.09, 10.09, 11.09, 12.09],
+         "wrong stamps"),
     ])  # fmt: skip
 def test_no_scan_is_lost_for_its_time(
     log: Callable[..., Path], times: list[str], expected: list[float], kind: str, caplog: pytest.LogCaptureFixture

@@ -66,7 +66,7 @@ def scan_from_laser_scan(message: Any, *, intensity_max: IntensityScale | None =
 
 @reads_message
 def laser_intensity_range(message: Any) -> IntensityRange | None:
-    """Return the intensities that mean 0 and 1 by the values of one scan of a laser; None where it has none."""
+    """Return the intensities that mean 0 and 1 by the values of one scan of a laser; None without any."""
     where = describe_message(message, "LaserScan")
     ranges = _per_echo(message.ranges, where)[0]
     intensities = _intensities(message, ranges, where)
@@ -141,7 +141,7 @@ def _per_echo(values: Any, where: str) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def _intensities(message: Any, ranges: NDArray[np.float64], where: str) -> NDArray[np.float64] | None:
-    """Return the intensity of each range; None where there are none, or not as many as ranges."""
+    """Return the intensity of each range; None unless there are as many as ranges."""
     values = _per_echo(message.intensities, where)[0]
     if len(values) and len(values) != len(ranges):
         text = "%s has %d intensities for %d ranges: they are left out"
