@@ -29,6 +29,11 @@ _REPAIRED = {  # notices of scans, see `ogm.io.notices`: severity, subject, prop
     "unknown times": ("lost data", "times", "have times that are no numbers, which are left out", ""),
     "times of no sweep": ("lost data", "times", "have times of no sweep, which are left out", "--time-unit sets them"),
     "doubled fields": ("note", "fields", "have a field twice, of which the first counts", ""),
+    "unknown ranges": ("note", "ranges", "have ranges of 0, too near or no number, whose beams are unknown", ""),
+    "range limits": ("note", "ranges", "state no greatest range, so that beams without echo are not free", ""),
+    "wrong angles": ("lost data", "angles", "have an angle_increment and an angle_max that contradict each other", ""),
+    "wrong intensities": ("note", "intensities", "have another number of intensities than of ranges", ""),
+    "times of no scan": ("lost data", "times", "have a time_increment of no scan, which is left out", ""),
     "damaged packets": ("lost data", "damage", "have packets that cannot be read", ""),
 }  # fmt: skip
 

@@ -158,7 +158,7 @@ def _times(message: Any, count: int, where: str) -> NDArray[np.float64] | None:
     longest = min(_LONGEST, 1.5 * scan_time) if scan_time > 0 else _LONGEST
     if not length <= longest:
         text = "%s has a time_increment of %g s, by which %d beams last %.3g s, wanted at most %.3g s: it is left out"
-        notice(log, "wrong times", text, where, step, count, length, longest)
+        notice(log, "times of no scan", text, where, step, count, length, longest)
         return None
     return np.asarray(step * np.arange(count))
 
