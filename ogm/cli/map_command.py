@@ -50,7 +50,7 @@ def demo(
 
     out_folder.mkdir(parents=True, exist_ok=True)
     spec, table, pictures = GridSpec.centered(), _table(), []
-    best, models = chosen_model(None, spec), dict(DEMO_MODELS)
+    best, models = chosen_model(None, spec).partition("+")[0], dict(DEMO_MODELS)
     if best != COMBINED:
         del models[LITE], models[COMBINED]
     for output, (file, axes, height, *cells) in DEMO_SCANS.items():
@@ -86,9 +86,9 @@ def map_(
     ism: Annotated[
         str | None,
         Option(
-            help="Sensor model: combined, ray, height-band, height-band-released, lite, radar, deep-radar, what `ogm "
-            "train` or `ogm export` wrote, or the .json of `ogm calibrate`. [default: combined; ray where the network "
-            "is not installed or does not suit the grid]"
+            help="Sensor model: combined, ray, planar, height-band, height-band-released, lite, radar, deep-radar, "
+            "what `ogm train` or `ogm export` wrote, or the .json of `ogm calibrate`. [default: combined; ray where "
+            "the network is not installed or does not suit the grid; planar for planar lasers and sonars]"
         ),
     ] = None,
     axes: options.Axes = "flu",
@@ -115,7 +115,7 @@ def map_(
     """Map scans to evidential grids, one each, and draw them."""
     from ogm.datasets import open_dataset
     from ogm.grid import GridSpec
-    from ogm.models.named import RELEASED
+    from ogm.models.named import RELEASED, title_of
     from ogm.workflows import map_to_files
     from ogm.workflows.checks import gravest
 
@@ -132,7 +132,7 @@ def map_(
         _check_replaced(dataset, spec)
     results = map_to_files(dataset, model, out_path, picture, title=ism, first_call=first_call)
     names = distinct([frame.name.replace("/", "_") for frame in dataset])
-    table, heights, failed, done = _table(), set(), False, list[str]()
+    table, heights, failed, done, titles = _table(), set(), False, list[str](), dict[str, None]()
     for name, (frame, grid, seconds, error) in ticked(zip(names, results, strict=True), "mapping", len(names)):
         if grid is None:
             complain(f"{frame.name}: {error}")
@@ -140,6 +140,7 @@ def map_(
             continue
         _row(table, name, len(frame.scan), grid, seconds)
         done.append(frame.name.replace("/", "_"))
+        titles[title_of(ism, frame.scan, frame.mount)] = None
         if estimated:
             heights.add(f"{frame.mount.sensor_height:.2f} m")
     if ism != RELEASED:
@@ -148,7 +149,7 @@ def map_(
     if heights:
         stderr.print(f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)")
     if table.row_count:
-        out.print(f"{_cells(spec)}, {ism}", markup=False, soft_wrap=True)
+        out.print(f"{_cells(spec)}, {'; '.join(titles)}", markup=False, soft_wrap=True)
         out.print(table)
         out.print(f"written {_written(done, out_path, picture)}", markup=False, soft_wrap=True)
     if failed:
