@@ -12,6 +12,7 @@ import _run as run
 from _contenders import COPY, HEIGHT_BAND, KISS, LOCAL, NUMPY, OCTOMAP, PYTHON, RAY, STREET_HEIGHT, NamedScan
 
 # isort: split
+import itertools
 import json
 import math
 import os
@@ -27,8 +28,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ogm import GridSpec, Mount
-from ogm.geometric import HeightBandISM, RayISM, ray
+from ogm import GridSpec, Mount, Scan
+from ogm.fusion import EvidentialMapper
+from ogm.geometric import HeightBandISM, PlanarISM, RayISM, ray
 from ogm.geometric.ground import surface_of
 from ogm.geometric.inputs import to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, Points, RayNumbers
@@ -36,6 +38,7 @@ from ogm.geometric.kernels.belief import clear_sectors, ray_mass
 from ogm.geometric.kernels.breaks import ground_breaks
 from ogm.geometric.kernels.polar import ray_limits
 from ogm.geometric.kernels.rays import sort_rays
+from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)  # 512 x 352 cells
 MAX_RANGE = math.hypot(SPEC.length, SPEC.width) / 2  # [m] the grid's far corner, where the 3D mappers stop too
@@ -120,6 +123,22 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
             rays, columns, origin, limits, polar, cells, numbers, work
         ),
         "masses": lambda _: ray_mass(work.free, work.hits, polar, alarms, numbers),
+    }
+    return measure({name: Contender(call) for name, call in calls.items()}, rounds)
+
+
+def planar(rounds: int) -> dict[str, Times]:
+    """Time a planar scan of 361 beams in a room of 16 m x 12 m, and its fusion, on 800 x 800 cells of 0.05 m."""
+    azimuth = np.deg2rad(np.arange(-180, 181) / 2)
+    with np.errstate(divide="ignore"):
+        reach = np.minimum(8 / np.abs(np.cos(azimuth)), 6 / np.abs(np.sin(azimuth)))
+    points = np.column_stack([reach * np.cos(azimuth), reach * np.sin(azimuth), 0 * azimuth]).astype(np.float32)
+    spec, stamps = GridSpec.centered(40.0, 40.0, 0.05), itertools.count()
+    scan, ism = Scan(points, kind="planar"), PlanarISM(spec, Mount(0.3, ego_footprint=(0, 0, 0, 0)))
+    grid, mapper, T = ism(scan), EvidentialMapper(spec), pose(0.3, 0.2, yaw=0.4)
+    calls = {
+        "PlanarISM": lambda _: ism(scan),
+        "EvidentialMapper": lambda _: mapper.update(grid, T, stamp=0.1 * next(stamps)),
     }
     return measure({name: Contender(call) for name, call in calls.items()}, rounds)
 
@@ -273,6 +292,7 @@ def main() -> None:
     record["cost of cells"] = {"cells": cells, "shapes": shapes, **by_cells}
     timed = scans[0]["120k"]
     record["steps of RayISM"] = {"scan": timed.name, "times": steps(timed, rounds)}
+    record["planar scan"] = planar(rounds)
     record["two threads"] = two_threads(timed)
     record["verdicts"] = verdicts(record["comparisons"], record["cost of points"], record["two threads"])
     record["note"] = NOTE

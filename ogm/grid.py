@@ -12,6 +12,7 @@ Opinion(free=0.60, occupied=0.10, unknown=0.30)
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Self, overload
 
 import numpy as np
@@ -22,7 +23,7 @@ from ogm.evidence.arrays import refuse_masked
 from ogm.storage.archive import open_archive, write_archive
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["LAYERED_FORMAT", "CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid"]
+__all__ = ["LAYERED_FORMAT", "CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid", "PartialGrid"]
 
 _FORMAT, LAYERED_FORMAT = "ogm.EvidentialGrid/1", "ogm.LayeredGrid/1"
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
@@ -268,6 +269,11 @@ class EvidentialGrid(ShownInNotebooks):
         return cls(spec, np.zeros((*spec.shape, 2), np.float32))
 
     @property
+    def known(self) -> tuple[tuple[int, int], NDArray[np.float32]]:
+        """First cell and masses, (mx, my, 2), of a rectangle beyond which every cell is unknown."""
+        return (0, 0), self.mass
+
+    @property
     def free(self) -> NDArray[np.float32]:
         """Mass of free, (nx, ny) in [0, 1]."""
         return self.mass[..., 0]
@@ -376,6 +382,47 @@ class EvidentialGrid(ShownInNotebooks):
         with open_archive(path, _FORMAT) as data:
             spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
             return cls(spec, data["mass"])
+
+
+class PartialGrid(EvidentialGrid):
+    """A grid that is known in a rectangle of cells alone: its masses are made when they are read, and are read-only.
+
+    So a scan that reaches a few metres costs a map the cells that it reaches. Made by `of`.
+    """
+
+    @classmethod
+    def of(cls, spec: GridSpec, corner: tuple[int, int], mass: NDArray[np.float32]) -> Self:
+        """Return a grid by the masses of a rectangle.
+
+        Parameters
+        ----------
+        spec : GridSpec
+            Of the whole grid.
+        corner : (int, int)
+            First cell of the rectangle.
+        mass : (mx, my, 2) float32
+            Masses in it, trusted; every other cell is unknown.
+        """
+        (i, j), (mx, my) = corner, mass.shape[:2]
+        if not (0 <= i <= spec.shape[0] - mx and 0 <= j <= spec.shape[1] - my):
+            raise ValueError(f"the rectangle of {mx} x {my} cells from {corner} on lies beyond the grid {spec.shape}")
+        grid = object.__new__(cls)
+        grid.__dict__.update(spec=spec, _known=((i, j), mass))
+        return grid
+
+    @property
+    def known(self) -> tuple[tuple[int, int], NDArray[np.float32]]:
+        """First cell and masses of the rectangle."""
+        rectangle: tuple[tuple[int, int], NDArray[np.float32]] = self.__dict__["_known"]
+        return rectangle
+
+    @cached_property
+    def mass(self) -> NDArray[np.float32]:
+        """Masses of all cells, (nx, ny, 2) float32."""
+        mass, ((i, j), part) = np.zeros((*self.spec.shape, 2), np.float32), self.known
+        mass[i : i + part.shape[0], j : j + part.shape[1]] = part
+        mass.flags.writeable = False
+        return mass
 
 
 Combine = Callable[[Sequence[NDArray[np.float32]]], NDArray[np.float32]]

@@ -1,6 +1,6 @@
 """Laws of `CombinedISM`, on models whose grids are given."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,12 @@ from ogm.evidence import check_mass, map_rules
 from ogm.evidence.kernels import RULES
 from ogm.fusion import make_mapper
 from ogm.fusion.factory import adding_rule_warning
-from ogm.geometric import HeightBandISM, RayISM
+from ogm.geometric import HeightBandISM, PlanarISM, RayISM
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import read_scan
 from ogm.models import named as models
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
-from ogm.models.named import COMBINATION, default_model, load_model
+from ogm.models.named import COMBINATION, default_model, for_all_kinds, load_model, title_of, with_radar
 from ogm.scan import InverseSensorModel, Mount, Scan
 
 few = settings(max_examples=40, deadline=None)
@@ -244,6 +244,21 @@ def test_lite_alone_clears_no_cell_in_the_named_model():
     network: StateReliability = COMBINATION["reliability"][1]
     gate: FreeGate = COMBINATION["free_gates"][1]
     assert 10 / 12 * network.free * gate.share <= 0.5 + 1e-9
+
+
+def test_planar_scans_get_the_planar_model_by_default_and_another_if_it_is_named():
+    spec, mount = GridSpec.centered(8.0, 8.0, 0.1), Mount(0.4, ego_footprint=(0, 0, 0, 0))
+    points = np.array([[2.0, 0.1 * k, 0, 0] for k in range(-9, 10)], np.float32)
+    planar, lidar = (Scan(points, kind=kind, mount=mount) for kind in ("planar", ""))
+    default = for_all_kinds(default_model(spec)[0])
+    assert default == "ray+planar"
+    models, ray, wanted = load_model(with_radar(default), spec), RayISM(spec), PlanarISM(spec)
+    for scan, model in ((planar, wanted), (replace(planar, kind="cone"), wanted), (lidar, ray)):
+        np.testing.assert_array_equal(models(scan).mass, model(scan).mass)
+    np.testing.assert_array_equal(load_model(with_radar("ray"), spec)(planar).mass, ray(planar).mass)
+    assert title_of(default, planar, mount) == "planar, free at 0.40 m"
+    assert title_of(default, lidar, mount) == title_of("ray", planar, mount) == "ray"
+    refused("no sensor model of radars 'lite'", load_model, "ray+lite", spec)
 
 
 def test_the_default_model_is_combined_where_the_network_runs(monkeypatch):

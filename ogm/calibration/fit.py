@@ -20,12 +20,14 @@ from ogm.scan import Frame
 FITTED = {  # by default
     "ray": (*("p_miss", "p_false_alarm", "free_reliability_at_hits", "no_return_weight", "obstacle_height"),),
     "height-band": ("z_min", "z_max", "evidence"),
+    "planar": ("range_noise", "p_miss", "p_false_alarm", "no_return_weight"),
 }
 BOUNDS = {  # that a parameter is searched in
     **{"p_miss": (0.01, 0.999), "p_false_alarm": (1e-4, 0.8), "max_mass": (0.5, 0.9999)},
     **{"free_reliability_at_hits": (0.0, 1.0), "no_return_weight": (0.0, 1.0)},
     **{"obstacle_height": (0.03, 0.5), "clearance": (1.0, 3.0), "below_ground": (0.05, 2.0), "range_noise": (0.0, 0.2)},
     **{"max_range": (20.0, 200.0), "azimuth_step": (0.001, 0.05), "ground_cell": (0.2, 3.0)},
+    **{"floor_margin": (0.0, 0.3)},
     **{"hidden_height": (0.1, 2.0), "hidden_depth": (0.5, 40.0)},
     **{"z_min": (0.05, 1.5), "z_max": (1.6, 3.0), "evidence": (0.1, 100.0)},
 }
@@ -53,7 +55,7 @@ def calibrate(
     dataset : sequence of Frame
         Frames with truth, as `ogm.datasets.open_dataset` returns them.
     model : str or Calibration
-        "ray" or "height-band", or a calibration or its path, to start from.
+        "ray", "height-band" or "planar", or a calibration or its path, to start from.
     spec : GridSpec, optional
         The cells; by default the 81.92 m x 56.32 m of the paper.
     fit : dict of str to (low, high), optional

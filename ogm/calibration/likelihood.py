@@ -32,7 +32,7 @@ class Likelihood:
 
     Parameters
     ----------
-    model : {"ray", "height-band"}
+    model : {"ray", "height-band", "planar"}
     dataset : iterable of Frame
         Frames with truth; those without a known cell are left out. Kept in memory, about 2 MB each.
     spec : GridSpec, optional

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @report_errors
 def calibrate_command(
     data: Annotated[Path, Argument(help="Recording with truth, or dataset of `ogm simulate`.", metavar="DATA")],
-    ism: Annotated[str, Option(help="Model: ray, height-band, or an earlier result to start from.")] = "ray",
+    ism: Annotated[str, Option(help="Model: ray, height-band, planar, or an earlier result to start from.")] = "ray",
     fit: Annotated[
         str | None,
         Option(

@@ -87,15 +87,18 @@ stderr: SafeConsole = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
 
 
 def chosen_model(name: str | None, spec: "GridSpec", rule: str = "") -> str:
-    """Return the name of the sensor model: by default that of `default_model`, with a line on why not `combined`."""
-    from ogm.models.named import default_model
+    """Return the name of the sensor model: by default that of `default_model`, with a line on why not `combined`.
+
+    The default is for all kinds of scans, see `ogm.models.named.for_all_kinds`.
+    """
+    from ogm.models.named import default_model, for_all_kinds
 
     if name is not None:
         return name
     usual, reason = default_model(spec, rule)
     if reason:
         stderr.print(f"sensor model {usual}: {reason}", markup=False)
-    return usual
+    return for_all_kinds(usual)
 
 
 def report_errors(command: Callable[P, R]) -> Callable[P, R]:

@@ -179,7 +179,7 @@ def evaluate(
 
 def usual_models(spec: GridSpec) -> list[str]:
     """Return the models that are evaluated where none is named: geometric ones, and the default of other commands."""
-    usual = chosen_model(None, spec)
+    usual = chosen_model(None, spec).partition("+")[0]
     return list(MODELS[:2]) if usual in MODELS else [*MODELS, usual]
 
 

@@ -26,14 +26,14 @@ SavePoses = Annotated[File, Option(help="Write the poses of the scans that were 
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Drive = Annotated[str | None, Option(help="Drive of a data set: its name or number. [default: the first]")]
 _MODELS = (
-    "Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of `ogm calibrate`; "
-    "of radars: radar, deep-radar; of both: ray+radar, lite+deep-radar, ..."
+    "Sensor model: ray, planar, height-band, lite, combined, weights that `ogm train` wrote, or the .json of "
+    "`ogm calibrate`; of radars: radar, deep-radar; of several kinds: ray+radar, ray+planar, ..."
 )
 UsualModel = Annotated[
     str | None,
     Option(
         help=f"{_MODELS} [default: combined; ray for dynamic maps, and where the network is not installed or does not "
-        "suit the grid]"
+        "suit the grid; planar for planar lasers and sonars]"
     ),
 ]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]

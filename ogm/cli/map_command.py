@@ -52,7 +52,7 @@ def demo(
 
     out_folder.mkdir(parents=True, exist_ok=True)
     spec, table, pictures = GridSpec.centered(), _table(), []
-    best, models = chosen_model(None, spec), dict(DEMO_MODELS)
+    best, models = chosen_model(None, spec).partition("+")[0], dict(DEMO_MODELS)
     if best != COMBINED:
         del models[LITE], models[COMBINED]
     for output, (file, axes, height, *cells) in DEMO_SCANS.items():
@@ -88,9 +88,9 @@ def map_(
     ism: Annotated[
         str | None,
         Option(
-            help="Sensor model: combined, ray, height-band, height-band-released, lite, radar, deep-radar, what `ogm "
-            "train` or `ogm export` wrote, or the .json of `ogm calibrate`. [default: combined; ray where the network "
-            "is not installed or does not suit the grid]"
+            help="Sensor model: combined, ray, planar, height-band, height-band-released, lite, radar, deep-radar, "
+            "what `ogm train` or `ogm export` wrote, or the .json of `ogm calibrate`. [default: combined; ray where "
+            "the network is not installed or does not suit the grid; planar for planar lasers and sonars]"
         ),
     ] = None,
     axes: options.Axes = "flu",
@@ -117,7 +117,7 @@ def map_(
     """Map scans to evidential grids, one each, and draw them."""
     from ogm.datasets import open_dataset
     from ogm.grid import GridSpec
-    from ogm.models.named import RELEASED
+    from ogm.models.named import RELEASED, title_of
     from ogm.workflows import map_to_files
     from ogm.workflows.checks import gravest
     from ogm.workflows.findings import without_numbers
@@ -135,7 +135,7 @@ def map_(
         _check_replaced(dataset, spec)
     results = map_to_files(dataset, model, out_path, picture, title=ism, first_call=first_call)
     names = distinct([frame.name.replace("/", "_") for frame in dataset])
-    table, heights, failed, done = _table(), set(), Counter[str](), list[str]()
+    table, heights, failed, done, titles = _table(), set(), Counter[str](), list[str](), dict[str, None]()
     for name, (frame, grid, seconds, error) in ticked(zip(names, results, strict=True), "mapping", len(names)):
         if grid is None:
             kind = without_numbers(error.replace(frame.name, ""))
@@ -146,6 +146,7 @@ def map_(
             continue
         _row(table, name, len(frame.scan), grid, seconds)
         done.append(frame.name.replace("/", "_"))
+        titles[title_of(ism, frame.scan, frame.mount)] = None
         if estimated:
             heights.add(f"{frame.mount.sensor_height:.2f} m")
     if ism != RELEASED:
@@ -154,7 +155,7 @@ def map_(
     if heights:
         stderr.print(f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)")
     if table.row_count:
-        out.print(f"{_cells(spec)}, {ism}", markup=False, soft_wrap=True)
+        out.print(f"{_cells(spec)}, {'; '.join(titles)}", markup=False, soft_wrap=True)
         out.print(table)
         out.print(f"written {_written(done, out_path, picture)}", markup=False, soft_wrap=True)
     if failed:

@@ -12,7 +12,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, revise, yager
-from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, REVISION, YAGER, Aging, evidential_update
+from ogm.fusion.kernels import (
+    BLOCK,
+    CAUTIOUS,
+    CUMULATIVE,
+    DEMPSTER,
+    REVISION,
+    YAGER,
+    Aging,
+    BeliefLayers,
+    Memory,
+    age_blocks,
+    evidential_update,
+    shares_left,
+)  # fmt: skip
 from ogm.fusion.lookup import ScanLookup, gather
 from ogm.fusion.mapper import Forget, Mapper, locked
 from ogm.fusion.resample import ResampleMethod, view_layers
@@ -31,10 +44,27 @@ _NOWHERE = np.array([[1.0, 0.0, 1e9], [0.0, 1.0, 1e9]])  # affine map to cells t
 
 
 class PartLayers(NamedTuple):
-    """A map by itself: masses and conflict, (nx, ny, 2)."""
+    """A map by itself: masses and conflict, (nx, ny, 2), and until when blocks of cells have aged [s]."""
 
     mass: NDArray[np.float32]
     conflict: NDArray[np.float32]
+    aged: NDArray[np.float64]
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int], now: float) -> "PartLayers":
+        """Return a map without belief."""
+        mass, conflict = np.zeros((2, *shape, 2), np.float32)
+        return cls(mass, conflict, np.full((shape[0], -(-shape[1] // BLOCK)), now))
+
+    def copy(self) -> "PartLayers":
+        """Return a copy in memory of its own."""
+        return PartLayers(self.mass.copy(), self.conflict.copy(), self.aged.copy())
+
+    @property
+    def rows(self) -> BeliefLayers:
+        """The same memory as kernels take it."""
+        nx, ny = self.mass.shape[:2]
+        return BeliefLayers(self.mass.reshape(nx, 2 * ny), self.conflict.reshape(nx, 2 * ny), self.aged)
 
 
 class EvidentialMapper(Mapper):
@@ -137,6 +167,7 @@ class EvidentialMapper(Mapper):
         super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=forgets))
         self._parts: dict[int, PartLayers] = {}
         self._combine: Combine | None = None  # of the parts beyond `PLAIN`
+        self._now = 0.0  # [s] sum of the times between scans
 
     def __repr__(self) -> str:
         rule = getattr(self.rule, "__name__", repr(self.rule))
@@ -148,6 +179,7 @@ class EvidentialMapper(Mapper):
     @locked
     def grid(self) -> EvidentialGrid:
         """The map (a copy), in map coordinates, as of the last scan."""
+        self._age_all()
         masses = {part: self._window.unrolled(layers.mass) for part, layers in self._parts.items()}
         return EvidentialGrid.trusted(self.spec, self._combined(masses, self._window.spec0.shape))
 
@@ -161,6 +193,7 @@ class EvidentialMapper(Mapper):
     ) -> EvidentialGrid:
         """Return the map in the vehicle's axes: see `Mapper.view`. Maps of several models are combined after it."""
         cells, T = self._around(spec, T_map_vehicle)
+        self._age_all()
         masses = {
             part: view_layers(self._window.unrolled(layers.mass), self.spec, cells, T, method)
             for part, layers in self._parts.items()
@@ -171,13 +204,14 @@ class EvidentialMapper(Mapper):
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map, and may be one of another model."""
         super().reset()
-        self._parts, self._combine = {}, None
+        self._parts, self._combine, self._now = {}, None, 0.0
 
     @property
     def _layers(self) -> Sequence[NDArray[np.float32]]:
-        return [array for layers in self._parts.values() for array in layers]
+        return [array for layers in self._parts.values() for array in layers[:2]]
 
     def _conflict_layers(self) -> NDArray[np.float32]:
+        self._age_all()
         conflict = np.zeros((*self._window.spec0.shape, 2), np.float32)
         for layers in self._parts.values():
             np.maximum(conflict, layers.conflict, out=conflict)
@@ -192,9 +226,10 @@ class EvidentialMapper(Mapper):
         return combined if plain is None else normalized_cautious(combined, plain)
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
-        measured = self._measured(grid)
-        shape = (*self._window.spec0.shape, 2)
-        added = {part: PartLayers(*np.zeros((2, *shape), np.float32)) for part in measured.keys() - self._parts.keys()}
+        corner, measured = grid.known[0], self._measured(grid)
+        shape, now = self._window.spec0.shape, self._now + max(scan.elapsed, 0.0)
+        added = {part: PartLayers.empty(shape, now) for part in measured.keys() - self._parts.keys()}
+        scan = scan._replace(affine=scan.affine - [[0, 0, corner[0]], [0, 0, corner[1]]])
         if self.rule in _COMPILED:
             self._parts |= added
             self._window.move_to(scan.corner, *self._layers)
@@ -202,7 +237,7 @@ class EvidentialMapper(Mapper):
                 self._update(layers, measured.get(part), scan, reliability)
         else:
             before, parts = self._window.corner, self._parts
-            copies = {part: PartLayers(*(array.copy() for array in layers)) for part, layers in (parts | added).items()}
+            copies = {part: layers.copy() for part, layers in (parts | added).items()}
             try:
                 self._parts = copies
                 self._window.move_to(scan.corner, *self._layers)
@@ -211,13 +246,14 @@ class EvidentialMapper(Mapper):
             except BaseException:
                 self._window.corner, self._parts = before, parts
                 raise
+        self._now = now
         if isinstance(grid, CombinedGrid):
             self._combine = grid.combine
 
     def _measured(self, grid: EvidentialGrid) -> dict[int, NDArray[np.float32]]:
         """Return the masses of a scan by the part of the map that they belong to."""
         if not isinstance(grid, CombinedGrid):
-            return {PLAIN: grid.mass}
+            return {PLAIN: grid.known[1]}
         known = sum(part != PLAIN for part in self._parts)
         if known and known != len(grid.parts):
             raise ValueError(
@@ -229,20 +265,26 @@ class EvidentialMapper(Mapper):
     def _update(
         self, layers: PartLayers, mass: NDArray[np.float32] | None, scan: CheckedScan, reliability: float
     ) -> None:
-        """Age a part, and fuse the masses of a scan into it, if it has any."""
-        nx, ny = self._window.spec0.shape
-        late = scan.elapsed < 0
-        conflict = layers.conflict.copy() if late else layers.conflict
+        """Age a part where the scan may reach, and fuse the masses of a scan into it, if it has any."""
+        rows = layers.rows
+        if scan.elapsed < 0:  # it changes no conflict
+            age_blocks(rows, self._memory(0.0))
+            rows = rows._replace(conflict=rows.conflict.copy())
         evidential_update(
-            layers.mass.reshape(nx, 2 * ny),
-            conflict.reshape(nx, 2 * ny),
+            rows,
             self._window.ring,
             self._lookup(mass, scan),
             float(reliability),
-            self._aging(max(scan.elapsed, 0.0)),
+            self._memory(max(scan.elapsed, 0.0)),
             _COMPILED[self.rule],
             1.0 - self.min_unknown,
         )
+
+    def _age_all(self) -> None:
+        """Age what has waited since no scan reached it."""
+        if self.rule in _COMPILED:
+            for layers in self._parts.values():
+                age_blocks(layers.rows, self._memory(0.0))
 
     def _update_by_any_rule(
         self, layers: PartLayers, mass: NDArray[np.float32] | None, scan: CheckedScan, reliability: float
@@ -251,7 +293,7 @@ class EvidentialMapper(Mapper):
         measured = np.empty_like(layers.mass)
         gather(self._lookup(mass, scan), self._window.ring, measured.reshape(len(measured), -1))
         measured *= np.float32(reliability)
-        aging = self._aging(max(scan.elapsed, 0.0))
+        aging: Aging = shares_left(self._memory(0.0), max(scan.elapsed, 0.0))
         excess = layers.conflict[..., 0] - layers.conflict[..., 1]
         decayed = layers.mass.copy()
         decayed[..., 1] *= np.exp(-aging.dynamic_decay * np.maximum(excess, 0))
@@ -273,20 +315,11 @@ class EvidentialMapper(Mapper):
             mass = self._aged(mass, -scan.elapsed)
         return ScanLookup(np.ascontiguousarray(mass), scan.affine, scan.samples)
 
-    def _aging(self, seconds: float) -> Aging:
-        """Return the shares of the map that are left after some time, and its dynamic decay."""
-        free, occupied = self._kept(seconds)
+    def _memory(self, elapsed: float) -> Memory:
+        """Return how the map forgets, and the time of a scan [s after the last one]."""
         evidence, observed = self.discounting is discount_evidence, self.forget == "observed"
-        if seconds == 0:  # a scan of the same moment
-            return Aging(free, occupied, 0.0, 1.0, evidence, observed)
-        keep = 0.5 ** (seconds / self.conflict_half_life) if self.conflict_half_life else 0.0
-        decay = math.log(2) * max(1 / self.moving_half_life - 1 / self.half_life[1], 0.0)
-        if 0 < self.conflict_half_life < math.inf:  # the excess itself fades in the meantime
-            fading = math.log(2) / self.conflict_half_life
-            decay = decay * -math.expm1(-fading * seconds) / fading
-        else:
-            decay *= seconds
-        return Aging(free, occupied, decay, keep, evidence, observed)
+        half_lives = *self.half_life, self.moving_half_life, self.conflict_half_life
+        return Memory(*half_lives, evidence, observed, elapsed, self._now + elapsed)
 
     def _kept(self, seconds: float) -> tuple[float, float]:
         """Return the shares of free and of occupied that are left after some time."""

@@ -5,18 +5,61 @@ and the window's cell (i, j) is at row (i + row) mod nx, cell (j + column) mod n
 is checked here.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ogm.evidence.kernels import FLOAT32, REVISE, RULES, Rule
 from ogm.fusion.lookup import ScanLookup, look_up
-from ogm.jit import vector
+from ogm.jit import kernel, vector
 
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS, REVISION = 0, 1, 2, 3, 4
+BLOCK = 64  # cells of a row that age together
 # Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
 TINY = np.float32(1e-18)
 A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the series of exp
+
+
+class BeliefLayers(NamedTuple):
+    """A map, and until when each block of its cells has aged.
+
+    Attributes
+    ----------
+    state, conflict : (nx, 2 ny) float32
+        Masses (free, occupied), and (free -> occupied, occupied -> free).
+    aged : (nx, blocks) float64
+        [s] of each `BLOCK` cells of a row, the last of which may have fewer.
+    """
+
+    state: np.ndarray
+    conflict: np.ndarray
+    aged: np.ndarray
+
+
+class Memory(NamedTuple):
+    """How a map forgets, and the time.
+
+    Attributes
+    ----------
+    free, occupied, moving, conflict : float
+        Half-lives [s], see `ogm.fusion.EvidentialMapper`.
+    evidence, observed : bool
+        Whether evidence fades, not mass; whether only cells fade that the scan has a belief about.
+    elapsed : float
+        Time since the last scan [s].
+    now : float
+        Time of the scan, on the clock of `aged` [s].
+    """
+
+    free: float
+    occupied: float
+    moving: float
+    conflict: float
+    evidence: bool
+    observed: bool
+    elapsed: float
+    now: float
 
 
 class Aging(NamedTuple):
@@ -41,6 +84,22 @@ class Aging(NamedTuple):
     keep_conflict: float
     evidence: bool
     observed: bool
+
+
+@kernel
+def shares_left(memory: Memory, seconds: float) -> Aging:
+    """Return the shares of a map that are left after some time, and its dynamic decay."""
+    free, occupied = 0.5 ** (seconds / memory.free), 0.5 ** (seconds / memory.occupied)
+    if seconds == 0:  # a scan of the same moment
+        return Aging(free, occupied, 0.0, 1.0, memory.evidence, memory.observed)
+    keep = 0.5 ** (seconds / memory.conflict) if memory.conflict > 0 else 0.0
+    decay = math.log(2.0) * max(1 / memory.moving - 1 / memory.occupied, 0.0)
+    if 0 < memory.conflict < math.inf:  # the excess itself fades in the meantime
+        fading = math.log(2.0) / memory.conflict
+        decay = decay * -math.expm1(-fading * seconds) / fading
+    else:
+        decay *= seconds
+    return Aging(free, occupied, decay, keep, memory.evidence, memory.observed)
 
 
 def _combiner(rule: Rule) -> Any:
@@ -93,41 +152,43 @@ def combine_cells(rule: int, m: Any, c: Any, z: Any, limit: Any) -> None:
 
 @vector
 def evidential_update(
-    state: np.ndarray,
-    conflict: np.ndarray,
+    layers: BeliefLayers,
     ring: tuple[int, int],
     scan: ScanLookup,
     reliability: float,
-    aging: Aging,
+    memory: Memory,
     rule: int,
     max_known: float,
 ) -> None:
-    """Age a map, fuse a scan into it, and keep where the two contradict each other.
+    """Age the part of a map that a scan may reach, fuse the scan into it, and keep where the two contradict each other.
+
+    What a map forgets in two steps of time it forgets in one of both, so that the other blocks of cells may wait:
+    `age_blocks`. Not so where only observed cells fade, or no conflict is kept: then all cells age.
 
     Parameters
     ----------
-    state, conflict : (nx, 2 ny) float32
-        Masses (free, occupied), and (free -> occupied, occupied -> free); both are changed in place.
+    layers : BeliefLayers
+        Changed in place.
     ring : (int, int)
         Row and cell of the window's cell (0, 0).
     scan : ScanLookup
         Of masses.
     reliability : float
         Shafer's discount of the scan, [0, 1].
-    aging : Aging
+    memory : Memory
     rule : int
         `DEMPSTER`, `YAGER`, `CUMULATIVE`, `CAUTIOUS` or `REVISION`.
     max_known : float
         The most that free + occupied may be, [0, 1].
     """
+    state, conflict, aged = layers
     nx, ny = state.shape[0], state.shape[1] // 2
     row, column = ring
-    one = np.float32(1)
-    kf, ko, kc = np.float32(aging.keep_free), np.float32(aging.keep_occupied), np.float32(aging.keep_conflict)
-    decay = np.float32(aging.dynamic_decay)
     w, limit = np.float32(reliability), np.float32(max_known)
     z = np.zeros(2 * ny, np.float32)
-    plain = not (aging.observed or aging.evidence)
+    blocks = not memory.observed and memory.conflict > 0
+    shares = shares_left(memory, memory.elapsed)
+    last = memory.elapsed
     first = ny - column  # window cells that are stored before the end of the row
     for i in range(nx):
         at = (i + row) % nx
@@ -137,25 +198,67 @@ def evidential_update(
         for part in range(2):
             a, b = (0, first) if part == 0 else (first, ny)  # cells of the window
             shift = column if part == 0 else column - ny  # to their place in the row
-            if a >= b:
-                continue
-            m = state[at, 2 * (a + shift) : 2 * (b + shift)]
-            c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
-            if decay > 0 and not plain:
-                _decay(m, c, one, decay)
-            if plain:
-                _decay_and_age(m, c, one, decay, kf, ko, kc)
-            elif aging.observed:
-                _age_observed(m, c, z[2 * a : 2 * b], one, kf, ko, kc, aging.evidence)
-            else:
-                _age_evidence(m, c, one, kf, ko, kc)
+            if a < b and not blocks:
+                m, c = state[at, 2 * (a + shift) : 2 * (b + shift)], conflict[at, 2 * (a + shift) : 2 * (b + shift)]
+                _age(m, c, z[2 * a : 2 * b], shares)
             a, b = max(a, low), min(b, high)
             if a >= b:
                 continue
-            m = state[at, 2 * (a + shift) : 2 * (b + shift)]
-            c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
+            if blocks:
+                for k in range((a + shift) // BLOCK, (b + shift - 1) // BLOCK + 1):
+                    seconds = memory.now - aged[at, k]
+                    if seconds <= 0:
+                        continue
+                    aged[at, k] = memory.now
+                    if seconds != last:
+                        shares, last = shares_left(memory, seconds), seconds
+                    start, stop = 2 * BLOCK * k, 2 * min(BLOCK * (k + 1), ny)
+                    _age(state[at, start:stop], conflict[at, start:stop], z, shares)
+            m, c = state[at, 2 * (a + shift) : 2 * (b + shift)], conflict[at, 2 * (a + shift) : 2 * (b + shift)]
             combine_cells(rule, m, c, z[2 * a : 2 * b], limit)
-        z[:] = 0
+        z[2 * low : 2 * high] = 0
+
+
+@vector
+def age_blocks(layers: BeliefLayers, memory: Memory) -> None:
+    """Age all blocks of cells of a map that have waited.
+
+    Parameters
+    ----------
+    layers : BeliefLayers
+        Changed in place.
+    memory : Memory
+    """
+    state, conflict, aged = layers
+    if memory.observed or not memory.conflict > 0:
+        return
+    shares, last = shares_left(memory, 0.0), 0.0
+    for at in range(aged.shape[0]):
+        for k in range(aged.shape[1]):
+            seconds = memory.now - aged[at, k]
+            if seconds <= 0:
+                continue
+            aged[at, k] = memory.now
+            if seconds != last:
+                shares, last = shares_left(memory, seconds), seconds
+            m, c = state[at, 2 * BLOCK * k : 2 * BLOCK * (k + 1)], conflict[at, 2 * BLOCK * k : 2 * BLOCK * (k + 1)]
+            _age(m, c, m, shares)
+
+
+@vector
+def _age(m: Any, c: Any, z: Any, shares: Aging) -> None:
+    one = np.float32(1)
+    kf, ko, kc = np.float32(shares.keep_free), np.float32(shares.keep_occupied), np.float32(shares.keep_conflict)
+    decay = np.float32(shares.dynamic_decay)
+    if not (shares.observed or shares.evidence):
+        _decay_and_age(m, c, one, decay, kf, ko, kc)
+        return
+    if decay > 0:
+        _decay(m, c, one, decay)
+    if shares.observed:
+        _age_observed(m, c, z, one, kf, ko, kc, shares.evidence)
+    else:
+        _age_evidence(m, c, one, kf, ko, kc)
 
 
 @vector

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.fusion.window import Window, affine_between, overlaps, samples_per_axis
 from ogm.geometric.doppler import RadialVelocities
-from ogm.grid import CombinedGrid, EvidentialGrid, GridSpec
+from ogm.grid import CombinedGrid, EvidentialGrid, PartialGrid
 from ogm.pose import check_pose, check_stamp, inverse
 
 SLACK = 1.0  # [m] added to the distance that a vehicle may travel between two scans
@@ -69,15 +69,18 @@ def check_measurement(grid: EvidentialGrid, reliability: float) -> None:
             f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
             "points first"
         )
-    for mass in (grid.mass, *grid.parts) if isinstance(grid, CombinedGrid) else (grid.mass,):
-        _check_masses(mass, grid.spec)
+    if isinstance(grid, PartialGrid):
+        _check_masses(grid.known[1], grid.known[1].shape[:2])
+    else:
+        for mass in (grid.mass, *grid.parts) if isinstance(grid, CombinedGrid) else (grid.mass,):
+            _check_masses(mass, grid.spec.shape)
     if not (isinstance(reliability, int | float | np.number) and 0 <= reliability <= 1):
         raise ValueError(f"reliability must be a number in [0, 1], got {reliability!r}")
 
 
-def _check_masses(mass: NDArray[np.float32], spec: GridSpec) -> None:
-    if mass.shape != (*spec.shape, 2) or mass.dtype != np.float32:
-        raise ValueError(f"the masses of the grid are {mass.dtype} {mass.shape}, wanted float32 {(*spec.shape, 2)}")
+def _check_masses(mass: NDArray[np.float32], shape: tuple[int, ...]) -> None:
+    if mass.shape != (*shape, 2) or mass.dtype != np.float32:
+        raise ValueError(f"the masses of the grid are {mass.dtype} {mass.shape}, wanted float32 {(*shape, 2)}")
     # As whole numbers, floats above 1, below 0 and NaN are all greater than 1: one pass, which costs half of two.
     if mass.view(np.uint32).max() > _ONE and not (mass.min() >= -TOLERANCE and mass.max() <= 1 + TOLERANCE):
         raise ValueError(f"the masses of the grid must be in [0, 1], got {mass.min()} to {mass.max()}")

@@ -43,11 +43,11 @@ def main_kernels(job: str) -> Kernels:
         numbers, work = RayNumbers(*(1.0,) * 11), WorkSpace(i1, f1, f1, f1, i1, i1, f2, i2, f2)
         return [(clear_sectors, (Rays(f2, i1, i1), points, f1, limits, polar, cells, numbers, work))]
     if job == "map":
-        from ogm.fusion.kernels import Aging, evidential_update
+        from ogm.fusion.kernels import BeliefLayers, Memory, evidential_update
         from ogm.fusion.lookup import ScanLookup
 
-        aging = Aging(1.0, 1.0, 0.0, 1.0, False, False)
-        return [(evidential_update, (f2, f2, (0, 0), ScanLookup(f3, d2, 1), 1.0, aging, 0, 1.0))]
+        layers, memory = BeliefLayers(f2, f2, d2), Memory(1.0, 1.0, 1.0, 1.0, False, False, 0.0, 0.0)
+        return [(evidential_update, (layers, (0, 0), ScanLookup(f3, d2, 1), 1.0, memory, 0, 1.0))]
     from ogm.fusion.dynamic.groups import Groups, find_groups
     from ogm.fusion.dynamic.matching_kernels import MatchNumbers, match_groups
 

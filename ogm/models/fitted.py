@@ -25,7 +25,7 @@ class Calibration:
 
     Parameters
     ----------
-    model : {"ray", "height-band"}
+    model : {"ray", "height-band", "planar"}
     parameters : dict of str to float
         The fitted ones, and those of the calibration that the fit started from.
     start : dict of str to float
@@ -102,9 +102,9 @@ class Calibration:
 
 def model_class(name: str) -> Any:
     """Return the class of a geometric model whose parameters can be chosen, by its name."""
-    from ogm.geometric import HeightBandISM, RayISM
+    from ogm.geometric import HeightBandISM, PlanarISM, RayISM
 
-    classes = {"ray": RayISM, "height-band": HeightBandISM}
+    classes = {"ray": RayISM, "height-band": HeightBandISM, "planar": PlanarISM}
     if name not in classes:
         raise OgmError(f"there is no geometric model {name!r} with parameters; there are {', '.join(classes)}")
     return classes[name]

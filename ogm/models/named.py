@@ -10,7 +10,7 @@ True
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from importlib.util import find_spec
@@ -29,7 +29,7 @@ from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, load_radar_model
 from ogm.pose import tilt_of
 from ogm.scan import InverseSensorModel, Mount, Scan, as_scan
 
-GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-released"
+GEOMETRIC = RAY, HEIGHT_BAND, PLANAR, RELEASED = "ray", "height-band", "planar", "height-band-released"
 LITE = "lite"
 COMBINED = "combined"
 COMBINATION: dict[str, Any] = {  # of `ray` and `lite`, fitted to simulated validation towns, see docs/deep.md
@@ -39,6 +39,7 @@ COMBINATION: dict[str, Any] = {  # of `ray` and `lite`, fitted to simulated vali
 MODELS = {  # name: description
     RAY: "Rays and local ground (RayISM).",
     HEIGHT_BAND: "The paper's geometric model as its text describes it (HeightBandISM).",
+    PLANAR: "Beams of a laser in one plane, or of a sonar (PlanarISM): free in that plane alone.",
     RELEASED: "The paper's geometric model as its released code has it: 0.32 m cells, evidence 1 at most, mounted "
     "at 1.61 m.",
     LITE: "The network that ogm ships (DeepISM), trained on simulated scans.",
@@ -65,7 +66,7 @@ def default_model(spec: GridSpec, rule: str = "") -> tuple[str, str]:
     -------
     name : str
         ``"combined"``, or ``"ray"`` where the network cannot run and for dynamic maps: borders that move from scan to
-        scan, as those of the network do, look like motion (docs/dynamic.md).
+        scan, as those of the network do, look like motion (docs/dynamic.md). Scans of other kinds: `for_all_kinds`.
     reason : str
         What `combined` lacks; empty if nothing.
     """
@@ -90,8 +91,8 @@ def load_model(
     ----------
     name : str
         A name in `MODELS`, the path of parameters that ``ogm calibrate`` wrote (``.json``), or that of weights that
-        ``ogm train`` or ``ogm export`` wrote: a ``.safetensors`` file, a run's folder, or an ``.onnx`` file. Two names
-        with ``+`` between, as in ``ray+radar``, are for a lidar and for radars: see `LidarRadarISM`.
+        ``ogm train`` or ``ogm export`` wrote: a ``.safetensors`` file, a run's folder, or an ``.onnx`` file. Names with
+        ``+`` between, as in ``ray+planar+radar``, are for lidars, planar lasers and radars: see `ModelsByKind`.
     spec : GridSpec
         The grid to fill. ``height-band-released`` fills cells of twice the side, on the same area.
     mount : Mount, optional
@@ -107,10 +108,10 @@ def load_model(
     FileNotFoundError
         If there are no such weights.
     """
-    lidar, plus, radar = name.partition("+")
-    if plus:
-        of_radars = load_radar_model(radar, spec, mount)
-        return LidarRadarISM(load_model(lidar, spec, mount, drop_ego_returns=drop_ego_returns), of_radars)
+    if "+" in name:
+        first, *others = name.split("+")
+        beside = {_kind_of(part): load_model(part, spec, mount) for part in others}
+        return ModelsByKind(load_model(first, spec, mount, drop_ego_returns=drop_ego_returns), beside)
     if name in RADAR_MODELS:
         return load_radar_model(name, spec, mount)
     if name == RELEASED:
@@ -139,31 +140,74 @@ def load_model(
 
 def with_radar(name: str) -> str:
     """Return the name of a model for all sensors of a vehicle: a lidar's gets ``+radar``."""
-    return name if "+" in name or name in RADAR_MODELS else f"{name}+{RADAR}"
+    return name if any(part in RADAR_MODELS for part in name.split("+")) else f"{name}+{RADAR}"
 
 
-@dataclass(frozen=True, eq=False)
-class LidarRadarISM:
-    """The sensor models of a vehicle with a lidar and radars.
+def for_all_kinds(name: str) -> str:
+    """Return the name of a default model with ``+planar``, for the planar lasers and sonars of a vehicle."""
+    return f"{name}+{PLANAR}"
+
+
+def part_for(name: str, scan: Scan) -> str:
+    """Return the part of a model's name that maps a scan, as ``"planar"`` of ``"ray+planar"``."""
+    first, *others = name.split("+")
+    return {_kind_of(part): part for part in others}.get(_kind(scan), first)
+
+
+def title_of(name: str, scan: Scan, mount: Mount) -> str:
+    """Return the title of a grid: the model that maps a scan, and of a planar one the height of its free cells.
 
     Parameters
     ----------
-    lidar : InverseSensorModel
-    radar : InverseSensorModel
-        Maps the scans with `Scan.rcs`, which are those of radars.
+    name : str
+        Name of the model.
+    scan : Scan
+    mount : Mount
+    """
+    from ogm.geometric import plane_text
+
+    part = part_for(name, scan)
+    return ", ".join(filter(None, (part, plane_text(scan, mount) if part == PLANAR else "")))
+
+
+def _kind_of(name: str) -> str:
+    """Return the kind of scans that a model beside a first one maps."""
+    if name not in (PLANAR, *RADAR_MODELS):
+        known = ", ".join((PLANAR, *RADAR_MODELS))
+        raise ValueError(
+            f"there is no sensor model of radars {name!r}, nor of planar lasers; after + may stand {known}"
+        )
+    return PLANAR if name == PLANAR else RADAR
+
+
+def _kind(scan: Scan) -> str:
+    return RADAR if scan.rcs is not None else PLANAR if scan.kind in ("planar", "cone") else ""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelsByKind:
+    """The sensor models of a vehicle with sensors of several kinds.
+
+    Parameters
+    ----------
+    first : InverseSensorModel
+        Maps all scans that no other model is for.
+    others : dict of str to InverseSensorModel
+        By ``"radar"``, for scans with `Scan.rcs`, and ``"planar"``, for those of planar lasers and sonars.
     """
 
-    lidar: InverseSensorModel
-    radar: InverseSensorModel
+    first: InverseSensorModel
+    others: Mapping[str, InverseSensorModel]
 
     @property
     def spec(self) -> GridSpec:
-        """The grid that the model of the lidar fills."""
-        return self.lidar.spec
+        """The grid that the first model fills."""
+        return self.first.spec
 
-    def __call__(self, scan: Scan) -> EvidentialGrid:
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan by the model for its kind of sensor."""
-        return (self.lidar if scan.rcs is None else self.radar)(scan)
+        scan = as_scan(scan)
+        return self.others.get(_kind(scan), self.first)(scan)
 
 
 class ReleasedISM:

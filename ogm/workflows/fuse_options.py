@@ -10,7 +10,7 @@ from ogm.extras import import_extra
 from ogm.fusion import make_mapper
 from ogm.grid import GridSpec
 from ogm.io.grids.files import MAP_ENDINGS, check_grid_output
-from ogm.models.named import default_model, load_model, with_radar
+from ogm.models.named import default_model, for_all_kinds, load_model, with_radar
 from ogm.scan import InverseSensorModel
 from ogm.storage.files import check_writable
 
@@ -101,7 +101,8 @@ class FuseOptions:
     Parameters
     ----------
     ism : str, optional
-        Sensor model, a name of `ogm.models.load_model`; by default that of `ogm.models.default_model`.
+        Sensor model, a name of `ogm.models.load_model`; by default that of `ogm.models.default_model`,
+        and ``planar`` for planar lasers and sonars.
     spec : GridSpec
         Cells of measurement grids, picture and film.
     rule : str
@@ -147,7 +148,7 @@ class FuseOptions:
 
     def __post_init__(self) -> None:
         if self.ism is None:
-            object.__setattr__(self, "ism", default_model(self.spec, self.rule)[0])
+            object.__setattr__(self, "ism", for_all_kinds(default_model(self.spec, self.rule)[0]))
 
     def load_model(self) -> InverseSensorModel:
         """Return the sensor model, for all sensors of the vehicle; that of the last name is kept."""

@@ -20,6 +20,7 @@ from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
 from ogm.io.messages import StampedTransform
+from ogm.models.named import title_of
 from ogm.plot import Panel
 from ogm.plot.movie import Movie
 from ogm.plot.moving import moving_groups
@@ -95,6 +96,8 @@ class FusionRun:
     def titles(self) -> tuple[str, str, str]:
         """Titles of measurement, map and conflict."""
         (model, rule), half_life = self.names, np.ravel(self.mapper.half_life)[0]
+        frame = self.dataset[0] if self.last is None else self.last.frame
+        model = title_of(model, frame.scan, frame.mount)
         fading = "" if math.isinf(half_life) else f", half-life {half_life:g} s"
         if isinstance(self.mapper, DynamicMapper):
             fading = f", arrows: {ARROW_SECONDS:g} s"

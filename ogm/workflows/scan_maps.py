@@ -11,6 +11,7 @@ from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.grid import EvidentialGrid
 from ogm.io.grids.files import MAP_ENDINGS, check_grid_output, write_grid
 from ogm.io.grids.placed import PlacedGrid
+from ogm.models.named import title_of
 from ogm.plot import points_panel, save_picture
 from ogm.scan import Frame, InverseSensorModel, run_model
 from ogm.storage.files import check_writable, error_text
@@ -46,7 +47,7 @@ def map_to_files(
     pictures : Path, optional
         ``.png`` file, or folder.
     title : str
-        Title of the grid in pictures.
+        Name of the model, for the titles of grids in pictures.
     first_call : function
         Returns a context manager around the first call of the model, which may compile kernels and is not timed.
 
@@ -90,7 +91,7 @@ def map_to_files(
                     write_grid(grid_file, PlacedGrid(grid, frame_id="vehicle", stamp=frame.stamp))
                 if picture is not None:
                     cloud = points_panel(frame.scan.points, grid.spec, frame.name)
-                    save_picture(picture, cloud, grid, titles=["", title])
+                    save_picture(picture, cloud, grid, titles=["", title_of(title, frame.scan, frame.mount)])
                 yield ScanMap(frame, grid, seconds)
             except (ValueError, TypeError, OSError) as error:
                 if len(names) == 1:

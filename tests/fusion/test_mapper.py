@@ -32,7 +32,7 @@ from ogm.evidence import (
     yager,
 )
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper
-from ogm.grid import CombinedGrid, EvidentialGrid, GridSpec
+from ogm.grid import CombinedGrid, EvidentialGrid, GridSpec, PartialGrid
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=12.8, width=9.6, resolution=0.2)  # 64 x 48
@@ -75,6 +75,26 @@ def test_the_compiled_pass_equals_its_slow_reference(name, forget, discounting, 
     assert fast.spec == slow.spec
     np.testing.assert_allclose(fast.grid.mass, slow.grid.mass, atol=1e-5)
     np.testing.assert_allclose(layers(fast), layers(slow), atol=1e-5)
+
+
+@each("rule, discounting, half_life", [(revise, discount, 2.0), (cumulative, discount_evidence, (0.7, 1.5))])
+def test_a_scan_that_reaches_few_cells_gives_the_map_of_its_whole_grid(rule, discounting, half_life):
+    """Cells that no scan reaches age when they are read; with the rule as a plain function all cells age each time."""
+    spec, rng = GridSpec.centered(length=6.0, width=30.0, resolution=0.2), np.random.default_rng(4)  # three blocks
+    options = {"half_life": half_life, "moving_half_life": 0.3, "discounting": discounting}
+    fast, whole = (EvidentialMapper(spec, rule, **options) for _ in range(2))
+    slow = EvidentialMapper(spec, lambda a, b: rule(a, b), **options)
+    for k in range(12):
+        corner, mass = tuple(rng.integers(0, (18, 141)).tolist()), noise(spec, k).mass[:12, :9]
+        grid = PartialGrid.of(spec, corner, mass)
+        assert (grid.mass[corner[0] : corner[0] + 12, corner[1] : corner[1] + 9] == mass).all()
+        stamp = 0.3 * k - (0.4 if k == 7 else 0.0)  # one comes late
+        for mapper, scan in ((fast, grid), (whole, EvidentialGrid(spec, grid.mass)), (slow, grid)):
+            mapper.update(scan, pose(0.4 * k, -0.3 * k, yaw=0.2 * k), stamp=stamp, reliability=0.9)
+    for other in (whole, slow):
+        np.testing.assert_allclose(fast.grid.mass, other.grid.mass, atol=1e-4)
+        np.testing.assert_allclose(layers(fast), layers(other), atol=1e-4)
+    refused("beyond the grid", PartialGrid.of, spec, (spec.shape[0] - 3, 0), noise(spec).mass[:4, :4])
 
 
 @each("rule", [pcr5, averaging, weighted, lambda a, b: close_world(conjunctive(a, b))])

@@ -39,7 +39,7 @@ from ogm.fusion.dynamic.scan_history import Extent, ScanHistory, scan_cells, sca
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.dynamic.threads import Threads, spans
 from ogm.fusion.dynamic.velocity_evidence import GroupVelocities, group_velocities, renew_particles, weigh_motion
-from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
+from ogm.fusion.kernels import BLOCK, DEMPSTER, BeliefLayers, Memory, evidential_update
 from ogm.fusion.lookup import ScanLookup
 from ogm.fusion.mapper import Mapper, locked
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
@@ -316,9 +316,9 @@ class DynamicMapper(Mapper):
         mass, no_conflict = np.stack([cells.free, cells.static], axis=-1), np.zeros((nx, 2 * ny), np.float32)
         rates = self.settings.rates(seconds, reliability, 0.0)
         aged = lookup._replace(values=lookup.values * np.array([rates.keep_free, rates.keep_static]))
-        nothing = Aging(1.0, 1.0, 0.0, 1.0, False, False)
-        args = aged, float(reliability), nothing, DEMPSTER, float(known)
-        evidential_update(mass.reshape(nx, 2 * ny), no_conflict, (0, 0), *args)
+        layers = BeliefLayers(mass.reshape(nx, 2 * ny), no_conflict, np.zeros((nx, -(-ny // BLOCK))))
+        forever = Memory(*(math.inf,) * 4, False, False, 0.0, 0.0)
+        evidential_update(layers, (0, 0), aged, float(reliability), forever, DEMPSTER, float(known))
         if self.filter == "nuss":
             mass[..., 1] = 0
         dynamic = cells.surviving + cells.born

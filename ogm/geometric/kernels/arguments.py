@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "Breaks", "Cells", "GroundLimits", "HeightBand", "Points", "PolarGrid", "RayLimits", "RayNumbers", "Rays",
-    "SectorRays", "Surface", "WorkSpace",
+    "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "PlanarBeams", "Points", "PolarGrid",
+    "RayLimits", "RayNumbers", "Rays", "SectorRays", "Surface", "WorkSpace",
 ]  # fmt: skip
 
 
@@ -17,6 +17,43 @@ class Cells(NamedTuple):
     x0: float  # corner of cell (0, 0) [m]
     y0: float
     resolution: float  # side of a cell [m]
+
+
+class PlanarBeams(NamedTuple):
+    """Beams in the plane of a grid, in the order of their azimuths, echoes of one beam in that of their ranges."""
+
+    x: NDArray[np.float64]  # (N,) cosine of the azimuth
+    y: NDArray[np.float64]  # (N,) sine
+    azimuth: NDArray[np.float64]  # (N,) [rad]
+    reach: NDArray[np.float64]  # (N,) range of the end, or where the beam leaves the heights that count [m]
+    echo: NDArray[np.bool_]  # (N,)
+    marks: NDArray[np.bool_]  # (N,) the end is an echo, at a height that counts
+
+
+class Directions(NamedTuple):
+    """Directions that a planar laser measured, in the order of their azimuths; the last is before the first."""
+
+    of_beam: NDArray[np.int64]  # (N,) direction of each beam
+    x: NDArray[np.float64]  # (D,) cosine of the azimuth
+    y: NDArray[np.float64]  # (D,) sine
+    reach: NDArray[np.float64]  # (D,) range of the nearest echo, or up to which a beam without echo counts [m]
+    silent: NDArray[np.bool_]  # (D,) no echo
+    turn: NDArray[np.float64]  # (D,) angle to the next one [rad]
+    jump: NDArray[np.float64]  # (D,) step of the range to the next one that one surface can explain [m]
+    adjacent: NDArray[np.bool_]  # (D,) the next one is one step of the sensor away
+    same: NDArray[np.bool_]  # (D,) and ends at the same surface
+    limit: NDArray[np.float64]  # (D,) range beyond which neighbours contradict [m], infinity for none
+
+
+class BeamNumbers(NamedTuple):
+    """The parameters of `PlanarISM` that the comparison of beams uses."""
+
+    free: float  # greatest mass
+    occupied: float
+    weak: float  # reliability of beams without echo, and of wide ones
+    half_width: float  # tangent of half the width of a beam
+    side: float  # of a cell [m]
+    cone: bool  # beams have no neighbours
 
 
 class Points(NamedTuple):

@@ -1,0 +1,214 @@
+"""The model of lasers in one plane, and of single wide beams: Thrun's beam model in evidential form."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
+from ogm.geometric.kernels.arguments import BeamNumbers, Cells, PlanarBeams
+from ogm.geometric.kernels.beams import ends_of, fans_of, find_directions
+from ogm.geometric.kernels.planar import TAIL, clear_fans, combine_claims, mark_ends
+from ogm.grid import EvidentialGrid, GridSpec, PartialGrid
+from ogm.jit import log_compilation
+from ogm.pose import rotate
+from ogm.scan import Mount, Scan, as_scan
+
+MAX_WIDTH = math.radians(85)  # [rad] of a beam, so that a wider one is a cone still
+NEAREST = 1e-3  # [m]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarISM:
+    """The inverse beam model of planar lasers, sonars and infrared sensors.
+
+    A beam with an echo at z has an evidential form of Thrun's mixture (hit, short, maximum range, random). A cell lies
+    d before or behind z, 0 for the cell that holds the end:
+
+    - **occupied** is ``(1 - p_false_alarm) * P(d)`` where the beam's axis crosses the cell, with P(0) = 1 and
+      P(d) = Phi(-d / range_noise), the chance that the surface is that far off: short and random returns are the false
+      alarms;
+    - **free** is ``(1 - p_miss) * (1 - exp(-d**2 / (2 range_noise**2)))`` before the end, 1 minus the likelihood of a
+      surface over its maximum: beams pass what is thin, transparent or specular;
+    - behind the end nothing is known.
+
+    Free needs two: the fan between neighbouring beams, at least one cell wide, is free up to the nearer of their ends.
+    A cell takes the greatest mass of each state over all beams, in any order, and where occupied exceeds
+    `p_false_alarm` nothing is free. Many beams through one cell are no more evidence than one.
+
+    Neighbours contradict (docs/geometric.md): an echo between others of other surfaces (dust, mixed pixels at edges,
+    glass) counts half; beams through an opening of at most 0.3 m, or of at most 4 m if half of them have no echo, may
+    have met a mirror or a pane, and clear beyond its edges with `no_return_weight` alone, without echo nothing.
+
+    Free is so **in the swept plane only**: `ogm.geometric.plane_text` names its height.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        The grid to fill, in the vehicle frame; must hold the sensor.
+    mount : Mount, optional
+        Where the sensor is mounted; by default each scan's own, `Scan.mount`. It levels a tilted sensor.
+        Returns from the ego footprint are dropped, its cells stay unknown.
+    range_noise : float
+        Standard deviation of a range [m]; 10 mm in the data sheet of the SICK LMS 291.
+    p_miss : float
+        Chance that a beam passes an occupied cell unnoticed.
+    p_false_alarm : float
+        Chance that an echo comes from an empty cell, in (0, 0.5).
+    no_return_weight : float
+        Reliability of free by beams without echo, and by wide beams (`Scan.kind` "cone"), [0, 1]. PlanarBeams without
+        echo count up to `Scan.max_range`, and not at all where that is unknown.
+    beam_width : float, optional
+        Full width of a beam [rad]; by default that of the scan, `Scan.beam_width`, and else 0. An end wider than a
+        cell shares its mass of occupied over its arc.
+    floor_margin : float
+        A beam lower than this above the ground [m], or than half the sensor's height, may have met the floor: it
+        neither clears nor marks.
+    clearance : float
+        PlanarBeams that rise above this height [m] neither clear nor mark from there on.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the sensor lies outside the grid.
+
+    Notes
+    -----
+    Sources: Thrun, Burgard, Fox 2005, Sec. 6.3 (mixture) and 9.2 (inverse model); Shafer 1976, Ch. 11 (relative
+    likelihood as plausibility).
+    """
+
+    spec: GridSpec
+    mount: Mount | None = None
+    range_noise: float = 0.01
+    p_miss: float = 0.2
+    p_false_alarm: float = 0.05
+    no_return_weight: float = 0.25
+    beam_width: float | None = None
+    floor_margin: float = 0.05
+    clearance: float = 2.0
+
+    def __post_init__(self) -> None:
+        check_sensor_in_grid(self.spec, self.mount)
+        check_within("range_noise", self.range_noise, 1e-6, 10)
+        check_within("p_miss", self.p_miss, 0, 1)
+        check_within("p_false_alarm", self.p_false_alarm, 0, 0.5)
+        check_within("no_return_weight", self.no_return_weight, -1e-9, 1 + 1e-9)
+        check_within("floor_margin", self.floor_margin, -1e-9, 10)
+        check_within("clearance", self.clearance, 0, 1e6)
+        if self.beam_width is not None:
+            check_within("beam_width", self.beam_width, -1e-9, math.pi / 2)
+
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
+        """Map one scan.
+
+        Parameters
+        ----------
+        scan : Scan or (N, 4) float32
+            Uses x, y, z, and `no_returns`, `max_range`, `beam_width` and `kind` where it has them. Several points in
+            one direction are echoes of one beam. NaN and inf rows are dropped and counted in the log.
+
+        Returns
+        -------
+        EvidentialGrid
+            Of which the masses are made when they are read: maps take the rectangle that the scan reaches. Vacuous
+            for an empty scan.
+        """
+        log_compilation(clear_fans)
+        scan = as_scan(scan)
+        mount, side = mount_in_grid(scan, self.spec, self.mount), self.spec.resolution
+        place = mount.origin[:2] - self.spec.origin
+
+        # Neighbouring beams, the fans between them, and the ends that count
+        beams, cone = self._beams(scan, mount), scan.kind == "cone"
+        width = self.beam_width if self.beam_width is not None else scan.beam_width or 0.0
+        half_width = math.tan(min(width, MAX_WIDTH) / 2)
+        numbers = BeamNumbers(1 - self.p_miss, 1 - self.p_false_alarm, self.no_return_weight, half_width, side, cone)
+        directions = find_directions(beams, _step(beams.azimuth), cone)
+        fans, ends = fans_of(directions, numbers), ends_of(beams, directions, numbers)
+
+        # The cells that they may reach, with their corner as seen from the sensor
+        corner, shape = _rectangle(fans, ends, place, self.spec, TAIL * self.range_noise + side)
+        cells = Cells(corner[0] * side - place[0], corner[1] * side - place[1], side)
+
+        # Fans along x clear rows; those along y the rows of the transposed array
+        free, occupied = np.zeros((2, *shape), np.float32)
+        along_x = np.abs(fans[:, 0]) >= np.abs(fans[:, 1])
+        clear_fans(fans[along_x], cells, self.range_noise, free)
+        turned = np.ascontiguousarray(fans[~along_x][:, [1, 0, 2, 3, 4, 5, 6]])
+        clear_fans(turned, Cells(cells.y0, cells.x0, side), self.range_noise, free.T)
+
+        # Ends mark, and occupied wins over the free of other beams
+        mark_ends(ends, cells, self.range_noise, occupied)
+        mass = np.empty((*shape, 2), np.float32)
+        combine_claims(free, occupied, self.p_false_alarm, mass)
+        _clear_footprint(mass, cells, mount)
+        return PartialGrid.of(self.spec, corner, mass)
+
+    def _beams(self, scan: Scan, mount: Mount) -> PlanarBeams:
+        """Return the beams of a scan, levelled by its mount."""
+        offset = to_vehicle_frame(scan.points, mount, mount.ego_footprint).astype(np.float64) - mount.origin
+        count, height = len(offset), mount.sensor_height
+        if scan.no_returns is not None and scan.max_range is not None:
+            unit = scan.no_returns[np.isfinite(scan.no_returns).all(axis=1)].astype(np.float64)
+            offset = np.concatenate([offset, rotate(mount.T_vehicle_points[:3, :3], unit.T).T * scan.max_range])
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        echo, used = np.arange(len(offset)) < count, distance > NEAREST
+
+        # Range at which a beam leaves the heights that count
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = offset[:, 2] / distance
+            low = min(self.floor_margin, height / 2)
+            end = np.where(slope < 0, (low - height) / slope, np.inf)
+            if height < self.clearance:
+                end = np.where(slope > 0, (self.clearance - height) / slope, end)
+            x, y = offset[:, 0] / distance, offset[:, 1] / distance
+        azimuth, reach = np.arctan2(y, x), np.minimum(distance, end)
+        order = np.lexsort((reach, azimuth))
+        order = order[used[order]]
+        marks = echo & (distance <= end)
+        return PlanarBeams(x[order], y[order], azimuth[order], reach[order], echo[order], marks[order])
+
+
+def _step(azimuth: NDArray[np.float64]) -> float:
+    """Return the angle from one beam of the sensor to the next: the median [rad]."""
+    turn = np.diff(azimuth)
+    turn = turn[turn > 1e-5]
+    return float(np.partition(turn, len(turn) // 2)[len(turn) // 2]) if len(turn) else math.inf
+
+
+def plane_text(scan: Scan, mount: Mount) -> str:
+    """Return what free means in the grid of a planar scan, as "free at 0.30 m"; "" for other sensors.
+
+    Parameters
+    ----------
+    scan : Scan
+    mount : Mount
+    """
+    return f"free at {mount.sensor_height:.2f} m" if scan.kind in ("planar", "cone") else ""
+
+
+def _rectangle(
+    fans: NDArray[np.float64], ends: NDArray[np.float64], place: NDArray[np.float64], spec: GridSpec, pad: float
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return first cell and shape of the rectangle of cells that claims may reach; at least one cell."""
+    low, high = place.copy(), place.copy()
+    for rows, column in ((fans, 5), (ends, 2)):
+        if len(rows):
+            reach = rows[:, column]
+            tips = rows[:, :2] * reach[:, np.newaxis] + place
+            beside = (reach * rows[:, 2 if column == 5 else 3] + pad)[:, np.newaxis]
+            low, high = np.minimum(low, (tips - beside).min(axis=0)), np.maximum(high, (tips + beside).max(axis=0))
+    top = np.array(spec.shape) - 1
+    first = np.clip(np.floor(low / spec.resolution), 0, top).astype(int)
+    last = np.clip(np.floor(high / spec.resolution), first, top).astype(int)
+    (i, j), (nx, ny) = first.tolist(), (last - first + 1).tolist()
+    return (i, j), (nx, ny)
+
+
+def _clear_footprint(mass: NDArray[np.float32], cells: Cells, mount: Mount) -> None:
+    """Make the cells whose centres lie under the ego vehicle unknown."""
+    x0, x1, y0, y1 = np.array(mount.ego_footprint) - np.repeat(mount.origin[:2], 2)
+    x, y = (low + (np.arange(n) + 0.5) * cells.resolution for low, n in zip(cells[:2], mass.shape[:2], strict=True))
+    mass[np.ix_((x > x0) & (x < x1), (y > y0) & (y < y1))] = 0
