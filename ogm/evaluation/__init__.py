@@ -7,7 +7,7 @@
 >>> write_report("report", result)                                                                  # doctest: +SKIP
 """
 
-from ogm.evaluation.beams import BEAM_METRICS, BeamEvaluation, FusedMap, evaluate_beams
+from ogm.evaluation.beams import BEAM_METRICS, BeamEvaluation, FusedMap, evaluate_beams, named_maps, write_beam_report
 from ogm.evaluation.methods import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod
 from ogm.evaluation.report import evaluation_record, write_report
 from ogm.evaluation.result import Evaluation, FrameInfo
@@ -17,5 +17,5 @@ from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean
 __all__ = [
     "BEAM_METRICS", "BeamEvaluation", "Comparison", "Evaluation", "FrameInfo", "FusedMap", "FusedMethod", "Interval",
     "MethodRunner", "PrecomputedGrids", "SingleScanMethod", "compare_paired", "evaluate", "evaluate_beams",
-    "evaluation_record", "mean_interval", "ratio_interval", "write_report",
+    "evaluation_record", "mean_interval", "named_maps", "ratio_interval", "write_beam_report", "write_report",
 ]  # fmt: skip

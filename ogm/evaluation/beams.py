@@ -1,22 +1,27 @@
 """Evaluation of maps without truth: they predict the beams of planar scans that are not in them."""
 
 import itertools
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.statistics import Interval, ratio_interval
-from ogm.evidence.map_rules import DYNAMIC, NUSS
+from ogm.evaluation.text import as_json, clean
+from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
 from ogm.fusion import BinaryBayesMapper, covering_window, make_mapper, map_scans
 from ogm.fusion.pipeline import OnError, grid_pose, log_error
-from ogm.grid import EvidentialGrid
+from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics.beams import BeamNoise, Beams, BeamScores, score_beams
+from ogm.models.named import load_model, short_names
 from ogm.pose import inverse, tilt_of
 from ogm.scan import Frame, SensorModels
+from ogm.storage.files import atomic_write
 
 _SUMMED = ("log_likelihood", "ends_at", "passes_through", "no_echo_blocked")
 
@@ -140,6 +145,38 @@ class BeamEvaluation:
                 for name in self.methods
             },
         }
+
+
+def named_maps(models: Sequence[str], rules: Sequence[str], spec: GridSpec) -> dict[str, MapMaker]:
+    """Return maps by the names of models and rules.
+
+    Parameters
+    ----------
+    models : sequence of str
+        See `ogm.models.load_model`; by default ``"planar"``.
+    rules : sequence of str
+        See `FusedMap`; by default ``"revise"``.
+    spec : GridSpec
+        Cells of a measurement grid.
+    """
+    loaded = {short: load_model(name, spec) for short, name in short_names(models or ["planar"]).items()}
+    return {f"{name}, {rule}": FusedMap(ism, rule) for name, ism in loaded.items() for rule in rules or [REVISE]}
+
+
+def write_beam_report(folder: Path, result: BeamEvaluation, *, command: str = "") -> Path:
+    """Write ``beams.json`` into a folder, which is made, and return its path.
+
+    Parameters
+    ----------
+    folder : Path
+    result : BeamEvaluation
+    command : str
+        Command that made it, for the record.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path := folder / "beams.json", "w") as file:
+        json.dump(as_json({"command": clean(command), **result.record()}), file, indent=1, allow_nan=False)
+    return path
 
 
 def evaluate_beams(
