@@ -17,7 +17,7 @@ from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
 from ogm.fusion import BinaryBayesMapper, covering_window, make_mapper, map_scans
 from ogm.fusion.pipeline import OnError, grid_pose, log_error
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.metrics.beams import BeamNoise, Beams, BeamScores, score_beams
+from ogm.metrics.beams import BeamNoise, BeamScores, PlanarBeams, score_beams
 from ogm.models.named import load_model, short_names
 from ogm.pose import inverse, tilt_of
 from ogm.scan import Frame, SensorModels
@@ -249,7 +249,7 @@ def evaluate_beams(
             for name, make_map in methods.items():
                 grid = make_map([ordered[n] for n in mapped])
                 base_rate = -math.expm1(-decay * grid.spec.resolution)
-                together = Beams(*map(np.concatenate, zip(*(beams[n] for n in left_out), strict=True)))
+                together = PlanarBeams(*map(np.concatenate, zip(*(beams[n] for n in left_out), strict=True)))
                 scores = score_beams(grid, together, noise, base_rate)
                 _add(scores, together.echo, owner, sums[name], bins[name])
     echoes = np.array([np.count_nonzero(one.echo) for one in beams])
@@ -265,7 +265,7 @@ def evaluate_beams(
     )
 
 
-def planar_beams(frame: Frame) -> Beams:
+def planar_beams(frame: Frame) -> PlanarBeams:
     """Return the beams of a planar scan in the plane of the map.
 
     Several points in one direction are echoes of one beam each. Beams without echo count where `Scan.max_range` is
@@ -303,10 +303,10 @@ def planar_beams(frame: Frame) -> Beams:
     used = distance > 0
     ends, distance, echo = ends[used], distance[used], echo[used]
     direction = ends / np.hypot(*ends.T)[:, None]
-    return Beams(np.tile(origin, (len(ends), 1)), direction, distance, echo)
+    return PlanarBeams(np.tile(origin, (len(ends), 1)), direction, distance, echo)
 
 
-def _decay_rate(beams: Sequence[Beams]) -> float:
+def _decay_rate(beams: Sequence[PlanarBeams]) -> float:
     """Return the rate at which beams end, the maximum likelihood of a homogeneous medium [1/m]."""
     ranges = np.concatenate([one.distance[one.echo] for one in beams])
     return len(ranges) / float(ranges.sum()) if len(ranges) else 1e-3

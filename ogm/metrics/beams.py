@@ -25,7 +25,7 @@ NEGLIGIBLE = 1e-9  # chance of passing at which a beam is followed no further
 CERTAIN = 1e-6  # least distance of a probability from 0 and 1
 
 
-class Beams(NamedTuple):
+class PlanarBeams(NamedTuple):
     """Beams in the plane of a map.
 
     Attributes
@@ -90,14 +90,14 @@ class BeamScores(NamedTuple):
     no_echo: NDArray[np.float64]
 
 
-def score_beams(grid: EvidentialGrid, beams: Beams, noise: BeamNoise, base_rate: float) -> BeamScores:
+def score_beams(grid: EvidentialGrid, beams: PlanarBeams, noise: BeamNoise, base_rate: float) -> BeamScores:
     """Return how well a map predicts beams that are not in it.
 
     Parameters
     ----------
     grid : EvidentialGrid
         The map.
-    beams : Beams
+    beams : PlanarBeams
     noise : BeamNoise
     base_rate : float
         P(occupied) of a cell of which nothing is known, in (0, 1): p = occupied + base_rate * unknown. Cells outside
@@ -127,7 +127,7 @@ def trace_beams(
     decay: np.ndarray,
     outside: float,
     cells: tuple[float, float, float],
-    beams: Beams,
+    beams: PlanarBeams,
     noise: BeamNoise,
     found: np.ndarray,
 ) -> None:
@@ -141,7 +141,7 @@ def trace_beams(
         The same of cells outside of the map.
     cells : (float, float, float)
         Corner x, y of cell (0, 0) and side of a cell [m].
-    beams : Beams
+    beams : PlanarBeams
     noise : BeamNoise
     found : (N, 6) float64
         Filled with: middle of the likeliest cell to end in [m]; probability of an end within `WITHIN` cells of it;

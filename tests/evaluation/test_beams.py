@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from ogm.evaluation import BEAM_METRICS, FusedMap, evaluate_beams
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.metrics.beams import BeamNoise, Beams, BeamScores, score_beams
+from ogm.metrics.beams import BeamNoise, BeamScores, PlanarBeams, score_beams
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan
 
@@ -31,7 +31,7 @@ def random_map(seed: int, share: float = 0.06) -> EvidentialGrid:
     return EvidentialGrid(SPEC, np.stack([free, occupied], axis=-1).astype(np.float32))
 
 
-def random_beams(count: int, seed: int) -> Beams:
+def random_beams(count: int, seed: int) -> PlanarBeams:
     rng = np.random.default_rng(seed)
     azimuth = rng.uniform(-np.pi, np.pi, count)
     azimuth[:4] = np.arange(4) * np.pi / 2  # along the lines of cells
@@ -39,7 +39,7 @@ def random_beams(count: int, seed: int) -> Beams:
     direction[:4] = np.round(direction[:4])
     echo = rng.random(count) < 0.9
     distance = np.where(echo, rng.uniform(0.05, 6, count), NOISE.max_range)
-    return Beams(rng.uniform((-1, -1), (1, 1), (count, 2)), direction, distance, echo)
+    return PlanarBeams(rng.uniform((-1, -1), (1, 1), (count, 2)), direction, distance, echo)
 
 
 def chords(grid: EvidentialGrid, origin: NDArray[Any], direction: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -57,7 +57,7 @@ def chords(grid: EvidentialGrid, origin: NDArray[Any], direction: NDArray[Any]) 
     return edges, 1 - (1 - np.clip(p, 1e-6, 1 - 1e-6)) ** (np.diff(edges) / SIDE)
 
 
-def reference(grid: EvidentialGrid, beams: Beams) -> BeamScores:
+def reference(grid: EvidentialGrid, beams: PlanarBeams) -> BeamScores:
     """Return the same by crossings that are sorted, and normal distributions of scipy."""
     rows = []
     for origin, direction, z, echo in zip(*beams, strict=True):
