@@ -84,11 +84,27 @@ def covering_window(spec: GridSpec, poses: NDArray[np.float64]) -> GridSpec:
     """
     if not len(poses):
         raise ValueError("none of the scans has a pose, so a fixed window has no area")
-    step, reach = spec.resolution, math.hypot(spec.length, spec.width) / 2
+    reach = math.hypot(spec.length, spec.width) / 2
     xy = poses[:, :2, 3]
-    low = [math.floor((one - reach) / step) for one in xy.min(axis=0)]
-    high = [math.ceil((one + reach) / step) for one in xy.max(axis=0)]
-    nx, ny = (b - a for a, b in zip(low, high, strict=True))
+    return bounding_window(spec.resolution, xy.min(axis=0) - reach, xy.max(axis=0) + reach)
+
+
+def bounding_window(step: float, lowest: NDArray[np.float64], highest: NDArray[np.float64]) -> GridSpec:
+    """Return the cells of side `step` [m], in map coordinates, that hold a rectangle.
+
+    Parameters
+    ----------
+    step : float
+    lowest, highest : (2,) float64
+        Corners of the rectangle [m].
+
+    Raises
+    ------
+    ValueError
+        If more than 2**24 cells would be needed.
+    """
+    low, high = [math.floor(one / step) for one in lowest], [math.ceil(one / step) for one in highest]
+    nx, ny = (max(b - a, 1) for a, b in zip(low, high, strict=True))
     if nx * ny > _MAX_CELLS:
         raise ValueError(
             f"a fixed window would need {nx} x {ny} cells for a drive over {nx * step:.0f} m x {ny * step:.0f} m, at "

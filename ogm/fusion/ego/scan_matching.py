@@ -18,6 +18,7 @@ from ogm.pose import inverse
 SIDE = 0.05  # [m] of a cell of the field
 REACH = 20.0  # [m] from the sensor that the field holds
 SIGMA = 0.08  # [m] of echoes around those before: range noise, and surfaces between two beams
+SPACING, MAX_GAP = 0.05, 0.3  # [m] between points on a surface, and between echoes beyond which there may be none
 MEMORY = 30  # scans in the field
 SHIFT = 6  # [cells] by which the odometry's position may be wrong from one scan to the next, along x and y
 TURN, TURN_STEP = math.radians(8), math.radians(0.5)  # by which its heading may be wrong, and step of the search
@@ -68,8 +69,19 @@ def match_scans(
                 refine_pose(field, offset, SIDE, found)
                 pose, matched = _moved(guess, found), True
         offset = offset @ _rotation(math.atan2(pose[1, 0], pose[0, 0]) - math.atan2(guess[1, 0], guess[0, 0])).T
-        last.append(offset + pose[:2, 3])
+        last.append(_surfaces(offset) + pose[:2, 3])
         yield pose, matched
+
+
+def _surfaces(ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return echoes, and points between those neighbours that may lie on one surface, (M, 2)."""
+    step = np.diff(ends, axis=0)
+    count = np.ceil(np.hypot(*step.T) / SPACING).astype(int)
+    count[count > MAX_GAP / SPACING] = 1
+    first = np.repeat(np.arange(len(step)), count)
+    share = (np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)) / count[first]
+    between: NDArray[np.float64] = ends[first] + share[:, None] * step[first]
+    return np.concatenate([between, ends[-1:]])
 
 
 def _rotation(angle: float) -> NDArray[np.float64]:
