@@ -17,6 +17,7 @@ from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS, REVISE
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
     from ogm.workflows import FuseInto, Outputs
+    from ogm.workflows.buildings import BUILDING
 
 ScanPaths = Annotated[list[Path], Argument(help="Files of scans, a folder, a data set, or a log.", metavar="SCANS")]
 Poses = Annotated[File, Option(help="Poses of the sensor: KITTI, KITTI-360, TUM (.txt), or what --save-poses wrote.")]
@@ -176,7 +177,8 @@ def fuse(
     ]
     usual = map_defaults(datasets[0])
     spec = GridSpec.centered(length, width, usual.resolution if resolution is None else resolution)
-    ism = chosen_model(ism, spec, rule)
+    if ism is not None or usual != BUILDING:
+        ism = chosen_model(ism, spec, rule)
     options = FuseOptions(
         ism=ism,
         spec=spec,
@@ -193,7 +195,7 @@ def fuse(
     options.check()
     if each_drive:
         _check_many(poses, sequence, outputs)
-        options = replace(options, odometry=odometry, rate=rate, first=first, weights=describe_model(ism)[1])
+        options = replace(options, odometry=odometry, rate=rate, first=first, weights=describe_model(str(options.ism))[1])
         drives, fuse_one = drives_of(zip(scans, datasets, strict=True)), FuseInto(options, outputs.within(Path()))
         raise typer.Exit(_fuse_each(drives, fuse_one, outputs.base.parent, workers, scheduler))
     if workers > 1 or scheduler is not None:

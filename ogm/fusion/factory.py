@@ -18,7 +18,12 @@ _MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
 
 
 def make_mapper(
-    rule: str, spec: GridSpec, half_life: float | None = None, window: WindowMode = "rolling", particles: int = 200_000
+    rule: str,
+    spec: GridSpec,
+    half_life: float | None = None,
+    window: WindowMode = "rolling",
+    particles: int = 200_000,
+    max_speed: float = 70.0,
 ) -> Mapper:
     """Return a map that fuses by a rule, with defaults else.
 
@@ -34,6 +39,8 @@ def make_mapper(
     window : {"rolling", "fixed"}
     particles : int
         Of dynamic maps.
+    max_speed : float
+        Beyond which a pose is a jump [m/s]; infinity allows every jump.
 
     Raises
     ------
@@ -41,14 +48,15 @@ def make_mapper(
         If there is no such rule.
     """
     if rule == BAYES:
-        return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window)
+        return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window, max_speed=max_speed)
     if rule in (DYNAMIC, NUSS):
         filter_name: DynamicFilter = "hybrid" if rule == DYNAMIC else "nuss"
         settings = None if half_life is None else DynamicSettings(static_half_life=half_life)
-        return DynamicMapper(spec, particles, filter=filter_name, window=window, settings=settings)
+        return DynamicMapper(spec, particles, filter=filter_name, window=window, max_speed=max_speed, settings=settings)
     if rule not in RULES:
         raise ValueError(f"there is no rule {rule!r}; there are {', '.join(MAP_RULES)}")
-    return EvidentialMapper(spec, RULES[rule], 2.0 if half_life is None else half_life, window=window)
+    half_life = 2.0 if half_life is None else half_life
+    return EvidentialMapper(spec, RULES[rule], half_life, window=window, max_speed=max_speed)
 
 
 def adding_rule_warning(rule: str) -> str:

@@ -50,6 +50,11 @@ def is_planar(dataset: Dataset) -> bool:
     return False
 
 
+def has_doubtful_clock(dataset: Dataset) -> bool:
+    """Return whether stamps are counted, or the clock has faults: poses far apart in such a time are no jump."""
+    return not dataset.recording.stamped or bool(dataset.recording.clock_findings)
+
+
 def echo_window(dataset: Dataset, spec: GridSpec) -> GridSpec:
     """Return the cells, in map coordinates, that hold all echoes of planar scans and 1 m around them.
 

@@ -19,7 +19,7 @@ from ogm.io.logs import LOG_ENDINGS
 from ogm.models.compilation import compiled_ahead
 from ogm.plot.movie import open_movie
 from ogm.plot.viewer import write_view
-from ogm.workflows.buildings import echo_window, is_planar
+from ogm.workflows.buildings import echo_window, has_doubtful_clock, is_planar
 from ogm.workflows.checks import gravest
 from ogm.workflows.fuse_options import FuseOptions, Outputs
 from ogm.workflows.fusion_run import FusionRun
@@ -80,7 +80,8 @@ def fuse_drive(
         cells = echo_window(dataset, o.spec)
     else:
         cells = covering_window(o.spec, np.array(known))
-    mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles)  # type: ignore[arg-type]
+    speed = math.inf if is_planar(dataset) and has_doubtful_clock(dataset) else 70.0  # [m/s] beyond which a pose jumps
+    mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles, speed)  # type: ignore[arg-type]
     run = FusionRun(dataset, mapper, o.spec, (Path(str(o.ism)).stem, o.rule), outputs.base, tell)
     times = (dataset.trajectory or True) if o.deskew else False
     radars = dataset.facts.get("radars", {})
