@@ -17,7 +17,6 @@ from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS, REVISE
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
     from ogm.workflows import FuseInto, Outputs
-    from ogm.workflows.buildings import BUILDING
 
 ScanPaths = Annotated[list[Path], Argument(help="Files of scans, a folder, a data set, or a log.", metavar="SCANS")]
 Poses = Annotated[File, Option(help="Poses of the sensor: KITTI, KITTI-360, TUM (.txt), or what --save-poses wrote.")]
@@ -158,6 +157,7 @@ def fuse(
     from ogm.io.grids.files import check_grid_output
     from ogm.models.named import describe_model
     from ogm.workflows import FuseInto, FuseOptions, Outputs, drives_of, fuse_drive, map_defaults
+    from ogm.workflows.buildings import BUILDING
 
     if out_path is None and picture is None and movie is None and page is None:
         out_path, picture = Path("map.npz"), Path("map.png")
@@ -195,7 +195,8 @@ def fuse(
     options.check()
     if each_drive:
         _check_many(poses, sequence, outputs)
-        options = replace(options, odometry=odometry, rate=rate, first=first, weights=describe_model(str(options.ism))[1])
+        weights = describe_model(str(options.ism))[1]
+        options = replace(options, odometry=odometry, rate=rate, first=first, weights=weights)
         drives, fuse_one = drives_of(zip(scans, datasets, strict=True)), FuseInto(options, outputs.within(Path()))
         raise typer.Exit(_fuse_each(drives, fuse_one, outputs.base.parent, workers, scheduler))
     if workers > 1 or scheduler is not None:
