@@ -32,8 +32,8 @@ def test_maps_are_evaluated_by_beams_that_were_left_out(tmp_path: Path) -> None:
     record = json.loads((tmp_path / "report" / "beams.json").read_text())
     assert (record["scans"], record["beams with echo"]) == (20, 20 * 181)
     revise = record["methods"]["planar, revise"]
-    assert revise["ends_at"][0] > 0.9
-    assert revise["log_likelihood"][0] > record["methods"]["planar, bayes"]["log_likelihood"][0]
+    assert revise["ends_at"]["value"] > 0.9
+    assert revise["log_likelihood"]["value"] > record["methods"]["planar, bayes"]["log_likelihood"]["value"]
     assert "planar, bayes" in result.output
     assert "20 scans" in result.output
 

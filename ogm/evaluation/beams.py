@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ogm.evaluation.statistics import Interval, ratio_interval
 from ogm.evaluation.text import as_json, clean
 from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
-from ogm.fusion import BinaryBayesMapper, covering_window, make_mapper, map_scans
+from ogm.fusion import BinaryBayesMapper, echo_window, make_mapper, map_scans
 from ogm.fusion.pipeline import OnError, grid_pose, log_error
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics.beams import BeamNoise, BeamScores, PlanarBeams, score_beams
@@ -71,8 +71,7 @@ class FusedMap:
         """Return the map of frames with poses, over all of their grids."""
         ism: SensorModels = self.ism
         spec = next(iter(ism.values())).spec if isinstance(ism, Mapping) else ism.spec
-        poses = np.array([frame.T_map_sensor for frame in frames])
-        mapper = make_mapper(self.rule, covering_window(spec, poses), math.inf, "fixed")
+        mapper = make_mapper(self.rule, echo_window(frames, spec), math.inf, "fixed")
         for frame, grid in map_scans(frames, ism, on_error=self.on_error):
             mapper.update(grid, grid_pose(frame))  # without stamps: nothing is forgotten, and no pose is a jump
         if not isinstance(mapper, BinaryBayesMapper):

@@ -1,6 +1,7 @@
 """Maps by the name of their rule, and the windows that they need."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,10 @@ from ogm.fusion.evidential import EvidentialMapper
 from ogm.fusion.mapper import Mapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec
+from ogm.scan import Frame
 
+_MARGIN = 1.0  # [m] around echoes
+_DAMAGED = (ValueError, TypeError, OSError)  # a scan that cannot be read, which the mapping reports
 _MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
 
 
@@ -119,3 +123,40 @@ def bounding_window(step: float, lowest: NDArray[np.float64], highest: NDArray[n
             f"most {_MAX_CELLS} are allowed; give `window=rolling`, or a coarser `resolution`"
         )
     return GridSpec(step, (nx, ny), (low[0] * step, low[1] * step))
+
+
+def echo_window(frames: Iterable[Frame], spec: GridSpec) -> GridSpec:
+    """Return the cells, in map coordinates, that hold all echoes of planar scans and 1 m around them.
+
+    All scans are read once. Echoes beyond the reach of a measurement grid are left out.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+    spec : GridSpec
+        Cells of a measurement grid.
+
+    Raises
+    ------
+    ValueError
+        If no scan has a pose, or more than 2**24 cells would be needed.
+    """
+    reach = math.hypot(spec.length, spec.width) / 2
+    corners = []
+    for frame in frames:
+        T = frame.T_map_sensor
+        if T is None:
+            continue
+        corners.append(np.stack([T[:2, 3], T[:2, 3]]))
+        try:
+            points = frame.scan.points[:, :3]
+        except _DAMAGED:
+            continue
+        points = points[np.hypot(points[:, 0], points[:, 1]) < reach]  # NaN is left out
+        if len(points):
+            ends = points.astype(np.float64) @ T[:2, :3].T + T[:2, 3]
+            corners.append(np.stack([ends.min(axis=0), ends.max(axis=0)]))
+    if not corners:
+        raise ValueError("none of the scans has a pose, so a fixed window has no area")
+    both = np.stack(corners)
+    return bounding_window(spec.resolution, both[:, 0].min(axis=0) - _MARGIN, both[:, 1].max(axis=0) + _MARGIN)

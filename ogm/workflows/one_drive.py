@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ogm.datasets import Dataset, with_matching, with_odometry
-from ogm.fusion import DynamicMapper, FusionStep, covering_window, fuse, make_mapper, rolling_window
+from ogm.fusion import DynamicMapper, FusionStep, covering_window, echo_window, fuse, make_mapper, rolling_window
 from ogm.fusion.factory import adding_rule_warning
 from ogm.io.grids.files import write_grid
 from ogm.io.grids.logged import GridLog
@@ -19,7 +19,7 @@ from ogm.io.logs import LOG_ENDINGS
 from ogm.models.compilation import compiled_ahead
 from ogm.plot.movie import open_movie
 from ogm.plot.viewer import write_view
-from ogm.workflows.buildings import echo_window, has_doubtful_clock, is_planar
+from ogm.workflows.buildings import has_doubtful_clock, is_planar
 from ogm.workflows.checks import gravest
 from ogm.workflows.fuse_options import FuseOptions, Outputs
 from ogm.workflows.fusion_run import FusionRun

@@ -17,7 +17,7 @@ from ogm.pose import inverse
 
 SIDE = 0.05  # [m] of a cell of the field
 REACH = 20.0  # [m] from the sensor that the field holds
-SIGMA = 0.08  # [m] of echoes around those before: range noise, and surfaces between two beams
+SIGMA = 0.05  # [m] of echoes around those before: range noise, errors of earlier poses, half a cell
 SPACING, MAX_GAP = 0.05, 0.3  # [m] between points on a surface, and between echoes beyond which there may be none
 MEMORY = 30  # scans in the field
 SHIFT = 6  # [cells] by which the odometry's position may be wrong from one scan to the next, along x and y
