@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from ogm.cli.console import distinct, out, printable, ticked
+from ogm.cli.console import complain, distinct, out, printable, ticked
 from ogm.datasets import Dataset
 from ogm.grid import GridSpec
 
@@ -23,7 +23,15 @@ def evaluate_dataset_beams(
     from ogm.evaluation import BEAM_METRICS, evaluate_beams, named_maps, write_beam_report
 
     methods = named_maps(models, rules, GridSpec.centered(resolution=resolution or RESOLUTION))
-    result = evaluate_beams(dataset, methods, progress=lambda splits: ticked(splits, "evaluating", len(splits)))
+    errors: list[str] = []
+    result = evaluate_beams(
+        dataset,
+        methods,
+        on_error=lambda frame, error: errors.append(f"{frame.name}: {error}"),
+        progress=lambda splits: ticked(splits, "evaluating", len(splits)),
+    )
+    if errors:
+        complain(f"{len(errors)} of {len(dataset)} scans are left out, the first: {errors[0]}")
     path = write_beam_report(folder, result, command=shlex.join(["ogm", *sys.argv[1:]]))
     echoes, silent = int(result.echoes.sum()), int(result.no_echoes.sum())
     title = f"{dataset.name}: {echoes} beams with echo and {silent} without, of {len(result.frames)} scans"

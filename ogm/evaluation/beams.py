@@ -185,6 +185,7 @@ def evaluate_beams(
     every: int = 5,
     range_noise: float = 0.03,
     p_random: float = 0.05,
+    on_error: OnError = log_error,
     progress: Callable[[Sequence[int]], Iterable[int]] = iter,
 ) -> BeamEvaluation:
     """Return how well maps predict the beams of planar scans that are not in them.
@@ -207,6 +208,8 @@ def evaluate_beams(
         Number of splits, 2 or more.
     range_noise, p_random : float
         See `ogm.metrics.beams.BeamNoise`.
+    on_error : function
+        Called with each frame whose scan cannot be read, and its error; the frame is left out. By default it is logged.
     progress : function
         Iterates over the numbers of the splits, and may draw a progress bar.
 
@@ -221,8 +224,14 @@ def evaluate_beams(
         raise ValueError(f"range_noise must be above 0 m and p_random in (0, 1), got {range_noise} and {p_random}")
     drives: dict[str, list[Frame]] = {}
     for frame in frames:
-        if frame.T_map_sensor is not None:
-            drives.setdefault(frame.sequence, []).append(frame)
+        if frame.T_map_sensor is None:
+            continue
+        try:
+            frame.scan  # noqa: B018  it is read here
+        except (ValueError, TypeError, OSError) as error:
+            on_error(frame, error)
+            continue
+        drives.setdefault(frame.sequence, []).append(frame)
     if not drives:
         raise ValueError("no scan has a pose, so that no map can be made: give a log with poses")
     for name, drive in drives.items():

@@ -14,7 +14,7 @@ from ogm.evaluation import BEAM_METRICS, FusedMap, evaluate_beams
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics.beams import BeamNoise, BeamScores, PlanarBeams, score_beams
 from ogm.pose import pose
-from ogm.scan import Frame, Mount, Scan
+from ogm.scan import Frame, LazyFrame, Mount, Scan
 
 SIDE, NOISE = 0.1, BeamNoise(max_range=8.0)
 SPEC = GridSpec(SIDE, (60, 50), (-3.0, -2.0))
@@ -190,3 +190,13 @@ def test_a_tilted_laser_and_a_dynamic_map_are_refused() -> None:
     leaning = [Frame(frame.scan, MOUNT, T_map_sensor=lean, name=frame.name, sequence="room") for frame in frames]
     refused("scan-0 is tilted by 11 degrees", evaluate_beams, leaning, {"true": room_map})
     refused("predicted by static maps", FusedMap, None, "dynamic")
+
+
+def test_a_scan_that_cannot_be_read_is_left_out() -> None:
+    def broken() -> Scan:
+        raise ValueError("cut off")
+
+    lost, errors = LazyFrame(broken, lambda: MOUNT, T_map_sensor=np.eye(4), sequence="room"), list[str]()
+    frames = [*room_drive(5), lost, Frame(room_drive(1)[0].scan, MOUNT, sequence="room")]
+    result = evaluate_beams(frames, {"true": room_map}, on_error=lambda frame, error: errors.append(str(error)))
+    assert (result.frames, errors) == (tuple(f"scan-{k}" for k in range(5)), ["cut off"])
