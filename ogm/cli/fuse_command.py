@@ -175,7 +175,7 @@ def fuse(
         open_dataset(paths, sensors=sensor or (), default_split="sequences", **reading)
         for paths in ([[path] for path in scans] if each_drive else [scans])
     ]
-    usual = map_defaults(datasets[0])
+    usual = map_defaults(datasets[0], rule)
     spec = GridSpec.centered(length, width, usual.resolution if resolution is None else resolution)
     if ism is not None or usual != BUILDING:
         ism = chosen_model(ism, spec, rule)

@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from ogm.datasets import Dataset
+from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
 
 _TRIED = 5  # scans that are read until one can be
 _UNREADABLE = (ValueError, TypeError, OSError)
@@ -30,9 +31,13 @@ ROAD = MapDefaults(0.16, "rolling", None)
 BUILDING = MapDefaults(0.05, "fixed", math.inf)
 
 
-def map_defaults(dataset: Dataset) -> MapDefaults:
-    """Return the defaults of a map: `BUILDING` for planar lasers, `ROAD` for other sensors."""
-    return BUILDING if is_planar(dataset) else ROAD
+def map_defaults(dataset: Dataset, rule: str = REVISE) -> MapDefaults:
+    """Return the defaults of a map: `BUILDING` for planar lasers, `ROAD` for other sensors.
+
+    A dynamic map has the cells of its sensor, and the other defaults of `ROAD`.
+    """
+    usual = BUILDING if is_planar(dataset) else ROAD
+    return ROAD._replace(resolution=usual.resolution) if rule in (DYNAMIC, NUSS) else usual
 
 
 def is_planar(dataset: Dataset) -> bool:

@@ -96,7 +96,7 @@ class Outputs:
 
 @dataclass(frozen=True)
 class FuseOptions:
-    """How a drive is fused; by default as ``ogm fuse`` does.
+    """How a drive is fused; by default as ``ogm fuse`` does for lidars.
 
     Parameters
     ----------

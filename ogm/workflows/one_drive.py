@@ -13,13 +13,14 @@ import numpy as np
 from ogm.datasets import Dataset, with_matching, with_odometry
 from ogm.fusion import DynamicMapper, FusionStep, covering_window, echo_window, fuse, make_mapper, rolling_window
 from ogm.fusion.factory import adding_rule_warning
+from ogm.grid import GridSpec
 from ogm.io.grids.files import write_grid
 from ogm.io.grids.logged import GridLog
 from ogm.io.logs import LOG_ENDINGS
 from ogm.models.compilation import compiled_ahead
 from ogm.plot.movie import open_movie
 from ogm.plot.viewer import write_view
-from ogm.workflows.buildings import has_doubtful_clock, is_planar
+from ogm.workflows.buildings import has_doubtful_clock, is_planar, map_defaults
 from ogm.workflows.checks import gravest
 from ogm.workflows.fuse_options import FuseOptions, Outputs
 from ogm.workflows.fusion_run import FusionRun
@@ -47,6 +48,7 @@ def fuse_drive(
     outputs : Outputs
         Files to write; their folders are made.
     options : FuseOptions, optional
+        By default those of `map_defaults`.
     tell : function
         Called with messages about the rule, about scans, and about an early end; by default they are logged.
     progress : function
@@ -65,7 +67,7 @@ def fuse_drive(
         If it was interrupted before the first scan was mapped.
     """
     outputs.prepare()
-    o = options or FuseOptions()
+    o = options or _default_options(dataset)
     dataset = posed(dataset, o.odometry, o.rate, o.first, match=o.match)[0]
     if o.deskew and not dataset.motion_distorted:
         raise ValueError("leave out `deskew`: the points of this dataset are not (or not all) distorted by motion")
@@ -117,6 +119,12 @@ def fuse_drive(
             conflict = getattr(mapper, "conflict", None)
             write_view(outputs.page, run.map, conflict, title=title, T_grid_vehicle=place, track=run.track)
     return run
+
+
+def _default_options(dataset: Dataset) -> FuseOptions:
+    """Return the options by the sensor of a dataset."""
+    resolution, window, half_life = map_defaults(dataset)
+    return FuseOptions(spec=GridSpec.centered(resolution=resolution), window=window, half_life=half_life)
 
 
 @dataclass(frozen=True)
