@@ -54,7 +54,7 @@ class FusedMap:
     ism : callable with `spec`, or mapping of str to these
         The sensor model.
     rule : str
-        A name in `ogm.evidence.map_rules.MAP_RULES`, except those of dynamic maps.
+        A name in `ogm.evidence.map_rules.MAP_RULES` of a static map.
     on_error : function
         Called with each frame that is skipped and its error; by default it is logged.
     """
@@ -191,9 +191,9 @@ def evaluate_beams(
     """Return how well maps predict the beams of planar scans that are not in them.
 
     Cross-validation: the scans k, k + `every`, k + 2 `every`, ... of a drive are left out, the maps are made of the
-    others, and predict the beams of those that were left out; so for each k from 0, until each scan was left out once.
+    others, and predict the beams of the scans left out; so for each k from 0, until each scan was left out once.
 
-    The probability of occupied is ``occupied + base_rate * unknown``. The base rate is that of a medium in which beams
+    The probability of occupied is ``occupied + base_rate * unknown``. The base rate describes a medium in which beams
     end as often as in the scans of the map: 1 - exp(-resolution * echoes / sum of their ranges), the maximum likelihood
     of one decay rate (Schaefer, Luft and Burgard, ICRA 2017).
 
@@ -327,7 +327,7 @@ def _add(
     sums: Mapping[str, NDArray[np.float64]],
     bins: NDArray[np.float64],
 ) -> None:
-    """Add beams to the sums of a method, those of each beam to the frame that owns it."""
+    """Add beams to the sums of a method, each to the frame that owns it."""
     columns = {
         "log_likelihood": np.where(echo, scores.log_likelihood, 0.0),
         "ends_at": scores.ends_at,
@@ -337,5 +337,5 @@ def _add(
     for name, column in columns.items():
         sums[name][:] += np.bincount(owner, column, len(sums[name]))
     at = np.minimum((scores.expected[echo] * BINS).astype(int), BINS - 1)
-    for column, weight in enumerate((None, scores.expected[echo], scores.hit[echo])):
-        bins[:, column] += np.bincount(at, weight, BINS)
+    for row, weight in zip(bins.T, (None, scores.expected[echo], scores.hit[echo]), strict=True):
+        row += np.bincount(at, weight, BINS)

@@ -53,7 +53,7 @@ class BeamNoise(NamedTuple):
     max_range : float
         Greatest range [m].
     range_noise : float
-        Standard deviation of a range, with that of the pose along the beam [m].
+        Standard deviation of a range, errors of the pose included [m].
     p_random : float
         Share of echoes that the map does not explain (people, dust, mixed pixels), in (0, 1).
     """

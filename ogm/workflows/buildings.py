@@ -19,7 +19,7 @@ class MapDefaults(NamedTuple):
         Side of a cell [m].
     window : {"rolling", "fixed"}
     half_life : float or None
-        Time in which belief halves [s]; None for that of the rule.
+        Time in which belief halves [s]; None for the rule's own.
     """
 
     resolution: float

@@ -48,7 +48,7 @@ def fuse_drive(
     outputs : Outputs
         Files to write; their folders are made.
     options : FuseOptions, optional
-        By default those of `map_defaults`.
+        By default by `map_defaults`.
     tell : function
         Called with messages about the rule, about scans, and about an early end; by default they are logged.
     progress : function

@@ -1,7 +1,7 @@
 """Odometry in the plane: poses refined by matching each planar scan with those before it.
 
 Correlative scan matching (Olson, "Real-time correlative scan matching", ICRA 2009): all poses around the odometry's are
-scored by the likelihood of the echoes, in a field around those of the last scans; the best one is refined by
+scored by the likelihood of the echoes, in a field around the echoes of the last scans; the best one is refined by
 Gauss-Newton steps on the same field (Kohlbrecher et al., SSRR 2011).
 """
 
@@ -33,8 +33,8 @@ def match_scans(
 ) -> Iterator[tuple[NDArray[np.float64], bool]]:
     """Yield the refined pose of each planar scan, and whether it was matched.
 
-    The motion from scan to scan is that of the odometry, within 0.3 m and 8 degrees. Position and heading in the plane
-    are refined; height and tilt stay those of the odometry. Loops are not closed.
+    The odometry's motion from scan to scan is corrected by up to 0.3 m along each axis and 8 degrees. Position and
+    heading in the plane are refined, height and tilt are kept. Loops are not closed.
 
     Parameters
     ----------
@@ -46,10 +46,10 @@ def match_scans(
     Yields
     ------
     T_map_sensor : (4, 4) float64
-        The first is that of the odometry.
+        The first is the odometry's.
     matched : bool
         False where the motion of the odometry is kept: of the first scan, of scans with less than 20 echoes within
-        20 m, and of those that the scans before do not explain.
+        20 m, and of scans that the ones before do not explain.
     """
     last: deque[NDArray[np.float64]] = deque(maxlen=MEMORY)
     cells = 2 * round(REACH / SIDE)
