@@ -11,8 +11,6 @@ from hall import WALLS, drive, noisy, write_log
 
 from ogm.io.grids.files import read_grid
 
-pytest.importorskip("ogm.datasets.carmen", reason="no reader of CARMEN logs")
-
 
 def test_the_map_of_a_building_covers_it_in_fine_cells_and_forgets_nothing(tmp_path: Path) -> None:
     poses = noisy(drive(24), np.random.default_rng(0))
