@@ -1,7 +1,6 @@
 """A made hall and the scans of a planar laser in it: poses, odometry with noise, and a CARMEN log."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +51,7 @@ def noisy(poses: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.fl
     return np.array(found)
 
 
-def write_log(path: Path, poses: Sequence[NDArray[np.float64]], seed: int = 0) -> Path:
+def write_log(path: Path, poses: NDArray[np.float64], seed: int = 0) -> Path:
     """Write the scans at some poses as a CARMEN log, 0.5 s apart."""
     rng, lines = np.random.default_rng(seed), []
     for k, T in enumerate(poses):
