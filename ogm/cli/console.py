@@ -45,7 +45,7 @@ _OPTIONS = {  # of arguments whose options have other names
     "sensors": "sensor", "setups": "sensors",
 } | {name: name.replace("_", "-") for name in (
     "axes", "batch", "deskew", "ego_footprint", "every", "first", "frame", "free_thresh", "half_life",
-    "intensity_max", "leave_out", "length",
+    "intensity_max", "leave_out", "length", "match",
     "max_range", "max_range_no_echo", "min_range", "odometry", "origin", "out",
     "poses", "rate", "resample", "resolution", "resume", "samples", "sensor_height", "sensor_position", "split",
     "time_unit", "topic", "truth", "width", "window", "workers",

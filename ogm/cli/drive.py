@@ -58,17 +58,25 @@ def print_sensor(dataset: "Dataset") -> None:
 
 
 def with_known_poses(
-    dataset: "Dataset", poses: Path | None, calib: Path | None, odometry: str | None, rate: float, first: int | None
+    dataset: "Dataset",
+    poses: Path | None,
+    calib: Path | None,
+    odometry: str | None,
+    rate: float,
+    first: int | None,
+    match: bool = False,
 ) -> "Dataset":
     """Return the first scans of a drive with their poses, as `posed`, and print whose they are."""
     from ogm.datasets import with_poses
     from ogm.workflows import posed
 
     def ticked(numbers: Iterable[int]) -> Iterable[int]:
-        return track(list(numbers), odometry or "reading stamps", console=stderr, transient=True)
+        return track(
+            list(numbers), odometry or ("matching scans" if match else "reading stamps"), console=stderr, transient=True
+        )
 
     if poses is not None:
         dataset = with_poses(dataset, poses, calib, rate, ticked)
-    dataset, how = posed(dataset, odometry, rate, first, ticked)
+    dataset, how = posed(dataset, odometry, rate, first, ticked, match)
     out.print(f"poses: {how}", markup=False, soft_wrap=True)
     return dataset

@@ -11,6 +11,7 @@ from rich.text import Text
 from typer import Argument, Option
 
 from ogm.cli.console import chosen_model, distinct, out, printable, report_errors, stderr, ticked
+from ogm.cli.evaluate_beams import evaluate_dataset_beams
 from ogm.cli.options import (
     First,
     FixedFrame,
@@ -61,6 +62,19 @@ Fused = Annotated[
 ]
 
 
+Beams = Annotated[
+    bool,
+    Option(
+        "--beams",
+        help="Evaluate maps of planar lasers without truth: they predict the beams of scans that are left out, of "
+        "every 5th in turn.",
+    ),
+]
+SideOfCell = Annotated[
+    float | None, Option("--resolution", help="With --beams: side of a cell [m]. [default: 0.05]", metavar="M")
+]
+
+
 @report_errors
 @sensor_options
 def evaluate(
@@ -76,6 +90,8 @@ def evaluate(
         ),
     ] = None,
     fused: Fused = None,
+    beams: Beams = False,
+    resolution: SideOfCell = None,
     grids: Annotated[
         list[Path] | None,
         Option(help="Folder of precomputed grids (.npz, .npy, .png) with the frames' names; may be repeated."),
@@ -117,6 +133,10 @@ def evaluate(
     The number after +- is half of the 95 % interval of the mean: over drives, or over parts of one long drive, as
     scans of a drive are alike. Fewer than four drives have none.
 
+    With --beams, the models (by default planar) are fused by the rules of --fused (by default revise) into maps that
+    forget nothing. Their metrics are of the beams of scans that are not in the map, and of recordings with poses but
+    without truth.
+
     Finished frames are kept in the folder frames of --out: repeat the command to resume an interrupted run, with any
     number of --workers. They share out the frames, or with --fused the drives; those of --scheduler see DATA and --out
     under the same paths.
@@ -134,9 +154,13 @@ def evaluate(
     check_first(first)
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
+    if beams:
+        _check_beams(grids=grids, resample=resample, split=split, truth=truth, samples=samples, scheduler=scheduler)
+    elif resolution is not None:
+        raise ValueError("--resolution is of --beams: without it, models fill cells of 0.16 m")
     spec = GridSpec.centered()
-    names = [*(ism or []), *(more or [])] or ([] if grids else usual_models(spec))
-    if rules and not names:
+    names = [*(ism or []), *(more or [])] or ([] if grids or beams else usual_models(spec))
+    if rules and not names and not beams:
         raise ValueError("--fused fuses the scans of models; give --ism NAME too")
     others = "later" if rules else "all"
     log = {"topic": topic or (), "frame": fixed_frame, "sensors": sensor or ()}
@@ -144,7 +168,7 @@ def evaluate(
         data,
         axes=parsed_axes(axes),
         split=split,
-        default_split="sequences" if rules else None,
+        default_split="sequences" if rules or beams else None,
         truth=tuple(sources),
         others=others,
         spec=spec,
@@ -152,6 +176,9 @@ def evaluate(
         **sensors._asdict(),
     )
     dataset = dataset[:first]
+    if beams:
+        evaluate_dataset_beams(dataset, names, rules, resolution, out_folder)
+        return
     numbers = choose_frames(dataset, samples, every, seed)
     methods = named_methods(names, rules, grids or [], spec, resample)
     result = run_evaluation(
@@ -181,6 +208,13 @@ def usual_models(spec: GridSpec) -> list[str]:
     """Return the models that are evaluated where none is named: geometric ones, and the default of other commands."""
     usual = chosen_model(None, spec).partition("+")[0]
     return list(MODELS[:2]) if usual in MODELS else [*MODELS, usual]
+
+
+def _check_beams(**options: Any) -> None:
+    """Refuse options that an evaluation by beams has no use for."""
+    given = [f"--{name}" for name, value in options.items() if value is not None]
+    if given:
+        raise ValueError(f"--beams needs no truth and evaluates maps of models: leave out {', '.join(given)}")
 
 
 def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:

@@ -23,6 +23,9 @@ Poses = Annotated[File, Option(help="Poses of the sensor: KITTI, KITTI-360, TUM 
 Calibration = Annotated[File, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
 Odometry = Annotated[str | None, Option(help="Estimate the poses from the scans: kiss-icp or small-gicp.")]
 SavePoses = Annotated[File, Option(help="Write the poses of the scans that were mapped (.csv, or .txt for TUM).")]
+Match = Annotated[
+    bool, Option("--match", help="Of planar lasers: take the poses for odometry, and refine them by scan matching.")
+]
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Drive = Annotated[str | None, Option(help="Drive of a data set: its name or number. [default: the first]")]
 _MODELS = (
@@ -48,9 +51,18 @@ Dynamic = Annotated[bool, Option("--dynamic", help="Separate moving from static,
 Particles = Annotated[int | None, Option(help="Of a dynamic map: how many carry what moves. [default: 200000]")]
 HalfLife = Annotated[
     float | None,
-    Option(help="Time in which belief halves [s], or inf; of dynamic maps that in static. [default: 2; bayes: inf]"),
+    Option(
+        help="Time in which belief halves [s], or inf; of dynamic maps that in static. [default: 2; bayes, planar "
+        "lasers: inf]"
+    ),
 ]
-Window = Annotated[str, Option(help="rolling: follows the vehicle. fixed: covers the drive.")]
+Window = Annotated[
+    str | None,
+    Option(help="rolling: follows the vehicle. fixed: covers the drive. [default: rolling; planar lasers: fixed]"),
+]
+SideOfCell = Annotated[
+    float | None, Option("--resolution", help="Side of a cell [m]. [default: 0.16; planar lasers: 0.05]")
+]
 Out = Annotated[
     File,
     Option(
@@ -83,6 +95,7 @@ def fuse(
     poses: Poses = None,
     calib: Calibration = None,
     odometry: Odometry = None,
+    match: Match = False,
     save_poses: SavePoses = None,
     rate: Rate = 10.0,
     sequence: Drive = None,
@@ -101,10 +114,10 @@ def fuse(
     dynamic: Dynamic = False,
     particles: Particles = None,
     half_life: HalfLife = None,
-    window: Window = "rolling",
+    window: Window = None,
     length: options.Length = None,
     width: options.Width = None,
-    resolution: options.Resolution = 0.16,
+    resolution: SideOfCell = None,
     out_path: Out = None,
     message: Message = None,
     picture: Picture = None,
@@ -126,6 +139,9 @@ def fuse(
     number (the last number in a scan's name), else by stamp (interpolated), else by order. Data sets that know their
     poses need none.
 
+    Scans of planar lasers give the map of a building: cells of 0.05 m, in a window that holds all echoes, and nothing
+    is forgotten.
+
     A scan that is damaged, has no pose, or whose pose or stamp jumps is skipped with a message, and the exit code is 2.
     After three jumps in a row the map so far is saved as NAME.before-jump-1.npz and begins anew. Ctrl-C, or an error
     half-way through the mapping, writes what there is.
@@ -140,24 +156,36 @@ def fuse(
     from ogm.grid import GridSpec
     from ogm.io.grids.files import check_grid_output
     from ogm.models.named import describe_model
-    from ogm.workflows import FuseInto, FuseOptions, Outputs, drives_of, fuse_drive
+    from ogm.workflows import FuseInto, FuseOptions, Outputs, drives_of, fuse_drive, map_defaults
+    from ogm.workflows.buildings import BUILDING
 
     if out_path is None and picture is None and movie is None and page is None:
         out_path, picture = Path("map.npz"), Path("map.png")
     check_pose_options(poses, calib, odometry, save_poses, first)
+    if match and odometry is not None:
+        raise ValueError("--match and --odometry exclude each other: --match refines poses that are known")
     outputs = Outputs(out_path, picture, movie, save_poses, page)
     outputs.prepare(scans)
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
-    spec = GridSpec.centered(length, width, resolution)
     rule = _checked_rule(rule, dynamic, particles)
-    ism = chosen_model(ism, spec, rule)
+    reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit, "topic": topic or ()}
+    reading |= {"frame": fixed_frame, **sensors._asdict()}
+    datasets = [
+        open_dataset(paths, sensors=sensor or (), default_split="sequences", **reading)
+        for paths in ([[path] for path in scans] if each_drive else [scans])
+    ]
+    usual = map_defaults(datasets[0], rule)
+    spec = GridSpec.centered(length, width, usual.resolution if resolution is None else resolution)
+    if ism is not None or usual != BUILDING:
+        ism = chosen_model(ism, spec, rule)
     options = FuseOptions(
         ism=ism,
         spec=spec,
         rule=rule,
-        half_life=half_life,
-        window=window,
+        half_life=usual.half_life if half_life is None else half_life,
+        window=window or usual.window,
+        match=match,
         particles=200_000 if particles is None else particles,
         deskew=deskew,
         radar_reliability=radar_reliability,
@@ -165,26 +193,21 @@ def fuse(
         message=message,
     )
     options.check()
-    reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit, "topic": topic or ()}
-    reading |= {"frame": fixed_frame, **sensors._asdict()}
-    datasets = [
-        open_dataset(paths, sensors=sensor or (), default_split="sequences", **reading)
-        for paths in ([[path] for path in scans] if each_drive else [scans])
-    ]
     if each_drive:
         _check_many(poses, sequence, outputs)
-        options = replace(options, odometry=odometry, rate=rate, first=first, weights=describe_model(ism)[1])
+        weights = describe_model(str(options.ism))[1]
+        options = replace(options, odometry=odometry, rate=rate, first=first, weights=weights)
         drives, fuse_one = drives_of(zip(scans, datasets, strict=True)), FuseInto(options, outputs.within(Path()))
         raise typer.Exit(_fuse_each(drives, fuse_one, outputs.base.parent, workers, scheduler))
     if workers > 1 or scheduler is not None:
         raise ValueError("--workers and --scheduler are for --each-drive: the scans of one drive follow each other")
     dataset = pick_drive(datasets[0], sequence)
-    dataset = with_known_poses(dataset, poses, calib, odometry, rate, first)
+    dataset = with_known_poses(dataset, poses, calib, odometry, rate, first, match)
     print_sensor(dataset)
     run = fuse_drive(
         dataset,
         outputs,
-        options,
+        replace(options, match=False),
         tell=complain,
         progress=lambda steps: track(steps, "mapping", len(dataset), console=stderr, transient=True),
     )

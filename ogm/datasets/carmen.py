@@ -101,8 +101,8 @@ class CarmenRecording(Recording):
     def place(self, n: int) -> SensorPlace:
         """Return the place of a laser: that on the robot where there are several."""
         line = self._content[0].lines[self._numbers[n]]
-        place, T_map_laser = SensorPlace(line.kind, height=PLANE_HEIGHT, ego_footprint=NO_FOOTPRINT), self._pose(line)
-        if len(self.topics) == 1 or T_map_laser is None or not np.isfinite(line.robot).all():
+        place = SensorPlace(line.kind, height=PLANE_HEIGHT, ego_footprint=NO_FOOTPRINT)
+        if len(self.topics) == 1 or not np.isfinite(line.robot).all() or (T_map_laser := self._pose(line)) is None:
             return place
         T = inverse(pose(*line.robot[:2], yaw=line.robot[2])) @ T_map_laser
         return place._replace(origin=(float(T[0, 3]), float(T[1, 3])), yaw=float(np.arctan2(T[1, 0], T[0, 0])))

@@ -98,6 +98,60 @@ def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0
     return _placed(dataset, found, placed, how, known)
 
 
+def with_matching(dataset: Dataset, progress: Progress = iter, rate: float = 10.0) -> Dataset:
+    """Return a dataset of a planar laser whose poses are taken for odometry, and refined by scan matching.
+
+    See `ogm.fusion.match_scans`. A frame without pose, or with a scan that cannot be read, gets no pose.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    progress : function
+        Iterates over the numbers of the frames, and may draw how far it is, as ``rich.progress.track`` does.
+    rate : float
+        Rate of the scans [1/s], where the scans have no stamps.
+
+    Raises
+    ------
+    ValueError
+        If no frame has a pose, a scan is not of a planar laser, or there are several sensors.
+    """
+    from ogm.fusion import match_scans
+
+    _check_one_sensor(dataset)
+    numbers: list[int] = []
+    rows = tee(_planar_scans(dataset, progress, numbers), 2)
+    placed, matched = np.full((len(dataset), 4, 4), np.nan), 0
+    for k, (T, found) in enumerate(match_scans((points for points, _ in rows[0]), (T for _, T in rows[1]))):
+        placed[numbers[k]] = T
+        matched += found
+    if not numbers:
+        raise ValueError("the scans have no poses that matching could refine: give `poses`, or a log with odometry")
+    stamps = _stamps(dataset, rate, iter)
+    t, first = np.unique(stamps[numbers], return_index=True)
+    if not np.isfinite(t).all():
+        raise ValueError(f"{dataset.name} has scans without stamps: leave out `match`")
+    how = f"{len(numbers)} of {len(dataset)} scans, {matched} refined by scan matching"
+    return dataset.placed(stamps, placed, {"poses": how}, Trajectory(t, placed[numbers][first]))
+
+
+def _planar_scans(
+    dataset: Dataset, progress: Progress, numbers: list[int]
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
+    """Yield points and pose of each planar scan that has one, and append its number."""
+    for k in progress(range(len(dataset))):
+        frame = dataset[k]
+        try:
+            scan = frame.scan
+        except _UNREADABLE:
+            continue  # the mapping reports it
+        if scan.kind != "planar":
+            raise ValueError(f"{frame.name} is not of a planar laser, whose scans `match` matches: leave it out")
+        if frame.T_map_sensor is not None:
+            numbers.append(k)
+            yield scan.points, frame.T_map_sensor
+
+
 def _usable(
     dataset: Dataset, clock: NDArray[np.float64] | None, progress: Progress, numbers: list[int]
 ) -> Iterator[tuple[Any, ...]]:

@@ -1,6 +1,7 @@
 """Maps by the name of their rule, and the windows that they need."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,20 @@ from ogm.fusion.evidential import EvidentialMapper
 from ogm.fusion.mapper import Mapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec
+from ogm.scan import Frame
 
+_MARGIN = 1.0  # [m] around echoes
+_DAMAGED = (ValueError, TypeError, OSError)  # a scan that cannot be read, which the mapping reports
 _MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
 
 
 def make_mapper(
-    rule: str, spec: GridSpec, half_life: float | None = None, window: WindowMode = "rolling", particles: int = 200_000
+    rule: str,
+    spec: GridSpec,
+    half_life: float | None = None,
+    window: WindowMode = "rolling",
+    particles: int = 200_000,
+    max_speed: float = 70.0,
 ) -> Mapper:
     """Return a map that fuses by a rule, with defaults else.
 
@@ -34,6 +43,8 @@ def make_mapper(
     window : {"rolling", "fixed"}
     particles : int
         Of dynamic maps.
+    max_speed : float
+        Beyond which a pose is a jump [m/s]; infinity allows every jump.
 
     Raises
     ------
@@ -41,14 +52,15 @@ def make_mapper(
         If there is no such rule.
     """
     if rule == BAYES:
-        return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window)
+        return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window, max_speed=max_speed)
     if rule in (DYNAMIC, NUSS):
         filter_name: DynamicFilter = "hybrid" if rule == DYNAMIC else "nuss"
         settings = None if half_life is None else DynamicSettings(static_half_life=half_life)
-        return DynamicMapper(spec, particles, filter=filter_name, window=window, settings=settings)
+        return DynamicMapper(spec, particles, filter=filter_name, window=window, max_speed=max_speed, settings=settings)
     if rule not in RULES:
         raise ValueError(f"there is no rule {rule!r}; there are {', '.join(MAP_RULES)}")
-    return EvidentialMapper(spec, RULES[rule], 2.0 if half_life is None else half_life, window=window)
+    half_life = 2.0 if half_life is None else half_life
+    return EvidentialMapper(spec, RULES[rule], half_life, window=window, max_speed=max_speed)
 
 
 def adding_rule_warning(rule: str) -> str:
@@ -84,14 +96,67 @@ def covering_window(spec: GridSpec, poses: NDArray[np.float64]) -> GridSpec:
     """
     if not len(poses):
         raise ValueError("none of the scans has a pose, so a fixed window has no area")
-    step, reach = spec.resolution, math.hypot(spec.length, spec.width) / 2
+    reach = math.hypot(spec.length, spec.width) / 2
     xy = poses[:, :2, 3]
-    low = [math.floor((one - reach) / step) for one in xy.min(axis=0)]
-    high = [math.ceil((one + reach) / step) for one in xy.max(axis=0)]
-    nx, ny = (b - a for a, b in zip(low, high, strict=True))
+    return bounding_window(spec.resolution, xy.min(axis=0) - reach, xy.max(axis=0) + reach)
+
+
+def bounding_window(step: float, lowest: NDArray[np.float64], highest: NDArray[np.float64]) -> GridSpec:
+    """Return the cells of side `step` [m], in map coordinates, that hold a rectangle.
+
+    Parameters
+    ----------
+    step : float
+    lowest, highest : (2,) float64
+        Corners of the rectangle [m].
+
+    Raises
+    ------
+    ValueError
+        If more than 2**24 cells would be needed.
+    """
+    low, high = [math.floor(one / step) for one in lowest], [math.ceil(one / step) for one in highest]
+    nx, ny = (max(b - a, 1) for a, b in zip(low, high, strict=True))
     if nx * ny > _MAX_CELLS:
         raise ValueError(
             f"a fixed window would need {nx} x {ny} cells for a drive over {nx * step:.0f} m x {ny * step:.0f} m, at "
             f"most {_MAX_CELLS} are allowed; give `window=rolling`, or a coarser `resolution`"
         )
     return GridSpec(step, (nx, ny), (low[0] * step, low[1] * step))
+
+
+def echo_window(frames: Iterable[Frame], spec: GridSpec) -> GridSpec:
+    """Return the cells, in map coordinates, that hold all echoes of planar scans and 1 m around them.
+
+    All scans are read once. Echoes beyond the reach of a measurement grid are left out.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+    spec : GridSpec
+        Cells of a measurement grid.
+
+    Raises
+    ------
+    ValueError
+        If no scan has a pose, or more than 2**24 cells would be needed.
+    """
+    reach = math.hypot(spec.length, spec.width) / 2
+    corners = []
+    for frame in frames:
+        T = frame.T_map_sensor
+        if T is None:
+            continue
+        corners.append(np.stack([T[:2, 3], T[:2, 3]]))
+        try:
+            points = frame.scan.points[:, :3]
+        except _DAMAGED:
+            continue
+        points = points[np.hypot(points[:, 0], points[:, 1]) < reach]  # NaN is left out
+        if len(points):
+            ends = points.astype(np.float64) @ T[:2, :3].T + T[:2, 3]
+            corners.append(np.stack([ends.min(axis=0), ends.max(axis=0)]))
+    if not corners:
+        raise ValueError("none of the scans has a pose, so a fixed window has no area")
+    both = np.stack(corners)
+    return bounding_window(spec.resolution, both[:, 0].min(axis=0) - _MARGIN, both[:, 1].max(axis=0) + _MARGIN)

@@ -56,7 +56,7 @@ def shows_nothing(scan: Scan, grid: EvidentialGrid) -> bool:
     if scan.rcs is not None or not len(scan):
         return False
     near = scan.points[:, 0] ** 2 + scan.points[:, 1] ** 2 < NEAR**2
-    return 2 * int(np.count_nonzero(near)) < len(scan) or not grid.mass.any()
+    return 2 * int(np.count_nonzero(near)) < len(scan) or not grid.known[1].any()
 
 
 def explain_nothing(scan: Scan, spec: GridSpec, mount: Mount) -> str:

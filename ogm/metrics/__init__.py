@@ -10,6 +10,7 @@ the reason. `METRICS` describes each.
 >>> score_motion(accumulate_motion(dynamic_grid, truth.motion, scan_occupied))        # doctest: +SKIP
 """
 
+from ogm.metrics.beams import BeamNoise, BeamScores, PlanarBeams, score_beams
 from ogm.metrics.counts import ConfusionSums, accumulate
 from ogm.metrics.curves import free_space, intervals, precision_recall, reliability, risk_coverage
 from ogm.metrics.detection_time import detection_times
@@ -19,8 +20,8 @@ from ogm.metrics.prediction import PREDICTION_METRICS, PredictionSums, accumulat
 from ogm.metrics.scores import METRICS, Metric, by_range, distances, reasons, score
 
 __all__ = [
-    "ConfusionSums", "METRICS", "MOTION_METRICS", "Metric", "MotionSums", "PREDICTION_METRICS", "PredictionSums",
-    "accumulate", "accumulate_motion", "accumulate_prediction", "by_range", "detection_times", "distances",
-    "free_space", "intervals", "motion_curve", "precision_recall", "reasons", "reliability", "risk_coverage", "score",
-    "score_motion", "score_prediction",
+    "BeamNoise", "BeamScores", "PlanarBeams", "ConfusionSums", "METRICS", "MOTION_METRICS", "Metric", "MotionSums",
+    "PREDICTION_METRICS", "PredictionSums", "accumulate", "accumulate_motion", "accumulate_prediction", "by_range",
+    "detection_times", "distances", "free_space", "intervals", "motion_curve", "precision_recall", "reasons",
+    "reliability", "risk_coverage", "score", "score_beams", "score_motion", "score_prediction",
 ]  # fmt: skip

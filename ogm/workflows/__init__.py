@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ogm.extras import lazy_names
 
 if TYPE_CHECKING:
+    from ogm.workflows.buildings import MapDefaults, map_defaults
     from ogm.workflows.checks import DriveCheck, check_drive, check_log
     from ogm.workflows.describe import describe_path
     from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
@@ -22,11 +23,13 @@ if TYPE_CHECKING:
     from ogm.workflows.scan_maps import ScanMap, map_to_files
 
 __all__ = [
-    "DriveCheck", "Finding", "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "ScanMap", "check_drive",
-    "check_log", "describe_path", "drives_of", "fuse_drive", "fuse_drives", "map_to_files", "posed",
+    "DriveCheck", "Finding", "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "MapDefaults", "Outputs", "ScanMap",
+    "check_drive", "check_log", "describe_path", "drives_of", "fuse_drive", "fuse_drives", "map_defaults",
+    "map_to_files", "posed",
 ]  # fmt: skip
 
 __getattr__ = lazy_names(__name__, {
+    **dict.fromkeys(("MapDefaults", "map_defaults"), "ogm.workflows.buildings"),
     **dict.fromkeys(("DriveCheck", "check_drive", "check_log"), "ogm.workflows.checks"),
     "Finding": "ogm.workflows.findings",
     **dict.fromkeys(("FusedDrive", "drives_of", "fuse_drives"), "ogm.workflows.drives"),

@@ -96,7 +96,7 @@ class Outputs:
 
 @dataclass(frozen=True)
 class FuseOptions:
-    """How a drive is fused; by default as ``ogm fuse`` does.
+    """How a drive is fused; by default as ``ogm fuse`` does for lidars.
 
     Parameters
     ----------
@@ -121,6 +121,8 @@ class FuseOptions:
         Sensors that the dataset was opened with.
     message : str, optional
         Message type of maps in logs.
+    match : bool
+        Take the poses for odometry, and refine them by matching planar scans.
     odometry : str, optional
         Estimate the poses from the scans: "kiss-icp" or "small-gicp".
     rate : float
@@ -141,6 +143,7 @@ class FuseOptions:
     radar_reliability: float = 0.25
     sensors: tuple[str, ...] = ()
     message: str | None = None
+    match: bool = False
     odometry: str | None = None
     rate: float = 10.0
     first: int | None = None

@@ -10,15 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from ogm.datasets import Dataset, with_odometry
-from ogm.fusion import DynamicMapper, FusionStep, covering_window, fuse, make_mapper, rolling_window
+from ogm.datasets import Dataset, with_matching, with_odometry
+from ogm.fusion import DynamicMapper, FusionStep, covering_window, echo_window, fuse, make_mapper, rolling_window
 from ogm.fusion.factory import adding_rule_warning
+from ogm.grid import GridSpec
 from ogm.io.grids.files import write_grid
 from ogm.io.grids.logged import GridLog
 from ogm.io.logs import LOG_ENDINGS
 from ogm.models.compilation import compiled_ahead
 from ogm.plot.movie import open_movie
 from ogm.plot.viewer import write_view
+from ogm.workflows.buildings import has_doubtful_clock, is_planar, map_defaults
 from ogm.workflows.checks import gravest
 from ogm.workflows.fuse_options import FuseOptions, Outputs
 from ogm.workflows.fusion_run import FusionRun
@@ -46,6 +48,7 @@ def fuse_drive(
     outputs : Outputs
         Files to write; their folders are made.
     options : FuseOptions, optional
+        By default by `map_defaults`.
     tell : function
         Called with messages about the rule, about scans, and about an early end; by default they are logged.
     progress : function
@@ -64,8 +67,8 @@ def fuse_drive(
         If it was interrupted before the first scan was mapped.
     """
     outputs.prepare()
-    o = options or FuseOptions()
-    dataset = posed(dataset, o.odometry, o.rate, o.first)[0]
+    o = options or _default_options(dataset)
+    dataset = posed(dataset, o.odometry, o.rate, o.first, match=o.match)[0]
     if o.deskew and not dataset.motion_distorted:
         raise ValueError("leave out `deskew`: the points of this dataset are not (or not all) distorted by motion")
     if warning := adding_rule_warning(o.rule):
@@ -73,8 +76,14 @@ def fuse_drive(
     for finding in gravest(dataset, str(o.ism)):
         tell(finding)
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
-    cells = rolling_window(o.spec) if o.window == "rolling" else covering_window(o.spec, np.array(known))
-    mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles)  # type: ignore[arg-type]
+    if o.window == "rolling":
+        cells = rolling_window(o.spec)
+    elif is_planar(dataset):
+        cells = echo_window(dataset, o.spec)
+    else:
+        cells = covering_window(o.spec, np.array(known))
+    speed = math.inf if is_planar(dataset) and has_doubtful_clock(dataset) else 70.0  # [m/s] beyond which a pose jumps
+    mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles, speed)  # type: ignore[arg-type]
     run = FusionRun(dataset, mapper, o.spec, (Path(str(o.ism)).stem, o.rule), outputs.base, tell)
     times = (dataset.trajectory or True) if o.deskew else False
     radars = dataset.facts.get("radars", {})
@@ -112,6 +121,12 @@ def fuse_drive(
     return run
 
 
+def _default_options(dataset: Dataset) -> FuseOptions:
+    """Return the options by the sensor of a dataset."""
+    resolution, window, half_life = map_defaults(dataset)
+    return FuseOptions(spec=GridSpec.centered(resolution=resolution), window=window, half_life=half_life)
+
+
 @dataclass(frozen=True)
 class FuseInto:
     """Fuses one of many drives into a folder, for `ogm.workflows.fuse_drives`.
@@ -129,8 +144,10 @@ class FuseInto:
     def __call__(self, frames: Any, folder: Path) -> Mapping[str, Any]:
         """Return the facts of the run, the messages about scans, and the exit code."""
         o, messages = self.options, list[str]()
-        dataset, how = posed(frames, o.odometry, o.rate, o.first)
-        run = fuse_drive(dataset, self.outputs.within(folder), replace(o, odometry=None), tell=messages.append)
+        dataset, how = posed(frames, o.odometry, o.rate, o.first, match=o.match)
+        run = fuse_drive(
+            dataset, self.outputs.within(folder), replace(o, odometry=None, match=False), tell=messages.append
+        )
         if run.interrupted:  # the partial result would look finished
             raise KeyboardInterrupt
         return {**run.facts(), "poses": how, "messages": messages, "code": run.code}
@@ -142,6 +159,7 @@ def posed(
     rate: float = 10.0,
     first: int | None = None,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    match: bool = False,
 ) -> tuple[Dataset, str]:
     """Return the first scans of a drive with poses, its own or estimated ones, and their origin in words.
 
@@ -156,7 +174,9 @@ def posed(
     first : int, optional
         Number of scans.
     progress : function
-        Iterates over the numbers of the scans that odometry reads.
+        Iterates over the numbers of the scans that odometry and matching read.
+    match : bool
+        Take these poses for odometry, and refine them, see `ogm.datasets.with_matching`.
 
     Raises
     ------
@@ -171,4 +191,7 @@ def posed(
             f"the scans have no poses{f' ({how})' if how else ''}: give `poses` (KITTI, KITTI-360, TUM), or "
             "`odometry=kiss-icp` to estimate them"
         )
+    if match:
+        dataset = with_matching(dataset[:first], progress, rate)
+        how = dataset.facts["poses"]
     return dataset[:first], how or f"{known} of {len(dataset)} scans, of the dataset"

@@ -1,0 +1,341 @@
+"""Evaluation of maps without truth: they predict the beams of planar scans that are not in them."""
+
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.evaluation.statistics import Interval, ratio_interval
+from ogm.evaluation.text import as_json, clean
+from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
+from ogm.fusion import BinaryBayesMapper, echo_window, make_mapper, map_scans
+from ogm.fusion.pipeline import OnError, grid_pose, log_error
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.metrics.beams import BeamNoise, BeamScores, PlanarBeams, score_beams
+from ogm.models.named import load_model, short_names
+from ogm.pose import inverse, tilt_of
+from ogm.scan import Frame, SensorModels
+from ogm.storage.files import atomic_write
+
+_SUMMED = ("log_likelihood", "ends_at", "passes_through", "no_echo_blocked")
+
+MapMaker = Callable[[Sequence[Frame]], EvidentialGrid]
+
+BINS = 10  # of the predicted probability, for the calibration
+MAX_TILT = math.radians(5)  # of the plane of the beams
+BEAM_METRICS = {  # name: title, which is better, description
+    "log_likelihood": ("log likelihood", "higher", "Log of the density of the range of an echo [nats, of 1/m]."),
+    "ends_at": ("ends at occupied", "higher", "Share of echoes within 2 cells of the first occupied cell of the beam."),
+    "passes_through": (
+        "passes occupied", "lower", "Share of echoes more than 2 cells behind the first occupied cell of the beam.",
+    ),
+    "ece": (
+        "ece of hits", "lower", "Mean distance, in 10 bins, of the predicted share of echoes within 2 cells of the "
+        "likeliest end from the observed share.",
+    ),
+    "no_echo_blocked": ("no echo, occupied", "lower", "Share of beams without echo that meet an occupied cell."),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FusedMap:
+    """The map of a place: scans of a sensor model fused by a rule that forgets nothing.
+
+    A map of the Bayes filter has its own probabilities as masses, and only cells that were never seen are unknown.
+
+    Parameters
+    ----------
+    ism : callable with `spec`, or mapping of str to these
+        The sensor model.
+    rule : str
+        A name in `ogm.evidence.map_rules.MAP_RULES` of a static map.
+    on_error : function
+        Called with each frame that is skipped and its error; by default it is logged.
+    """
+
+    ism: Any
+    rule: str
+    on_error: OnError = log_error
+
+    def __post_init__(self) -> None:
+        if self.rule in (DYNAMIC, NUSS):
+            raise ValueError(f"beams are predicted by static maps, got the rule {self.rule!r}: choose another rule")
+
+    def __call__(self, frames: Sequence[Frame]) -> EvidentialGrid:
+        """Return the map of frames with poses, over all of their grids."""
+        ism: SensorModels = self.ism
+        spec = next(iter(ism.values())).spec if isinstance(ism, Mapping) else ism.spec
+        mapper = make_mapper(self.rule, echo_window(frames, spec), math.inf, "fixed")
+        for frame, grid in map_scans(frames, ism, on_error=self.on_error):
+            mapper.update(grid, grid_pose(frame))  # without stamps: nothing is forgotten, and no pose is a jump
+        if not isinstance(mapper, BinaryBayesMapper):
+            return mapper.grid
+        p = mapper.probability
+        mass = np.where((p == 0.5)[..., None], np.float32(0), np.stack([1 - p, p], axis=-1))
+        return EvidentialGrid.trusted(mapper.spec, mass)
+
+
+@dataclass(frozen=True, eq=False)
+class BeamEvaluation:
+    """Maps against the beams of scans that are not in them.
+
+    Attributes
+    ----------
+    methods : tuple of str
+    frames : tuple of str
+        Names of the scans whose beams were predicted.
+    drives : tuple of str
+        Drive of each frame.
+    echoes, no_echoes : (frames,) int64
+        Beams with and without echo.
+    sums : dict of str to dict of str to (frames,) float64
+        By method and metric, sums over the beams of each frame.
+    bins : dict of str to (10, 3) float64
+        By method, for each bin of the predicted probability of a hit: beams, sum of the probabilities, hits.
+    split : str
+        The split, in words.
+    """
+
+    methods: tuple[str, ...]
+    frames: tuple[str, ...]
+    drives: tuple[str, ...]
+    echoes: NDArray[np.int64]
+    no_echoes: NDArray[np.int64]
+    sums: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    bins: Mapping[str, NDArray[np.float64]]
+    split: str
+
+    def interval(self, method: str, metric: str) -> Interval:
+        """Return the mean over beams with its 95 % interval over drives or parts of one, see `ratio_interval`.
+
+        Parameters
+        ----------
+        method : str
+        metric : str
+            A name in `BEAM_METRICS`; ``"ece"`` has no interval.
+        """
+        if metric == "ece":
+            count, predicted, hits = self.bins[method].T
+            return Interval(float(np.abs(predicted - hits).sum() / max(count.sum(), 1)), math.nan, math.nan)
+        beams = self.no_echoes if metric == "no_echo_blocked" else self.echoes
+        return ratio_interval(self.sums[method][metric], beams.astype(np.float64), self.drives)
+
+    def record(self) -> dict[str, Any]:
+        """Return all results, as JSON can hold them after `ogm.evaluation.text.as_json`."""
+        return {
+            "split": self.split,
+            "scans": len(self.frames),
+            "beams with echo": int(self.echoes.sum()),
+            "beams without echo": int(self.no_echoes.sum()),
+            "metrics": {
+                name: {"title": one[0], "better": one[1], "text": one[2]} for name, one in BEAM_METRICS.items()
+            },
+            "methods": {
+                name: {
+                    **{metric: self.interval(name, metric) for metric in BEAM_METRICS},
+                    "bins (beams, predicted, hits)": self.bins[name],
+                }
+                for name in self.methods
+            },
+        }
+
+
+def named_maps(models: Sequence[str], rules: Sequence[str], spec: GridSpec) -> dict[str, MapMaker]:
+    """Return maps by the names of models and rules.
+
+    Parameters
+    ----------
+    models : sequence of str
+        See `ogm.models.load_model`; by default ``"planar"``.
+    rules : sequence of str
+        See `FusedMap`; by default ``"revise"``.
+    spec : GridSpec
+        Cells of a measurement grid.
+    """
+    loaded = {short: load_model(name, spec) for short, name in short_names(models or ["planar"]).items()}
+    return {f"{name}, {rule}": FusedMap(ism, rule) for name, ism in loaded.items() for rule in rules or [REVISE]}
+
+
+def write_beam_report(folder: Path, result: BeamEvaluation, *, command: str = "") -> Path:
+    """Write ``beams.json`` into a folder, which is made, and return its path.
+
+    Parameters
+    ----------
+    folder : Path
+    result : BeamEvaluation
+    command : str
+        Command that made it, for the record.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path := folder / "beams.json", "w") as file:
+        json.dump(as_json({"command": clean(command), **result.record()}), file, indent=1, allow_nan=False)
+    return path
+
+
+def evaluate_beams(
+    frames: Iterable[Frame],
+    methods: Mapping[str, MapMaker],
+    *,
+    every: int = 5,
+    range_noise: float = 0.03,
+    p_random: float = 0.05,
+    on_error: OnError = log_error,
+    progress: Callable[[Sequence[int]], Iterable[int]] = iter,
+) -> BeamEvaluation:
+    """Return how well maps predict the beams of planar scans that are not in them.
+
+    Cross-validation: the scans k, k + `every`, k + 2 `every`, ... of a drive are left out, the maps are made of the
+    others, and predict the beams of the scans left out; so for each k from 0, until each scan was left out once.
+
+    The probability of occupied is ``occupied + base_rate * unknown``. The base rate describes a medium in which beams
+    end as often as in the scans of the map: 1 - exp(-resolution * echoes / sum of their ranges), the maximum likelihood
+    of one decay rate (Schaefer, Luft and Burgard, ICRA 2017).
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        Planar scans, with poses; a frame without pose is left out. Frames of one `Frame.sequence` are a drive, with
+        maps of its own.
+    methods : dict of str to function
+        Makers of maps by their names, ``maker(frames) -> EvidentialGrid``: `FusedMap`, or any other.
+    every : int
+        Number of splits, 2 or more.
+    range_noise, p_random : float
+        See `ogm.metrics.beams.BeamNoise`.
+    on_error : function
+        Called with each frame whose scan cannot be read, and its error; the frame is left out. By default it is logged.
+    progress : function
+        Iterates over the numbers of the splits, and may draw a progress bar.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, no scan is planar, one is tilted, or a drive has too few scans with poses.
+    """
+    if every < 2:
+        raise ValueError(f"every must be 2 or more: a map needs scans that are not left out, got {every}")
+    if not (0 < range_noise < math.inf and 0 < p_random < 1):
+        raise ValueError(f"range_noise must be above 0 m and p_random in (0, 1), got {range_noise} and {p_random}")
+    drives: dict[str, list[Frame]] = {}
+    for frame in frames:
+        if frame.T_map_sensor is None:
+            continue
+        try:
+            frame.scan  # noqa: B018  it is read here
+        except (ValueError, TypeError, OSError) as error:
+            on_error(frame, error)
+            continue
+        drives.setdefault(frame.sequence, []).append(frame)
+    if not drives:
+        raise ValueError("no scan has a pose, so that no map can be made: give a log with poses")
+    for name, drive in drives.items():
+        if len(drive) < every:
+            raise ValueError(
+                f"the drive {name!r} has {len(drive)} scans with poses, wanted at least `every`, {every}: leave it out"
+            )
+    ordered = [frame for drive in drives.values() for frame in drive]
+    beams = [planar_beams(frame) for frame in ordered]
+    max_range = max(float(one.distance.max(initial=0.0)) for one in beams)
+    if not max_range > 0:
+        raise ValueError("no beam of the scans has an echo, so that there is nothing to predict")
+    noise = BeamNoise(max_range, range_noise, p_random)
+    starts = np.cumsum([0, *map(len, drives.values())])
+    sums = {name: {metric: np.zeros(len(ordered)) for metric in _SUMMED} for name in methods}
+    bins = {name: np.zeros((BINS, 3)) for name in methods}
+    for k in progress(range(every)):
+        for first, last in itertools.pairwise(starts.tolist()):
+            left_out = range(first + k, last, every)
+            mapped = [n for n in range(first, last) if n not in left_out]
+            decay = _decay_rate([beams[n] for n in mapped])
+            owner = np.repeat(left_out, [len(beams[n].echo) for n in left_out])
+            for name, make_map in methods.items():
+                grid = make_map([ordered[n] for n in mapped])
+                base_rate = -math.expm1(-decay * grid.spec.resolution)
+                together = PlanarBeams(*map(np.concatenate, zip(*(beams[n] for n in left_out), strict=True)))
+                scores = score_beams(grid, together, noise, base_rate)
+                _add(scores, together.echo, owner, sums[name], bins[name])
+    echoes = np.array([np.count_nonzero(one.echo) for one in beams])
+    return BeamEvaluation(
+        tuple(methods),
+        tuple(frame.name for frame in ordered),
+        tuple(frame.sequence for frame in ordered),
+        echoes,
+        np.array([len(one.echo) for one in beams]) - echoes,
+        sums,
+        bins,
+        f"{every} splits: every {every}th scan of a drive left out, the map made of the others",
+    )
+
+
+def planar_beams(frame: Frame) -> PlanarBeams:
+    """Return the beams of a planar scan in the plane of the map.
+
+    Several points in one direction are echoes of one beam each. Beams without echo count where `Scan.max_range` is
+    known.
+
+    Raises
+    ------
+    ValueError
+        If the scan is not of a planar laser, or its plane is tilted by more than 5 degrees.
+    """
+    scan, T = frame.scan, frame.T_map_sensor
+    assert T is not None
+    if scan.kind != "planar":
+        kind = repr(scan.kind) if scan.kind else "a lidar or radar"
+        raise ValueError(
+            f"{frame.name} is of {kind}, and beams are predicted in the plane of a planar laser: choose its `topic`"
+        )
+    if tilt_of(T) > MAX_TILT:
+        raise ValueError(
+            f"the laser of {frame.name} is tilted by {math.degrees(tilt_of(T)):.0f} degrees, at most 5 are allowed: "
+            "its beams leave the plane of the map"
+        )
+    origin = T[:2, 3].astype(np.float64)
+    if frame.mount.points_in == "vehicle":
+        T = T @ inverse(frame.mount.T_vehicle_sensor)
+    known = np.isfinite(scan.points[:, :3]).all(axis=1)
+    ends = (scan.points[known, :3].astype(np.float64) @ T[:3, :3].T + T[:3, 3])[:, :2] - origin
+    distance, echo = np.hypot(*ends.T), np.ones(len(ends), bool)
+    if scan.no_returns is not None and scan.max_range is not None:
+        silent = (scan.no_returns.astype(np.float64) @ T[:3, :3].T)[:, :2]
+        silent = silent[np.isfinite(silent).all(axis=1)]
+        ends = np.concatenate([ends, silent * scan.max_range])
+        distance = np.concatenate([distance, np.full(len(silent), scan.max_range)])
+        echo = np.concatenate([echo, np.zeros(len(silent), bool)])
+    used = distance > 0
+    ends, distance, echo = ends[used], distance[used], echo[used]
+    direction = ends / np.hypot(*ends.T)[:, None]
+    return PlanarBeams(np.tile(origin, (len(ends), 1)), direction, distance, echo)
+
+
+def _decay_rate(beams: Sequence[PlanarBeams]) -> float:
+    """Return the rate at which beams end, the maximum likelihood of a homogeneous medium [1/m]."""
+    ranges = np.concatenate([one.distance[one.echo] for one in beams])
+    return len(ranges) / float(ranges.sum()) if len(ranges) else 1e-3
+
+
+def _add(
+    scores: BeamScores,
+    echo: NDArray[np.bool_],
+    owner: NDArray[np.int64],
+    sums: Mapping[str, NDArray[np.float64]],
+    bins: NDArray[np.float64],
+) -> None:
+    """Add beams to the sums of a method, each to the frame that owns it."""
+    columns = {
+        "log_likelihood": np.where(echo, scores.log_likelihood, 0.0),
+        "ends_at": scores.ends_at,
+        "passes_through": scores.passes_through & echo,
+        "no_echo_blocked": scores.passes_through & ~echo,
+    }
+    for name, column in columns.items():
+        sums[name][:] += np.bincount(owner, column, len(sums[name]))
+    at = np.minimum((scores.expected[echo] * BINS).astype(int), BINS - 1)
+    for row, weight in zip(bins.T, (None, scores.expected[echo], scores.hit[echo]), strict=True):
+        row += np.bincount(at, weight, BINS)
