@@ -53,6 +53,10 @@ _OPTIONS: dict[str, Any] = {  # name: type with its option
             metavar="FROM:TO",
         ),
     ],
+    "depth_scale": Annotated[
+        float | None,
+        Option(help="Of depth images: pixel value at 1 m; 1000 for millimetres, 5000 for TUM, 1 for metres."),
+    ],
 }
 
 

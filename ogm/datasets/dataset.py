@@ -112,6 +112,8 @@ class Dataset(Sequence[Frame]):
         posed = sum(ref.T_map_sensor is not None for ref in self.refs)
         sequences = [name for name in self.sequences if name]
         found = {"format": self.format, "frames": str(len(self))}
+        stated = (name for name in ("camera", "depth_scale") if name in self.facts)
+        found |= {name.replace("_", " "): str(self.facts[name]) for name in stated}
         if sequences:
             found["sequences"] = f"{len(sequences)} ({', '.join(sequences[:3])}{', ...' if sequences[3:] else ''})"
         found["poses"] = f"{posed} of {len(self)} frames" if posed else "none (see `ogm fuse --odometry`)"

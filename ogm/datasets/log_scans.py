@@ -2,7 +2,8 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,8 +14,10 @@ from ogm.datasets.clocks import STRAY, ClockFinding
 from ogm.datasets.frames import FrameRef, SensorPlace
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.sensor_setup import SensorSetup, setup_of
+from ogm.io.depth import Intrinsics
 from ogm.io.logs import LogReader
-from ogm.io.logs.reader import MessageRef
+from ogm.io.logs.reader import MessageHead, MessageRef
+from ogm.io.messages.images import DEPTH_ENCODINGS, intrinsics_from_camera_info
 from ogm.storage.files import OgmError
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -27,15 +30,17 @@ RADAR_TYPES = (
 )  # fmt: skip
 PLANAR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 CONE_TYPES = ("sensor_msgs/msg/Range",)
-_BY_DEFAULT = (_LIDAR_TYPES, PLANAR_TYPES, RADAR_TYPES, CONE_TYPES)  # the first kind that a log has is used
+IMAGE, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"  # of images those with depths: `scan_topics`
+_BY_DEFAULT = (_LIDAR_TYPES, PLANAR_TYPES, (IMAGE,), RADAR_TYPES, CONE_TYPES)  # the first kind that a log has is used
 SCAN_TYPES = tuple(name for types in _BY_DEFAULT for name in types)
 PACKET_TYPES = (  # what sensors send, as it came
     "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg", "hesai_ros_driver/msg/UdpFrame",
     "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets", "pandar_msgs/msg/PandarScan",
 )  # fmt: skip
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _RADAR = re.compile(r"radar|continental|(?<![a-z])(ars|srr|umrr)", re.IGNORECASE)  # in names and types of topics
 _HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, as `Mount` has it around one
-NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)  # robots with planar lasers are small, and most of these do not see them
+NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)  # planar lasers and depth cameras seldom see their robots, which are small
 PLANE_HEIGHT = 0.3  # [m] above ground of planar lasers and range sensors, where nothing states it: it names their plane
 _ON_GROUND = 0.03  # [m] in base_link, up to which base_link may be in the sensor
 
@@ -59,7 +64,8 @@ class LogScans:
     ----------
     log : LogReader
     topic : str or iterable of str
-        By default the only one of a lidar; without lidars of a planar laser, else of a radar, else of a range sensor.
+        By default the only one of a lidar; without lidars of a planar laser, else of a depth camera, a radar, a range
+        sensor.
     placed : bool
         Whether the user gives the position of the sensor, in base_link if clouds are in a frame above that.
     setups : iterable of SensorSetup
@@ -85,6 +91,8 @@ class LogScans:
         self.transforms = LogTransforms(log, self.topics)
         self.assumes_height = False  # known with `places`
         self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
+        self.cameras = {name: camera_of(log, name) for name in self.topics if log.topics[name].type == IMAGE}
+        self.transforms.heads = self._with_bodies(self.transforms.heads)
         frames = {name: self._spelled(name) for name in {head.frame for _, head in self.transforms.heads}}
         sensors = {frame: self._sensor(name, placed) for frame, name in frames.items()}
         clock = self.transforms.clock
@@ -196,6 +204,11 @@ class LogScans:
             text = f"the height of {', '.join(self.topics)} above ground is not known: {self.places()[0].height:g} m is"  # type: ignore[index]
             notes.append((f"{text} assumed, which names the plane of free cells (--sensor-height)", ""))
         for topic, ref in {ref.topic: ref for ref in self.refs}.items():
+            if topic in self.cameras:
+                if note := self.transforms.cameras.get(ref.cloud):
+                    way = "--sensors states the place of the camera's body, x forward, y left, z up, as mount"
+                    notes.append((f"the images of {topic} are in {ref.cloud.removesuffix('_body')}, {note}", way))
+                continue
             if ref.cloud != ref.frame and not placed:
                 text = f"the points of {topic} are in {ref.cloud}: rays start at {ref.frame}, by transforms"
                 notes.append((text, ""))
@@ -213,6 +226,16 @@ class LogScans:
         return (
             "" if np.allclose(self.T_vehicle_sensor[0], np.eye(4)) else f"{frame}, at {x:g} {y:g} {z:g} m in {vehicle}"
         )
+
+    def _with_bodies(self, heads: list[tuple[MessageRef, MessageHead]]) -> list[tuple[MessageRef, MessageHead]]:
+        """Return headers in which the frames of depth images are those of the bodies of their cameras."""
+        images = [self.log.topic_of(ref) in self.cameras for ref, _ in heads]
+        frames = {head.frame for (_, head), is_image in zip(heads, images, strict=True) if is_image}
+        bodies = {frame: self.transforms.camera_body(self._spelled(frame)) for frame in frames}
+        return [
+            (ref, head._replace(frame=bodies[head.frame]) if is_image else head)
+            for (ref, head), is_image in zip(heads, images, strict=True)
+        ]
 
     def _spelled(self, frame: str) -> str:
         """Return a frame as transforms spell it, where only capitals differ."""
@@ -266,8 +289,9 @@ class LogScans:
         if heights[0] is None and self.types <= {*PLANAR_TYPES, *CONE_TYPES}:
             heights, self.assumes_height = self._plane_heights(), True
         if len(self.topics) == 1:
-            box = NO_FOOTPRINT if self.is_flat(self.topics[0]) else None
-            return None if heights[0] is None else [SensorPlace(height=height, ego_footprint=box) for height in heights]
+            box = NO_FOOTPRINT if self._sees_no_vehicle(self.topics[0]) else None
+            known = heights[0] is not None or box is not None
+            return [SensorPlace(height=height, ego_footprint=box) for height in heights] if known else None
         if (T := self.T_vehicle_sensor) is None:
             raise OgmError(
                 f"{self.path}: {self.transforms.missing_vehicle(list(self.by_frame))}, so that the scans of several "
@@ -279,8 +303,11 @@ class LogScans:
         box = (x - _HALF_LENGTH, x + _HALF_LENGTH, y - _HALF_WIDTH, y + _HALF_WIDTH)
         above = places[:, 2] - places[first[self.topics[0]], 2]
         rows = zip(self.refs, places, above, heights, strict=True)
-        boxes = {topic: NO_FOOTPRINT if self.is_flat(topic) else box for topic in self.topics}
+        boxes = {topic: NO_FOOTPRINT if self._sees_no_vehicle(topic) else box for topic in self.topics}
         return [SensorPlace(scan.topic, (at[0], at[1]), up, high, boxes[scan.topic]) for scan, at, up, high in rows]
+
+    def _sees_no_vehicle(self, topic: str) -> bool:
+        return self.is_flat(topic) or topic in self.cameras
 
     def is_flat(self, topic: str) -> bool:
         """Return whether a topic is of a planar laser or a range sensor."""
@@ -312,7 +339,7 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
     """Return the topics to read scans of."""
     path, types = log.paths[0], ", ".join(SCAN_TYPES)
     named = {name: f"{name} ({facts.type})" for name, facts in log.topics.items()}
-    scans = [name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and facts.count]
+    scans = scan_topics(log)
     listed = ", ".join(named[name] for name in scans) or "none"
     for name in wanted:
         if name not in log.topics:
@@ -320,6 +347,8 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
             raise OgmError(f"{path} has no topic {name}; with scans there are {listed}, others are {other}")
         if name not in scans:
             found = f"{log.topics[name].count} messages of {log.topics[name].type}"
+            if encoding := image_encoding(log, name):
+                found += f" with the encoding {encoding}"
             way = _decoded(log, [name])
             raise OgmError(f"topic {name} of {path} has {found}, wanted scans ({types}); there are {listed}{way}")
     if not scans:
@@ -334,6 +363,54 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(wanted or usual))
 
 
+def scan_topics(log: LogReader) -> list[str]:
+    """Return the topics of a log that have scans: of images, those with depths."""
+    there = [name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and facts.count]
+    return [name for name in there if log.topics[name].type != IMAGE or image_encoding(log, name) in DEPTH_ENCODINGS]
+
+
+def image_encoding(log: LogReader, topic: str) -> str:
+    """Return the encoding of the first image of a topic that can be read; "" for other topics."""
+    if log.topics[topic].type != IMAGE:
+        return ""
+    return next((str(message.encoding) for message in _messages(log, topic) if hasattr(message, "encoding")), "unknown")
+
+
+def camera_of(log: LogReader, topic: str) -> Intrinsics:
+    """Return the camera of a topic with depth images, by the topic ``camera_info`` beside it, or the only that fits.
+
+    Raises
+    ------
+    OgmError
+        If there is no such topic, or no message of a calibrated camera.
+    """
+    path, folder = log.paths[0], topic.rpartition("/")[0]
+    infos = [name for name, facts in log.topics.items() if facts.type == CAMERA and facts.count]
+    beside = [name for name in infos if name in (f"{folder}/camera_info", f"{topic}/camera_info")]
+    found, reason = dict[str, Intrinsics](), ""
+    for name in beside or infos:
+        for message in _messages(log, name):
+            try:
+                found[name] = intrinsics_from_camera_info(message)
+                break
+            except OgmError as error:
+                reason = f" ({error})"
+    if len(found) != 1:
+        listed = ", ".join(found or infos) or "none"
+        raise OgmError(
+            f"{path}: the camera of {topic} is not known{reason}; wanted {CAMERA} on {folder}/camera_info, or one "
+            f"topic with it, got {listed}: record it with the images"
+        )
+    return next(iter(found.values()))
+
+
+def _messages(log: LogReader, topic: str) -> Iterator[Any]:
+    """Yield the messages of a topic that can be decoded."""
+    for ref in log.iter_refs([topic]):
+        with suppress(OgmError):
+            yield log.message(ref).decode()
+
+
 def _decoded(log: LogReader, names: Iterable[str]) -> str:
     """Return which messages to record instead of some topics, where these are of radars, or packets; else ""."""
     types = {name: kind for name in names if (kind := log.topics[name].type) not in SCAN_TYPES}
@@ -342,4 +419,9 @@ def _decoded(log: LogReader, names: Iterable[str]) -> str:
         return f". {', '.join(radars)}: radars are mapped by {wanted}; record what their driver decodes"
     if packets := [name for name, kind in types.items() if kind in PACKET_TYPES]:
         return f". {', '.join(packets)}: packets are not decoded; record the {CLOUD} of their driver"
+    if pictures := [name for name, kind in types.items() if kind == _COMPRESSED]:
+        way = f"`image_transport republish` makes {IMAGE} of them"
+        return f". {', '.join(pictures)}: compressed images are not decoded; {way}"
+    if coloured := [name for name in names if image_encoding(log, name)]:
+        return f". {', '.join(coloured)}: of images, those with depths are scans ({', '.join(DEPTH_ENCODINGS)})"
     return ""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.datasets.clocks import ClockFinding, DriveClock, clock_offset, coarse_stamps
 from ogm.datasets.log_frames import FIXED, sensor_frame
+from ogm.io.depth import T_OPTICAL_BODY
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageHead, MessageRef
 from ogm.io.messages import StampedTransform, transform_from_odometry, transforms_from_tf
@@ -22,6 +23,7 @@ _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _SEVERAL = 3  # different poses of a static transform, from which on it moves
 _SAME = 1e-6  # [m], and of the numbers of a rotation: rounding
+_UPRIGHT = math.cos(math.radians(60))  # of the angle between a frame's z axis and up, below which z is up
 _VEHICLE, _FLOOR = "base_link", "base_footprint"  # never fixed, though ROS 1 sends their mounts as if they moved
 
 
@@ -59,6 +61,7 @@ class LogTransforms:
         self.heads: list[tuple[MessageRef, MessageHead]] = []
         self.lost: list[str] = []
         self.notes: list[str] = []
+        self.cameras: dict[str, str] = {}  # frames of the bodies of cameras, and what is unusual about those of images
         known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
         found: list[tuple[str, int, StampedTransform]] = []
         with one_notice_per_kind(Counter()):
@@ -110,6 +113,37 @@ class LogTransforms:
                     return frame
             if not self._read_odometry():
                 return None
+
+    def camera_body(self, frame: str) -> str:
+        """Add the body of a depth camera (x forward, y left, z up) to the frame of its images; return its frame.
+
+        Images are in optical axes (x right, y down, z forward) by REP 103, unless the frame is not called optical, and
+        its z axis points up in base_link: then it is taken for the body.
+
+        Parameters
+        ----------
+        frame : str
+            Frame of the headers of its images.
+        """
+        if (body := f"{frame}_body") in self.cameras:
+            return body
+        optical, note = "optical" in frame.lower(), ""
+        T = T_OPTICAL_BODY
+        vehicle = self.vehicle_frame(frame)
+        if vehicle is not None:
+            first = self.buffer.covers(vehicle, frame)[0]
+            up = float(self.buffer.lookup(vehicle, frame, first if math.isfinite(first) else 0.0)[2, 2])
+            if up > _UPRIGHT and not optical:
+                T, note = np.eye(4), "whose z axis points up: they are taken for those of a body, x forward"
+            elif up > _UPRIGHT:
+                note = "by whose transforms the camera looks up: was the rotation to optical axes (x right, y down, z "
+                note += "forward) left out?"
+        elif not optical:
+            note = "taken for optical axes (x right, y down, z forward), as no transform tells"
+        if frame in self.buffer.frames:
+            self.buffer.add(StampedTransform(frame, body, 0.0, T), static=True)
+        self.cameras[body] = note
+        return body
 
     def sensor_frame(self, frame: str) -> str:
         """Return the frame of the sensor that measured clouds in a frame, see `ogm.datasets.log_frames`."""

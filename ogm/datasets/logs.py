@@ -2,7 +2,7 @@
 
 import logging
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property, partial
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.frames import FrameRef, RawFrame, SensorPlace
-from ogm.datasets.log_scans import CLOUD, CONE_TYPES, PLANAR_TYPES, RADAR_TYPES, SCAN_TYPES, LogScans
+from ogm.datasets.log_scans import CLOUD, CONE_TYPES, IMAGE, PLANAR_TYPES, RADAR_TYPES, LogScans, scan_topics
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
@@ -22,6 +22,7 @@ from ogm.io.columns import IntensityRange
 from ogm.io.logs import LogMessage, LogReader, log_ending, open_log
 from ogm.io.logs.definitions import log_files
 from ogm.io.messages.clouds import cloud_table, scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
+from ogm.io.messages.images import scan_from_depth_image
 from ogm.io.messages.lasers import laser_intensity_range, scan_from_laser_scan, scan_from_range
 from ogm.io.messages.livox import scan_from_livox
 from ogm.io.messages.velodyne import scan_from_velodyne_scan, scans_from_pcap
@@ -71,7 +72,7 @@ class LogRecording(Recording):
         if position is not None:
             poses = poses @ pose(*position)
         super().__init__(path, scans.frame_refs(poses), scans.name)
-        self._moves = scans.T_sensor_cloud
+        self._moves, self._cameras = scans.T_sensor_cloud, scans.cameras
         self.warnings, self.frame_notes = tuple(scans.warnings), scans.frame_notes(position is not None)
         self.log, self.files, self._scans = scans.log, list(scans.log.paths), scans.refs
         self.axes, self._units, self.format = options.axes, options.units, f"log, {scans.log.format}"
@@ -124,7 +125,11 @@ class LogRecording(Recording):
         ref = self._scans[n]
         message = self.log.message(ref.ref)
         try:
-            scan = _scan(message, self._scales(n))
+            if message.type == IMAGE:
+                scale = self.setup(n).depth_scale
+                scan = scan_from_depth_image(message.decode(), self._cameras[message.topic], scale=scale)
+            else:
+                scan = _scan(message, self._scales(n))
         except OgmError as error:
             raise OgmError(f"{self.files[ref.ref.file]}: {error}") from error
         if self._moves is not None:
@@ -182,8 +187,7 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
     for name, facts in log.topics.items():
         rate = "" if np.isnan(facts.rate) else f", {facts.rate:.1f} Hz"
         found[name] = f"{facts.type}, {facts.count} message{'s' * (facts.count != 1)}{rate}"
-    scanned = [name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and facts.count]
-    scans = {name: LogScans(log, name) for name in scanned}
+    scans = {name: LogScans(log, name) for name in scan_topics(log)}
     transforms = next((one.transforms for one in scans.values()), None) or LogTransforms(log)
     pairs = transforms.buffer.pairs.items()
     found["transforms"] = ", ".join(f"{a} <- {b}{' (static)' * static}" for (a, b), static in pairs) or "none"
@@ -209,7 +213,7 @@ def _date(stamp: float) -> str:
 
 
 def _scan(message: LogMessage, units: Mapping[str, Any]) -> Scan:
-    """Return the scan of a message of any of `SCAN_TYPES`."""
+    """Return the scan of a message of any of `SCAN_TYPES` but images."""
     if message.type == CLOUD:
         return scan_from_point_cloud2(message.decode(), **units)
     if message.type in PLANAR_TYPES:
@@ -311,19 +315,26 @@ class CaptureRecording(Recording):
         return recording
 
     @cached_property
-    def _turns(self) -> "_Turns":
-        return _Turns(self.path)
+    def _turns(self) -> "ScanSequence":
+        return ScanSequence(self.path, partial(scans_from_pcap, self.path))
 
     def read(self, n: int) -> RawFrame:
         """Read a scan; quick in the order of the scans."""
         return RawFrame(turn_scan(self._turns.read(n), rotation_to_flu(self.axes)))
 
 
-class _Turns:
-    """The scans of a capture, which is decoded from its beginning: quick in their order, not in another."""
+class ScanSequence:
+    """The scans of a capture, which is decoded from its beginning: quick in their order, not in another.
 
-    def __init__(self, path: Path) -> None:
-        self._path, self._lock = path, threading.Lock()
+    Parameters
+    ----------
+    path : Path
+    decode : function
+        Returns the scans from the first one on.
+    """
+
+    def __init__(self, path: Path, decode: Callable[[], Iterator[Scan]]) -> None:
+        self._path, self._decode, self._lock = path, decode, threading.Lock()
         self._rewind()
 
     def read(self, n: int) -> Scan:
@@ -338,5 +349,5 @@ class _Turns:
         raise OgmError(f"{self._path} has no scan {n} any more: was it changed?")
 
     def _rewind(self) -> None:
-        self._scans: Iterator[Scan] = scans_from_pcap(self._path)
+        self._scans: Iterator[Scan] = self._decode()
         self._next = 0

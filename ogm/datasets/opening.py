@@ -9,9 +9,11 @@ import numpy as np
 from ogm.datasets.argoverse2 import Argoverse2Recording
 from ogm.datasets.carmen import CarmenRecording
 from ogm.datasets.dataset import Dataset
+from ogm.datasets.depth_images import DepthImagesRecording
 from ogm.datasets.kitti import KittiObjectRecording, KittiOdometryRecording, KittiRawRecording, KittiTrackingRecording
 from ogm.datasets.logs import CaptureRecording, LogRecording
 from ogm.datasets.nuscenes import NuScenesRecording
+from ogm.datasets.ouster import OusterRecording
 from ogm.datasets.radarscenes import RadarScenesRecording
 from ogm.datasets.range_images import RangeImagesRecording
 from ogm.datasets.recording import OpenOptions, Recording
@@ -31,7 +33,8 @@ from ogm.storage.remote import ObjectPath, as_path
 RECORDINGS: tuple[type[Recording], ...] = (
     *(SimulatedRecording, LogRecording, NuScenesRecording, Argoverse2Recording, SustechRecording),
     *(RadarScenesRecording, KittiObjectRecording, KittiTrackingRecording, KittiOdometryRecording, KittiRawRecording),
-    *(RangeImagesRecording, TruthGridsRecording, CaptureRecording, CarmenRecording, ScansRecording),
+    *(RangeImagesRecording, DepthImagesRecording, TruthGridsRecording, OusterRecording, CaptureRecording),
+    *(CarmenRecording, ScansRecording),
 )
 _OTHERS = ("all", "later")
 _KNOWN = (
@@ -40,7 +43,8 @@ _KNOWN = (
     "SemanticKITTI (velodyne/ labels/, or sequences/*/); nuScenes (v1.0-*/ samples/) and mmdetection3d's info as JSON; "
     "Argoverse 2 logs (sensors/lidar/ annotations.feather map/); SUSTechPOINTS (lidar/ label/); RadarScenes "
     "(scenes.json radar_data.h5, or sequence_*/); labelled range images (*.npy in semantic_kitti/ or nuscenes/); logs "
-    "(.mcap, .db3, .bag); CARMEN logs; captures of Velodynes (.pcap); data sets that `ogm simulate` made (zarr.json)"
+    "(.mcap, .db3, .bag); CARMEN logs; captures of Velodynes (.pcap) and Ousters (.pcap with .json, .osf); "
+    "depth images (PNGs of 16 bit beside a camera's JSON); data sets that `ogm simulate` made (zarr.json)"
 )
 
 
@@ -76,7 +80,9 @@ def open_dataset(
         parts) is one drive: the scans of `topic`, in the order of their headers' stamps, with poses by the transforms
         or the odometry in it. A CARMEN log, known by its content, is one drive of the laser with most scans, or of the
         `topic` (FLASER, RLASER, ROBOTLASER1), with the poses in it. A capture of a Velodyne (.pcap) is one drive
-        without poses. The output of ``ogm simulate`` may also lie in an object store, ``s3://bucket/prefix``.
+        without poses, and so is one of an Ouster (.pcap with the sensor's .json, or .osf) without a file
+        NAME_poses*.txt. A folder of depth images (PNGs of 16 bit) has the JSON of its camera beside them, and perhaps
+        poses, as of Open3D. The output of ``ogm simulate`` may also lie in an object store, ``s3://bucket/prefix``.
     storage : mapping of str to str, optional
         Endpoint and credentials of the object store, see `ogm.storage.remote.as_path`.
     axes, intensity_max, time_unit

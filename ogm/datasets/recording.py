@@ -41,6 +41,7 @@ from ogm.state import Truth
 from ogm.storage.files import OgmError
 
 _HEIGHTS = 5  # scans of a sequence whose median is the height of its sensor
+_INDOORS = 0.25  # [m]
 _KEPT = 64  # scans in memory: some 2 MB each
 _UNREADABLE = (ValueError, TypeError, OSError)
 
@@ -202,7 +203,11 @@ class Recording(ABC):
 
     def estimate_height(self, n: int) -> float | None:
         """Return the height of the sensor above ground [m] by one scan, or None if it shows no ground."""
-        return io.estimate_sensor_height(self.levelled_points(n))
+        return io.estimate_sensor_height(self.levelled_points(n), self.square(n))
+
+    def square(self, n: int) -> float:
+        """Return the side of the squares in which a scan shows its ground [m], see `ogm.io.ground_plane`."""
+        return _INDOORS if self.raw(n).scan.kind == "depth" else 1.0
 
     def intensity_range(self, n: int) -> IntensityRange | None:
         """Return the intensities that mean 0 and 1 by the values of one scan; None if the format states them."""
@@ -300,7 +305,7 @@ class Recording(ABC):
 
     def _median_height(self, group: str, sensor: str) -> float:
         members = [k for k in self.groups[group] if self.place(k).name == sensor]
-        estimates, reasons, above = list[float](), list[str](), (self.sensor_position or (0, 0, 0))[2]
+        estimates, side, reasons, above = list[float](), 1.0, list[str](), (self.sensor_position or (0, 0, 0))[2]
         unreadable = ""
         for k in _sample(members):
             try:
@@ -309,6 +314,7 @@ class Recording(ABC):
                     reasons.append(why_no_height(self.levelled_points(k)))
                 else:
                     estimates.append(height + above)
+                    side = self.square(k)
             except _UNREADABLE as error:
                 unreadable = unreadable or str(error)
         if not estimates and unreadable and not reasons:
@@ -319,7 +325,7 @@ class Recording(ABC):
                 f"no scan of {group} in {self.path} shows the ground around the sensor{why}, so its height "
                 "is not known: give `sensor_height` [m]"
             )
-        return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}")
+        return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}", side)
 
     def intensities(self, n: int, own: IntensityRange) -> IntensityRange:
         """Return the intensities that mean 0 and 1 in all scans of a drive and sensor.

@@ -18,12 +18,13 @@ from ogm.storage.files import OgmError, atomic_write
 
 _SATURATED = 0.02  # [m] below the greatest range within which a point lies at it
 _MAX_TEXT = 2**16  # [byte]
-_KEYS = ("topic", "height", "mount", "footprint", "range", "no_echo_at_greatest_range", "leave_out")
+_KEYS = ("topic", "height", "mount", "footprint", "range", "no_echo_at_greatest_range", "leave_out", "depth_scale")
 _MOUNT = ("x", "y", "z", "roll", "pitch", "yaw")
 _HEAD = (
     "# Sensors of a vehicle, for --sensors of ogm map, fuse, serve, evaluate and world build. Metres and degrees;\n"
     "# every line but topic can be left out. mount: place in base_link; footprint: x_min, x_max, y_min, y_max of the\n"
-    "# vehicle around the sensor; range: nearest and greatest; leave_out: sectors of view, angles to the left.\n"
+    "# vehicle around the sensor; range: nearest and greatest; leave_out: sectors of view, angles to the left;\n"
+    "# depth_scale: pixel value at 1 m.\n"
 )
 
 
@@ -47,6 +48,8 @@ class SensorSetup:
         Whether points at `max_range` and beyond are beams without echo, as some drivers report them.
     leave_out : sequence of (float, float)
         Sectors of view that are left out, from and to an angle to the left of x [rad], as seen from the sensor.
+    depth_scale : float, optional
+        Pixel value at 1 m of a depth camera, see `ogm.io.depth_scan`.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class SensorSetup:
     max_range: float = math.inf
     max_range_no_echo: bool = False
     leave_out: tuple[tuple[float, float], ...] = ()
+    depth_scale: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_range < self.max_range:
@@ -75,6 +79,10 @@ class SensorSetup:
             numbers = getattr(self, name)
             if numbers is not None and (len(numbers) != count or not np.isfinite(numbers).all()):
                 raise ValueError(f"{name} must be {count} finite numbers, got {numbers}")
+        if self.depth_scale is not None and not 0 < self.depth_scale < math.inf:
+            raise ValueError(
+                f"depth_scale must be above 0, the pixel value at 1 m, got {self.depth_scale} (--depth-scale)"
+            )
         for sector in self.leave_out:
             if len(sector) != 2 or not np.isfinite(sector).all() or abs(sector[1] - sector[0]) > 2 * math.pi:
                 raise ValueError(f"leave_out must be sectors (from, to) of at most a turn [rad], got {sector}")
@@ -164,8 +172,8 @@ def read_setups(path: str | Path) -> tuple[SensorSetup, ...]:
     ----------
     path : path
         Written by `write_setups` or ``ogm check --write``: a list ``sensors`` of mappings with any of topic, height
-        [m], mount (x, y, z [m], roll, pitch, yaw [deg]), footprint [m], range [m], no_echo_at_greatest_range and
-        leave_out (sectors [deg]).
+        [m], mount (x, y, z [m], roll, pitch, yaw [deg]), footprint [m], range [m], no_echo_at_greatest_range,
+        leave_out (sectors [deg]) and depth_scale (pixel value at 1 m).
 
     Raises
     ------
@@ -217,7 +225,7 @@ def _parsed(entry: Mapping[str, Any]) -> SensorSetup:
             raise ValueError(f"mount has no key {unknown[0]!r}, but {', '.join(_MOUNT)}")
         numbers = [float(place.get(key, 0.0)) for key in _MOUNT]
         mount = (*numbers[:3], *map(math.radians, numbers[3:]))
-    height, box = entry.get("height"), entry.get("footprint")
+    height, box, scale = entry.get("height"), entry.get("footprint"), entry.get("depth_scale")
     no_echo = entry.get("no_echo_at_greatest_range", "false")
     if no_echo not in ("true", "false") or not isinstance(entry.get("topic", ""), str):
         raise TypeError("topic must be a name and no_echo_at_greatest_range true or false")
@@ -230,6 +238,7 @@ def _parsed(entry: Mapping[str, Any]) -> SensorSetup:
         float(high),
         no_echo == "true",
         tuple((math.radians(float(start)), math.radians(float(end))) for start, end in entry.get("leave_out") or ()),
+        None if scale is None else float(scale),
     )
 
 
@@ -248,4 +257,6 @@ def _record(setup: SensorSetup) -> dict[str, Any]:
         found["no_echo_at_greatest_range"] = True
     if setup.leave_out:
         found["leave_out"] = [[round(math.degrees(angle), 2) for angle in sector] for sector in setup.leave_out]
+    if setup.depth_scale is not None:
+        found["depth_scale"] = setup.depth_scale
     return found

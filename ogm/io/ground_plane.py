@@ -58,7 +58,7 @@ class GroundPlane(NamedTuple):
         return math.acos(min(float(self.normal[2]), 1.0))
 
 
-def plausible_sensor_height(height: float, where: object = "the scan") -> float:
+def plausible_sensor_height(height: float, where: object = "the scan", side: float = 1.0) -> float:
     """Return an estimated height of the sensor if it is plausible: 0.5 m to 5 m above ground.
 
     The origin of clouds in the vehicle frame lies near the ground (about 0.3 m above it in Argoverse 2). A model
@@ -70,13 +70,15 @@ def plausible_sensor_height(height: float, where: object = "the scan") -> float:
         From `estimate_sensor_height` [m].
     where : path or str
         Name of the scans, for the error.
+    side : float
+        See `ground_plane`; the lowest height that is plausible is half of it.
 
     Raises
     ------
     OgmError
         If it lies outside of `PLAUSIBLE_HEIGHTS`.
     """
-    low, high = PLAUSIBLE_HEIGHTS
+    low, high = PLAUSIBLE_HEIGHTS[0] * side, PLAUSIBLE_HEIGHTS[1]
     if not low <= height <= high:
         raise OgmError(
             f"the sensor height of {where} is {height:.2f} m, estimated from points, which is not plausible "
@@ -86,7 +88,7 @@ def plausible_sensor_height(height: float, where: object = "the scan") -> float:
     return height
 
 
-def estimate_sensor_height(points: NDArray[np.floating]) -> float | None:
+def estimate_sensor_height(points: NDArray[np.floating], side: float = 1.0) -> float | None:
     """Estimate how far the ground lies below the origin of the points.
 
     See `ground_plane`. On the real scans that the project is tested with, the result lies within 5 cm of the known
@@ -96,6 +98,8 @@ def estimate_sensor_height(points: NDArray[np.floating]) -> float | None:
     ----------
     points : (N, 4) float
         x, y, z [m], intensity.
+    side : float
+        See `ground_plane`.
 
     Returns
     -------
@@ -103,11 +107,11 @@ def estimate_sensor_height(points: NDArray[np.floating]) -> float | None:
         [m], positive where the ground lies below the origin. None without a plane, or where it is inclined by more
         than `MAX_INCLINE`: then the axes of the points are not level.
     """
-    plane = ground_plane(points)
+    plane = ground_plane(points, side)
     return None if plane is None or plane.incline > MAX_INCLINE else plane.height
 
 
-def ground_plane(points: NDArray[np.floating]) -> GroundPlane | None:
+def ground_plane(points: NDArray[np.floating], side: float = 1.0) -> GroundPlane | None:
     """Return the plane of the ground around a sensor, up to an incline of 50 degrees.
 
     A plane is laid through the lowest point of every square metre within 10 m. Where there are too few, or the ground
@@ -117,12 +121,18 @@ def ground_plane(points: NDArray[np.floating]) -> GroundPlane | None:
     ----------
     points : (N, 3 or more) float
         x, y, z [m].
+    side : float
+        Side of the squares [m]. All lengths here go with it: 0.25 is for level ground within 2.5 m of a depth
+        camera.
 
     Returns
     -------
     GroundPlane or None
         None where fewer than 30 of the squares (60 beyond 10 m), or less than half of them, agree on a plane.
     """
+    if side != 1:
+        plane = ground_plane(points[:, :3] / side)
+        return plane and plane._replace(height=plane.height * side, reach=plane.reach * side)
     distance = np.hypot(points[:, 0], points[:, 1])
     for reach, fewest in _REACHES:
         lowest = _lowest(points[distance < reach])

@@ -92,7 +92,8 @@ def read_poses(path: FilePath, *, T_camera_sensor: ArrayLike | None = None) -> P
     position, quaternion with w last). Columns are separated by blanks; what follows ``#`` is a comment. A
     ``.csv`` has the header ``stamp,x,y,z,qx,qy,qz,qw``, in any order, and perhaps a column ``number``. A ``.g2o`` is
     a pose graph, of which the vertices are read; their identifiers are the frame numbers. Each may be packed as
-    ``.xz`` or ``.gz``.
+    ``.xz`` or ``.gz``. A ``.log`` is of Open3D: blocks of three indices, of which the first is the frame number, and
+    the four rows of a camera's pose.
 
     Rotations that are rounded, to three decimals at least, become the nearest true ones.
 
@@ -120,6 +121,9 @@ def read_poses(path: FilePath, *, T_camera_sensor: ArrayLike | None = None) -> P
         their own z axis) and `T_camera_sensor` is not given. The line is named.
     """
     path = Path(path)
+    if path.suffix.lower() == ".log":
+        frames, poses = _open3d(path)
+        return Poses(_of_sensor(path, poses, T_camera_sensor), None, frames, "Open3D")
     if path.name.lower().removesuffix(".xz").removesuffix(".gz").endswith(".g2o"):
         vertices, poses, kind = read_g2o(path)
         return Poses(_of_sensor(path, poses, T_camera_sensor), None, vertices, kind)
@@ -216,6 +220,21 @@ def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
         raise OgmError(f"{path} holds no pose, only comments or a header: was it written to its end?")
     rows = np.frombuffer(table, np.float64).reshape(-1, columns)
     return rows, lambda k: f"line {lines[k]} of {path}", header, ours
+
+
+def _open3d(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return frame numbers (K,) and poses (K, 4, 4) of a trajectory of Open3D."""
+    wanted = "blocks of a line with three indices and four lines with a pose (Open3D)"
+    lines = [(n, line.split()) for n, line in text_lines(read_text(path, wanted)) if line.strip()]
+    if not lines or len(lines) % 5:
+        raise OgmError(f"{path} has {len(lines)} lines, wanted {wanted}: was it written to its end?")
+    counted = np.array([numbers(words, 3, f"line {n} of {path}")[0] for n, words in lines[::5]])
+    rows = [numbers(words, 4, f"line {n} of {path}") for k, (n, words) in enumerate(lines) if k % 5]
+
+    def where(k: int) -> str:
+        return f"line {lines[5 * k][0]} of {path}"
+
+    return _frame_numbers(where, counted), _from_matrices(path, where, np.array(rows).reshape(-1, 16))
 
 
 def _check_header(names: Sequence[str], path: Path) -> None:

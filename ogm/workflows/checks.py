@@ -10,7 +10,7 @@ import numpy as np
 
 from ogm.datasets import Dataset, SensorSetup, open_dataset
 from ogm.datasets.frames import EGO
-from ogm.datasets.log_scans import SCAN_TYPES
+from ogm.datasets.log_scans import scan_topics
 from ogm.datasets.logs import is_log
 from ogm.io.logs import open_log
 from ogm.io.notices import one_notice_per_kind
@@ -68,9 +68,7 @@ def check_log(
         drives = [dataset.select(numbers) for numbers in dataset.sequences.values()] or [dataset]
         return [check_drive(drive, progress=progress) for drive in drives]
     with open_log(path) as log:
-        topics = tuple(topic) or tuple(
-            name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and facts.count
-        )
+        topics = tuple(topic) or tuple(scan_topics(log))
         left_out = list(check_topics(log, topics))
         if not topics:
             open_dataset(path, **reading)  # refuses it, with the topics that there are
@@ -124,7 +122,7 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
                 continue  # shows neither ground nor ego vehicle
             thin = scan.points[:: max(1, len(scan) // _POINTS)]
             points = rotate(recording.levelling(rows[n]), thin[:, :3].T).T
-            plane, T = found.add_ground(points), recording.frames[rows[n]].T_map_sensor
+            plane, T = found.add_ground(points, recording.square(rows[n])), recording.frames[rows[n]].T_map_sensor
             if plane is not None and recording.sensor_position is None:
                 level = rotate(plane.levelling, points.T).T
                 ego.add(level, plane.distance, None if T is None else T[:2, 3])

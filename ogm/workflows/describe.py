@@ -44,6 +44,7 @@ def describe_path(
     """
     from ogm.datasets import open_dataset
     from ogm.datasets.logs import CAPTURE_ENDINGS, describe_log, is_log
+    from ogm.datasets.ouster import OUSTER_ENDING
     from ogm.datasets.scans import ending_of
     from ogm.io import describe, read_scan_file
     from ogm.io.carmen import is_carmen
@@ -59,7 +60,7 @@ def describe_path(
     if found := of_folder or _FILES.get(path.suffix.lower()):
         with error_context(path, KeyError, TypeError):
             return found(path)
-    if path.is_dir() or path.suffix.lower() in CAPTURE_ENDINGS:
+    if path.is_dir() or path.suffix.lower() in (*CAPTURE_ENDINGS, OUSTER_ENDING):
         return open_dataset(path, axes=axes, **units).describe()  # type: ignore[arg-type]
     return describe(*read_scan_file(path, axes, intensity_max=intensity_max, time_unit=time_unit))
 

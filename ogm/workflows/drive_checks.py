@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset
-from ogm.datasets.log_scans import PACKET_TYPES, SCAN_TYPES
+from ogm.datasets.log_scans import PACKET_TYPES, scan_topics
 from ogm.io.logs import LogReader
 from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import pose, tilt_of
@@ -174,7 +174,7 @@ def check_topics(log: LogReader, used: tuple[str, ...]) -> Iterator[Finding]:
         Topics whose scans are checked.
     """
     filled = {name: facts.type for name, facts in log.topics.items() if facts.count}
-    if others := [name for name, kind in filled.items() if kind in SCAN_TYPES and name not in used]:
+    if others := [name for name in scan_topics(log) if name not in used]:
         yield Finding("note", "topics", f"scans of {listed(others)} are left out", f"--topic {others[0]}")
     if unread := [f"{name} ({kind})" for name, kind in filled.items() if kind in _UNREAD]:
         yield Finding("note", "topics", f"{listed(unread)} cannot be read")

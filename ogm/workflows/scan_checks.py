@@ -82,10 +82,13 @@ class ScanChecks:
         self.repeated += content == self._hash
         self._hash = content
 
-    def add_ground(self, points: NDArray[np.floating]) -> GroundPlane | None:
-        """Add and return the ground of a scan, by its points in the axes that it is mapped in, (N, 3)."""
-        plane = ground_plane(points)
-        axes = ground_side(points) if plane is None or plane.height <= 0 else None
+    def add_ground(self, points: NDArray[np.floating], side: float = 1.0) -> GroundPlane | None:
+        """Add and return the ground of a scan, by its points in the axes that it is mapped in, (N, 3).
+
+        A depth camera, whose squares have another `side` than 1 m, may see no ground, but not on another side.
+        """
+        plane = ground_plane(points, side)
+        axes = ground_side(points) if side == 1 and (plane is None or plane.height <= 0) else None
         self.planes.append(None if axes else plane)
         self.sides += [axes] if axes else []
         return self.planes[-1]

@@ -279,7 +279,9 @@ def test_topics_are_listed_where_one_must_be_chosen(log: Callable[..., Path]) ->
         ("/odom", "nav_msgs/msg/Odometry", ""),
     ])  # fmt: skip
 def test_radars_and_packets_that_are_not_read_are_refused_with_what_is(topic: str, kind: str, way: str) -> None:
-    logged: Any = SimpleNamespace(paths=[Path("a.mcap")], topics={topic: SimpleNamespace(type=kind, count=2)})
+    logged: Any = SimpleNamespace(
+        paths=[Path("a.mcap")], topics={topic: SimpleNamespace(type=kind, count=2)}, warnings=[]
+    )
     text = refused("a.mcap has no scans", LogScans, logged, error=OgmError)
     assert way in text if way else text.endswith("(nav_msgs/msg/Odometry)")
     assert (f". {topic}: " in refused("wanted scans", LogScans, logged, topic, error=OgmError)) == bool(way)

@@ -1,5 +1,6 @@
 """Targets: data sets: labels, poses, calibrations, tables, range images, label pictures."""
 
+import io
 import json
 from collections.abc import Callable
 from functools import partial
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 from radarscenes_files import write_sequence
 from seed_points import feather, npy, sweep
 from targets import Target, check_poses, check_scan, cloud
@@ -177,6 +179,18 @@ def kitti_odometry() -> dict[str, bytes]:
     return {**scans, **labels, "calib.txt": calibration, "times.txt": b"0.0\n0.1\n", "poses.txt": lines}
 
 
+def depth_folder() -> dict[str, bytes]:
+    """Return two depth images with camera and poses, as of Open3D."""
+    pictures = dict[str, bytes]()
+    for k in range(2):
+        stream = io.BytesIO()
+        Image.fromarray(np.arange(1000 + k, 1048 + k, dtype=np.uint16).reshape(6, 8)).save(stream, "PNG")
+        pictures[f"depth_{k}.png"] = stream.getvalue()
+    camera = {"width": 8, "height": 6, "intrinsic_matrix": [50.0, 0, 0, 0, 50.0, 0, 3.5, 2.5, 1]}
+    lines = "".join(f"{k} {k} {k + 1}\n1 0 0 {k}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n" for k in range(2))
+    return {**pictures, "camera.json": json.dumps(camera).encode(), "odometry.log": lines.encode()}
+
+
 def _range_image() -> bytes:
     image = np.random.default_rng(2).uniform(1, 9, (4, 8, 6)).astype(np.float32)
     image[..., 5] = np.arange(8) % 8
@@ -224,6 +238,7 @@ _FOLDERS: dict[str, tuple[Files, str, Callable[[Path], object]]] = {
     "argoverse2": (argoverse_log, ".", _argoverse),
     "dataset-kitti-raw": (kitti_raw, "", lambda f: _frames(f / "2011_09_26/2011_09_26_drive_0001_sync")),
     "dataset-kitti-odometry": (kitti_odometry, "", _frames),
+    "dataset-depth": (depth_folder, "", _frames),
 }
 TARGETS: dict[str, Callable[[Path], Target]] = {
     **{

@@ -12,6 +12,7 @@ from seed_grids import dynamic, evidential
 from seed_logs import CLOUD, START, TF, packets
 from targets import Target, check_grid, check_poses, check_scan, cloud
 
+from ogm.io.depth import Intrinsics
 from ogm.io.grids.logged import decode_foxglove_grid
 from ogm.io.logs.definitions import Channel, decode, message_types
 from ogm.io.messages import (
@@ -21,10 +22,12 @@ from ogm.io.messages import (
     grid_from_grid_map,
     grid_from_occupancy_grid,
     grid_map,
+    intrinsics_from_camera_info,
     layers_from_grid_map,
     occupancy_grid,
     point_cloud2,
     scan_from_continental,
+    scan_from_depth_image,
     scan_from_laser_scan,
     scan_from_livox,
     scan_from_point_cloud2,
@@ -86,6 +89,20 @@ def _laser(several: bool = False) -> Any:
 def _range() -> Any:
     rest = {"radiation_type": 0, "field_of_view": 0.5, "min_range": 0.2, "max_range": 4.0, "range": 1.5}
     return SimpleNamespace(header=HEADER, variance=0.0, **rest)
+
+
+def _depth_image() -> Any:
+    pixels = np.arange(1000, 1048, dtype=np.uint16).view(np.uint8)
+    sizes = {"height": 6, "width": 8, "step": 16, "encoding": "16UC1", "is_bigendian": 0}
+    return SimpleNamespace(header=HEADER, data=pixels, **sizes)
+
+
+def _camera() -> Any:
+    k = np.array([50, 0, 3.5, 0, 50, 2.5, 0, 0, 1.0])
+    matrices = {"d": np.zeros(5), "k": k, "r": np.eye(3).ravel(), "p": np.zeros(12)}
+    roi = SimpleNamespace(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    sizes = {"height": 6, "width": 8, "distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0}
+    return SimpleNamespace(header=HEADER, roi=roi, **matrices, **sizes)
 
 
 def _placed() -> Any:
@@ -196,6 +213,12 @@ _MESSAGES: dict[str, tuple[str, Callable[[], Any], Callable[[Any], object]]] = {
         lambda message: check_scan(scan_from_laser_scan(message)),
     ),
     "range": ("sensor_msgs/msg/Range", _range, lambda message: check_scan(scan_from_range(message))),
+    "depth": (
+        "sensor_msgs/msg/Image",
+        _depth_image,
+        lambda message: check_scan(scan_from_depth_image(message, Intrinsics(8, 6, 50.0, 50.0, 3.5, 2.5))),
+    ),
+    "camera": ("sensor_msgs/msg/CameraInfo", _camera, intrinsics_from_camera_info),
     "tf": (TF, _transforms, lambda message: _tf(transforms_from_tf(message))),
     "odometry": ("nav_msgs/msg/Odometry", _odometry, lambda message: _tf([transform_from_odometry(message)])),
     "occupancy": (

@@ -244,13 +244,14 @@ def scans_from_pcap(
         log.info("%s: %g degrees at the end are no whole turn and are left out", path, advance / 100)
 
 
-class _BoundedReads:
+class BoundedReads:
     """A file that gives no more at once than a packet can have: dpkt asks for whatever length the file states."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self.seek, self.name = file, file.seek, file.name
 
     def read(self, size: int) -> bytes:
+        """Read some bytes; raise EOFError for more than a packet can have."""
         if not 0 <= size <= _LONGEST:
             raise EOFError(f"a packet of {size} bytes")
         return self._file.read(size)
@@ -264,8 +265,8 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
     found = source
     with open(path, "rb") as file:
         try:
-            packets = dpkt.pcap.UniversalReader(_BoundedReads(file))
-            layer = _link_layer(packets.datalink(), path, dpkt)
+            packets = dpkt.pcap.UniversalReader(BoundedReads(file))
+            layer = link_layer(packets.datalink(), path, dpkt)
         except (ValueError, EOFError, struct.error, dpkt.Error) as error:
             raise OgmError(f"{path} is no network capture ({error}): is its name right?") from error
         try:
@@ -286,7 +287,7 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
             log.warning("%s is cut short: %s", path, error)
 
 
-def _link_layer(number: int, path: Path, dpkt: Any) -> Callable[[bytes], Any]:
+def link_layer(number: int, path: Path, dpkt: Any) -> Callable[[bytes], Any]:
     """Return what decodes the packets of a capture, by the number of its link layer.
 
     Raises
