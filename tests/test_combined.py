@@ -251,7 +251,7 @@ def test_planar_scans_get_the_planar_model_by_default_and_another_if_it_is_named
     points = np.array([[2.0, 0.1 * k, 0, 0] for k in range(-9, 10)], np.float32)
     planar, lidar = (Scan(points, kind=kind, mount=mount) for kind in ("planar", ""))
     default = for_all_kinds(default_model(spec)[0])
-    assert default == "ray+planar"
+    assert default == "ray+planar+depth"
     models, ray, wanted = load_model(with_radar(default), spec), RayISM(spec), PlanarISM(spec)
     for scan, model in ((planar, wanted), (replace(planar, kind="cone"), wanted), (lidar, ray)):
         np.testing.assert_array_equal(models(scan).mass, model(scan).mass)

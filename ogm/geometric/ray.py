@@ -73,6 +73,13 @@ class RayISM:
         How far an obstacle would be seen, for beams without echo [m].
     no_return_weight : float
         Reliability of these beams as a source: black and wet surfaces swallow beams too.
+    noise_growth : float
+        Growth of the standard deviation of a range with its square [1/m], added to `range_noise`: 0 for lidars. Where
+        it exceeds a cell (0.1 m at least), returns do not mark, and rays still clear up to two deviations before.
+    p_hidden : float
+        Chance that something is hidden between two rays, below the lowest or above the highest one, though no ray shows
+        it. 0 for lidars, whose rays differ by known steps; 1 for depth cameras: what has no depth, and what lies
+        outside of the view, leaves a gap.
     azimuth_step : float
         Width of the polar sectors that rays are counted in [rad]; not finer than the sensor's azimuth step,
         or free space falls into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
@@ -100,6 +107,8 @@ class RayISM:
     max_mass: float = 0.98
     max_range: float = 100.0
     no_return_weight: float = 0.25
+    noise_growth: float = 0.0
+    p_hidden: float = 0.0
     azimuth_step: float = 2 * math.pi / 1024
     ground_cell: float = 1.0
 
@@ -114,6 +123,8 @@ class RayISM:
         for name in ("below_ground", "hidden_height", "hidden_depth", "max_range", "ground_cell"):
             check_within(name, getattr(self, name), 0, 1e6)
         check_within("range_noise", self.range_noise, -1e-9, 10)
+        check_within("noise_growth", self.noise_growth, -1e-9, 1)
+        check_within("p_hidden", self.p_hidden, -1e-9, 1 + 1e-9)
         check_within("free_reliability_at_hits", self.free_reliability_at_hits, -1e-9, 1 + 1e-9)
         check_within("no_return_weight", self.no_return_weight, -1e-9, 1 + 1e-9)
         check_within("azimuth_step", self.azimuth_step, 2 * math.pi / 2**15, math.pi / 2)

@@ -40,7 +40,7 @@ def main_kernels(job: str) -> Kernels:
 
         points, limits, cells = Points(f1, f1, f1), RayLimits(f2, f2), Cells(0.0, 0.0, 1.0)
         polar = PolarGrid(1.0, 1, 1, 1, *(np.zeros((1, 1), np.int16) for _ in range(3)))
-        numbers, work = RayNumbers(*(1.0,) * 11), WorkSpace(i1, f1, f1, f1, i1, i1, f2, i2, f2)
+        numbers, work = RayNumbers(*(1.0,) * len(RayNumbers._fields)), WorkSpace(i1, f1, f1, f1, i1, i1, f2, i2, f2)
         return [(clear_sectors, (Rays(f2, i1, i1), points, f1, limits, polar, cells, numbers, work))]
     if job == "map":
         from ogm.fusion.kernels import BeliefLayers, Memory, evidential_update

@@ -24,12 +24,13 @@ from ogm.evidence.map_rules import DYNAMIC, NUSS
 from ogm.extras import install_line
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
+from ogm.models.depth import depth_model
 from ogm.models.fitted import Calibration, model_class
 from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, load_radar_model
 from ogm.pose import tilt_of
 from ogm.scan import InverseSensorModel, Mount, Scan, as_scan
 
-GEOMETRIC = RAY, HEIGHT_BAND, PLANAR, RELEASED = "ray", "height-band", "planar", "height-band-released"
+GEOMETRIC = RAY, HEIGHT_BAND, PLANAR, DEPTH, RELEASED = "ray", "height-band", "planar", "depth", "height-band-released"
 LITE = "lite"
 COMBINED = "combined"
 COMBINATION: dict[str, Any] = {  # of `ray` and `lite`, fitted to simulated validation towns, see docs/deep.md
@@ -40,6 +41,7 @@ MODELS = {  # name: description
     RAY: "Rays and local ground (RayISM).",
     HEIGHT_BAND: "The paper's geometric model as its text describes it (HeightBandISM).",
     PLANAR: "Beams of a laser in one plane, or of a sonar (PlanarISM): free in that plane alone.",
+    DEPTH: "Rays of a depth camera (RayISM): gaps between them hide things.",
     RELEASED: "The paper's geometric model as its released code has it: 0.32 m cells, evidence 1 at most, mounted "
     "at 1.61 m.",
     LITE: "The network that ogm ships (DeepISM), trained on simulated scans.",
@@ -92,7 +94,7 @@ def load_model(
     name : str
         A name in `MODELS`, the path of parameters that ``ogm calibrate`` wrote (``.json``), or that of weights that
         ``ogm train`` or ``ogm export`` wrote: a ``.safetensors`` file, a run's folder, or an ``.onnx`` file. Names with
-        ``+`` between, as in ``ray+planar+radar``, are for lidars, planar lasers and radars: see `ModelsByKind`.
+        ``+`` between, as in ``ray+planar+depth``, are for sensors of several kinds: see `ModelsByKind`.
     spec : GridSpec
         The grid to fill. ``height-band-released`` fills cells of twice the side, on the same area.
     mount : Mount, optional
@@ -116,6 +118,8 @@ def load_model(
         return load_radar_model(name, spec, mount)
     if name == RELEASED:
         return ReleasedISM(spec, mount)
+    if name == DEPTH:
+        return depth_model(spec, mount)
     if name == COMBINED:
         return CombinedISM([load_model(part, spec, mount) for part in (RAY, LITE)], **COMBINATION)
     if name in GEOMETRIC or _is_fitted(name):
@@ -144,8 +148,8 @@ def with_radar(name: str) -> str:
 
 
 def for_all_kinds(name: str) -> str:
-    """Return the name of a default model with ``+planar``, for the planar lasers and sonars of a vehicle."""
-    return f"{name}+{PLANAR}"
+    """Return the name of a default model with those of planar lasers, sonars and depth cameras beside it."""
+    return f"{name}+{PLANAR}+{DEPTH}"
 
 
 def part_for(name: str, scan: Scan) -> str:
@@ -172,16 +176,16 @@ def title_of(name: str, scan: Scan, mount: Mount) -> str:
 
 def _kind_of(name: str) -> str:
     """Return the kind of scans that a model beside a first one maps."""
-    if name not in (PLANAR, *RADAR_MODELS):
-        known = ", ".join((PLANAR, *RADAR_MODELS))
+    if name not in (PLANAR, DEPTH, *RADAR_MODELS):
+        known = ", ".join((PLANAR, DEPTH, *RADAR_MODELS))
         raise ValueError(
             f"there is no sensor model of radars {name!r}, nor of planar lasers; after + may stand {known}"
         )
-    return PLANAR if name == PLANAR else RADAR
+    return RADAR if name in RADAR_MODELS else name
 
 
 def _kind(scan: Scan) -> str:
-    return RADAR if scan.rcs is not None else PLANAR if scan.kind in ("planar", "cone") else ""
+    return RADAR if scan.rcs is not None else PLANAR if scan.kind == "cone" else scan.kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +197,7 @@ class ModelsByKind:
     first : InverseSensorModel
         Maps all scans that no other model is for.
     others : dict of str to InverseSensorModel
-        By ``"radar"``, for scans with `Scan.rcs`, and ``"planar"``, for those of planar lasers and sonars.
+        By ``"radar"``, for scans with `Scan.rcs`, ``"planar"``, for those of planar lasers and sonars, and ``"depth"``.
     """
 
     first: InverseSensorModel

@@ -58,11 +58,11 @@ def test_height_band_equals_one_line_per_return(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 @pytest.mark.parametrize(
-    ("height", "position", "weight"),
-    [(1.7, (0.0, 0.0), 0.25), (1.95, (2.3, -1.1), 1.0), (3.0, (0.0, 0.0), 1.0), (5.0, (2.3, -1.1), 0.25)],
+    ("height", "position", "weight", "p_hidden"),
+    [(1.7, (0.0, 0.0), 0.25, 0), (1.95, (2.3, -1.1), 1.0, 0.7), (3.0, (0.0, 0.0), 1.0, 0), (5.0, (2.3, -1.1), 0.25, 0)],
 )
 def test_ray_model_equals_the_loop_over_cells_and_rays(
-    seed: int, height: float, position: tuple[float, float], weight: float
+    seed: int, height: float, position: tuple[float, float], weight: float, p_hidden: float
 ) -> None:
     points = flat_cloud(seed, height)
     rng = np.random.default_rng(seed + 100)
@@ -70,7 +70,8 @@ def test_ray_model_equals_the_loop_over_cells_and_rays(
     no_returns = (no_returns / np.linalg.norm(no_returns, axis=1, keepdims=True)).astype(np.float32)
     x, y = position
     mount = Mount(height, pose(x, y))
-    ism = RayISM(SPEC, mount, ground=flat_ground, azimuth_step=2 * math.pi / 64, no_return_weight=weight)
+    gaps = {"p_hidden": p_hidden, "noise_growth": 0.005 * p_hidden}
+    ism = RayISM(SPEC, mount, ground=flat_ground, azimuth_step=2 * math.pi / 64, no_return_weight=weight, **gaps)
     x_min, x_max, y_min, y_max = mount.ego_footprint
     assert (x_min, x_max, y_min, y_max) == (x - 2.5, x + 2.5, y - 1.1, y + 1.1)
     xyz = points[:, :3].astype(np.float64) + [x, y, 0]

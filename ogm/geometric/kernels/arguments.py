@@ -104,6 +104,8 @@ class RayNumbers(NamedTuple):
     max_mass: float
     max_range: float
     no_return_weight: float
+    noise_growth: float
+    p_hidden: float
 
 
 class PolarGrid(NamedTuple):

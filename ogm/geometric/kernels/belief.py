@@ -16,6 +16,7 @@ __all__ = ["clear_sectors", "ray_mass"]
 
 # Where the parts of the work space of a sector begin; constants, so that the compiler sees them apart
 PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
+LEAST_SPREAD = 0.1  # [m]
 NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
 
 
@@ -46,6 +47,8 @@ def clear_sectors(
     neighbouring rays that are d apart, if others between them were stopped, with probability
     ``min(d / hidden_height, 1)``, times the chance that the obstacle reaches so far back, which falls to 0 at
     `hidden_depth`. A gap that ends at the clearance counts twice. Belief is reduced by the largest of these.
+    Where nothing was stopped in a gap, the chance is `p_hidden`; and belief is reduced by `p_hidden` times the share of
+    the heights up to the clearance that lie above the highest ray.
 
     Beams without echo are one source of evidence. Its reliability is `no_return_weight` times what
     `silence_reliability` gives: belief is that without them, plus this share of what they add.
@@ -75,7 +78,10 @@ def clear_sectors(
     part = np.empty(PARTS, np.float32)
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
         part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
-    hidden_bins = np.float32(numbers.hidden_height / polar.step), np.float32(numbers.hidden_depth / polar.step)
+    hidden_bins = (
+        *(np.float32(numbers.hidden_height / polar.step), np.float32(numbers.hidden_depth / polar.step)),
+        np.float32(numbers.p_hidden),
+    )
     no = sectors < 0  # False as a variable: constants would be compiled twice
     work.hits[:] = 0
     _mark_obstacles(points, origin, cells, numbers, work)
@@ -102,26 +108,29 @@ def _free_belief(
     found: SectorRays,
     limits: RayLimits,
     row: int,
-    hidden_bins: tuple[np.float32, np.float32],
+    hidden_bins: tuple[np.float32, np.float32, np.float32],
     silent: bool,
     part: NDArray[np.float32],
     free: NDArray[np.float32],
 ) -> bool:
     """Fill in the belief of one sector's bins, with the beams without echo or without them.
 
-    `hidden_bins` are `hidden_height` and `hidden_depth` in bins.
+    `hidden_bins` are `hidden_height` and `hidden_depth` in bins, and `p_hidden`.
     """
     end, first_block, near, blocked, last_block = free.shape[0], free.shape[0], 0, PARTS, PARTS
     one, two = np.float32(1.0), np.float32(2.0)
     left_out, noted, noted_slope = False, (0, 0), np.float32(0.0)  # a ray whose passing is not yet noted, and where
     ground, clearance = limits.ground[row], limits.clearance[row]
-    scale, fade = one / hidden_bins[0], one / hidden_bins[1]
+    scale, fade, p_hidden = one / hidden_bins[0], one / hidden_bins[1], hidden_bins[2]
+    gaps_count = p_hidden > 0
     for k in range(end):
         part[PASS + k], part[SLOPE + k] = 1, ground[k]
         part[SUM + k], part[HIDDEN + k], part[BLOCKED + k] = 0, 0, 0
     for n in range(table.shape[0]):
         if found.kind[n] == OBSTACLE:
             first_block = min(first_block, found.block[n])
+    if gaps_count:
+        first_block = 0
     for n in range(table.shape[0]):
         kind = found.kind[n]
         if kind == NONE:
@@ -136,12 +145,12 @@ def _free_belief(
         # Behind an obstacle: where nothing was stopped since the last ray, and enough have passed, only heights count
         first = max(start, first_block)
         if first < stop:
-            plain = min(max(min(near, blocked), first), stop)
+            plain = first if gaps_count else min(max(min(near, blocked), first), stop)
             if first > noted[0] or plain < noted[1]:
                 _raise(part, noted_slope, noted[0], noted[1])
             noted, noted_slope = (first, plain), slope
             if plain < stop:
-                _pass_obstacles(part, slope, plain, stop)
+                _pass_obstacles(part, slope, plain, stop, p_hidden)
                 blocked = max(blocked, stop) if first <= blocked else blocked
         if stop > last_block:
             last_block = PARTS
@@ -156,7 +165,8 @@ def _free_belief(
         up = max(clearance[k] - part[SLOPE + k], np.float32(0.0))
         missed = (part[SUM + k] + up * part[PASS + k]) / (clearance[k] - ground[k])
         hidden = max(part[HIDDEN + k], two * part[BLOCKED + k] * up) * (np.float32(k) + np.float32(0.5)) * scale
-        free[k] = (one - min(missed, one)) * max(one - hidden, np.float32(0.0))
+        above = one - p_hidden * up / (clearance[k] - ground[k])
+        free[k] = (one - min(missed, one)) * max(one - hidden, np.float32(0.0)) * above
     return left_out
 
 
@@ -178,12 +188,12 @@ def _raise(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) 
 
 
 @vector
-def _pass_obstacles(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> None:
+def _pass_obstacles(part: NDArray[np.float32], slope: np.float32, start: int, stop: int, p_hidden: np.float32) -> None:
     """Let a ray pass some bins behind an obstacle that stops other rays of the sector."""
     zero = np.float32(0.0)
     for k in range(start & 0x7FFF, stop & 0x7FFF):
         up = max(slope - part[SLOPE + k], zero)
-        part[HIDDEN + k] += max(part[BLOCKED + k] * up - part[HIDDEN + k], zero)
+        part[HIDDEN + k] += max(max(part[BLOCKED + k], p_hidden) * up - part[HIDDEN + k], zero)
         part[BLOCKED + k] = zero
         part[SUM + k] += up * part[PASS + k]
         part[PASS + k] *= part[POWER + k]
@@ -206,13 +216,15 @@ def _mark_obstacles(
     """Let the returns of obstacles mark their cells.
 
     Each is spread over the two points one standard deviation before and behind it (two-point Gauss-Hermite rule),
-    each marking its cell with half a hit.
+    each marking its cell with half a hit. Where the noise that grows exceeds a cell, or `LEAST_SPREAD`, none marks.
     """
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     noise, near = np.float32(numbers.range_noise), np.float32(cells.resolution)
+    growth, spread = np.float32(numbers.noise_growth), np.float32(max(cells.resolution, LEAST_SPREAD))
     for n in range(points.x.shape[0]):
-        if work.above[n] > low and work.above[n] < high and work.run[n] >= near:
-            x, y, share = points.x[n], points.y[n], noise / work.run[n]
+        wide = growth * work.run[n] * work.run[n]
+        if work.above[n] > low and work.above[n] < high and work.run[n] >= near and wide <= spread:
+            x, y, share = points.x[n], points.y[n], (noise + wide) / work.run[n]
             du, dv = (x - origin[0]) * share, (y - origin[1]) * share
             _hit(work.hits, cells, x - du, y - dv)
             _hit(work.hits, cells, x + du, y + dv)

@@ -45,10 +45,12 @@ def classify_rays(
         First bin that no ray reaches.
     """
     first, row, profile, step = rays.starts[s], s >> ROW_BITS, s >> PROFILE_BITS, np.float32(polar.step)
-    per_metre, margin = np.float32(1.0 / polar.step), np.float32(2.0 * numbers.range_noise)
+    per_metre = np.float32(1.0 / polar.step)
+    noise, growth = np.float32(numbers.range_noise), np.float32(numbers.noise_growth)
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     below = np.float32(-numbers.below_ground)
-    zero, one, bins, far_out = np.float32(0.0), np.float32(1.0), np.float32(polar.bins), np.float32(1e6)
+    zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+    bins, far_out = np.float32(polar.bins), np.float32(1e6)
     clearance, near, far, end = limits.clearance[row], 0, polar.bins, 0
     for n in range(rays.starts[s + 1] - first):
         slope, run, above = rays.table[first + n, 0], rays.table[first + n, 1], rays.table[first + n, 2]
@@ -67,7 +69,7 @@ def classify_rays(
         elif above >= high:
             kind = OVERHEAD
         elif above > low:
-            reach = min(max((run - margin) * per_metre, zero), bins)
+            reach = min(max((run - two * (noise + growth * run * run)) * per_metre, zero), bins)
             found.block[n] = int(reach)
         else:
             kind, reach = GROUND, min(here + one, bins)

@@ -88,8 +88,10 @@ def _returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[
         if above <= ism.obstacle_height:
             end += 1
         elif is_obstacle:
-            end = max(r - 2 * ism.range_noise, 0) / spec.resolution
-            for side in (-ism.range_noise, ism.range_noise):
+            wide = ism.noise_growth * r**2
+            noise = ism.range_noise + wide
+            end = max(r - 2 * noise, 0) / spec.resolution
+            for side in (-noise, noise) if wide <= max(spec.resolution, 0.1) else ():
                 u, v = x + dx / r * side, y + dy / r * side
                 if spec.contains(u, v):
                     hits[spec.index(u, v)] += 1
@@ -125,11 +127,12 @@ def chance_hidden(heights: NDArray[Any], fades: NDArray[Any], ism: RayISM) -> fl
     """
     passing = np.flatnonzero(np.isnan(fades))
     levels = np.clip([0, *heights[passing], ism.clearance], 0, ism.clearance)
-    worst = 0.0
+    worst, last = 0.0, len(passing)
     for n, stopped in enumerate(np.split(fades, passing)):  # the stopped rays under each level; first a passing ray
-        thickness = (levels[n + 1] - levels[n]) / ism.hidden_height * (2 if n == len(passing) else 1)
-        worst = max(worst, thickness * np.nan_to_num(stopped).max(initial=0))
-    return min(worst, 1.0)
+        thickness = (levels[n + 1] - levels[n]) / ism.hidden_height * (2 if n == last else 1)
+        worst = max(worst, thickness * np.nan_to_num(stopped).max(initial=0 if n == last else ism.p_hidden))
+    above = ism.p_hidden * (levels[-1] - levels[-2]) / ism.clearance
+    return float(1 - (1 - min(worst, 1.0)) * (1 - above))
 
 
 def _bins(ism: RayISM) -> int:
