@@ -274,6 +274,11 @@ class EvidentialGrid(ShownInNotebooks):
         return (0, 0), self.mass
 
     @property
+    def in_plane(self) -> bool:
+        """Whether free cells are so in the plane of a laser alone: maps keep what other sensors see above and below."""
+        return False
+
+    @property
     def free(self) -> NDArray[np.float32]:
         """Mass of free, (nx, ny) in [0, 1]."""
         return self.mass[..., 0]
@@ -391,7 +396,7 @@ class PartialGrid(EvidentialGrid):
     """
 
     @classmethod
-    def of(cls, spec: GridSpec, corner: tuple[int, int], mass: NDArray[np.float32]) -> Self:
+    def of(cls, spec: GridSpec, corner: tuple[int, int], mass: NDArray[np.float32], *, in_plane: bool = False) -> Self:
         """Return a grid by the masses of a rectangle.
 
         Parameters
@@ -402,13 +407,20 @@ class PartialGrid(EvidentialGrid):
             First cell of the rectangle.
         mass : (mx, my, 2) float32
             Masses in it, trusted; every other cell is unknown.
+        in_plane : bool
+            See `EvidentialGrid.in_plane`.
         """
         (i, j), (mx, my) = corner, mass.shape[:2]
         if not (0 <= i <= spec.shape[0] - mx and 0 <= j <= spec.shape[1] - my):
             raise ValueError(f"the rectangle of {mx} x {my} cells from {corner} on lies beyond the grid {spec.shape}")
         grid = object.__new__(cls)
-        grid.__dict__.update(spec=spec, _known=((i, j), mass))
+        grid.__dict__.update(spec=spec, _known=((i, j), mass), _in_plane=in_plane)
         return grid
+
+    @property
+    def in_plane(self) -> bool:
+        """See `EvidentialGrid.in_plane`."""
+        return bool(self.__dict__["_in_plane"])
 
     @property
     def known(self) -> tuple[tuple[int, int], NDArray[np.float32]]:

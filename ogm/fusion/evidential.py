@@ -36,6 +36,7 @@ from ogm.grid import Combine, CombinedGrid, EvidentialGrid, GridSpec
 Rule = Callable[[Any, Any], Any]
 DYNAMIC_DECAY_RATIO = 100.0  # how many times faster dynamic cells are forgotten by default
 PLAIN = 0  # key of the part that grids of one model are fused into; those of several models have 1, 2, ...
+PLANE = -1  # key of the part of grids whose cells are free in a plane alone
 _COMPILED: dict[Rule, int] = {
     **{dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE, normalized_cautious: CAUTIOUS, revise: REVISION}
 }
@@ -119,6 +120,10 @@ class EvidentialMapper(Mapper):
     it, and it changes no conflict layer. An older one, a missing stamp (unless nothing is ever forgotten), a gap of
     more than a day, NaN: ValueError; so is every scan after one whose stamp was wrong by hours, until `reset`. A pose
     jump: `PoseJump`. After an error the map is as it was.
+
+    Planes. Cells that are free in the plane of a laser alone (`EvidentialGrid.in_plane`) are a map by themselves. It is
+    joined with the rest when it is read: the greater mass of each state, and free at most what occupied leaves. So a
+    laser that sees between the legs of a table never clears the top that a depth camera saw.
 
     Threads. One thread may update the map while any number of others read it: each property and method returns a
     whole state, that before or after an update. What belongs together is read with ``with mapper.lock:``.
@@ -219,11 +224,13 @@ class EvidentialMapper(Mapper):
 
     def _combined(self, masses: Mapping[int, NDArray[np.float32]], shape: tuple[int, int]) -> NDArray[np.float32]:
         """Return the masses of the map from those of its parts."""
-        plain = masses.get(PLAIN)
-        if self._combine is None:
-            return np.zeros((*shape, 2), np.float32) if plain is None else plain
-        combined = self._combine([mass for part, mass in sorted(masses.items()) if part != PLAIN])
-        return combined if plain is None else normalized_cautious(combined, plain)
+        whole, plane = masses.get(PLAIN), masses.get(PLANE)
+        if self._combine is not None:
+            combined = self._combine([mass for part, mass in sorted(masses.items()) if part > PLAIN])
+            whole = combined if whole is None else normalized_cautious(combined, whole)
+        if whole is None:
+            return np.zeros((*shape, 2), np.float32) if plane is None else plane
+        return whole if plane is None else _beside_plane(whole, plane)
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
         corner, measured = grid.known[0], self._measured(grid)
@@ -253,8 +260,8 @@ class EvidentialMapper(Mapper):
     def _measured(self, grid: EvidentialGrid) -> dict[int, NDArray[np.float32]]:
         """Return the masses of a scan by the part of the map that they belong to."""
         if not isinstance(grid, CombinedGrid):
-            return {PLAIN: grid.known[1]}
-        known = sum(part != PLAIN for part in self._parts)
+            return {PLANE if grid.in_plane else PLAIN: grid.known[1]}
+        known = sum(part > PLAIN for part in self._parts)
         if known and known != len(grid.parts):
             raise ValueError(
                 f"the map holds {known} models, each by itself, but the grid is combined of {len(grid.parts)}; "
@@ -351,6 +358,13 @@ def _bounded(mass: NDArray[np.float32], min_unknown: float) -> NDArray[np.float3
     limit = np.float32(1 - min_unknown)
     bounded: NDArray[np.float32] = mass * np.minimum(1, limit / np.maximum(known, limit)).astype(np.float32)
     return bounded
+
+
+def _beside_plane(whole: NDArray[np.float32], plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the masses of a map and of another in a plane alone: free of neither takes from occupied of the other."""
+    mass = np.maximum(whole, plane)
+    mass[..., 0] = np.minimum(mass[..., 0], 1 - mass[..., 1])
+    return mass
 
 
 def _half_lives(half_life: float | Sequence[float]) -> tuple[float, float]:

@@ -144,7 +144,7 @@ class PlanarISM:
         mass = np.empty((*shape, 2), np.float32)
         combine_claims(free, occupied, self.p_false_alarm, mass)
         _clear_footprint(mass, cells, mount)
-        return PartialGrid.of(self.spec, corner, mass)
+        return PartialGrid.of(self.spec, corner, mass, in_plane=True)
 
     def _beams(self, scan: Scan, mount: Mount) -> PlanarBeams:
         """Return the beams of a scan, levelled by its mount."""
