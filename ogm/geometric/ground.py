@@ -115,7 +115,7 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Gro
 
 
 def shows_ground(scan: Scan, mount: Mount) -> bool:
-    """Return whether a scan as a whole shows the ground, see `kernels.evidence.ground_evidence`; True without points."""
+    """Return whether a scan as a whole shows the ground, see `ground_evidence`; True without points."""
     xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
     return not len(ground_evidence(Points(*xyz.T), mount.origin.astype(np.float32), mount.sensor_height))
 

@@ -10,7 +10,7 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.ground import GroundEstimate, local_ground, surface_of
+from ogm.geometric.ground import GroundEstimate, flat_ground, local_ground, surface_of
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayNumbers, WorkSpace
 from ogm.geometric.kernels.belief import clear_sectors, ray_mass
@@ -24,6 +24,7 @@ from ogm.scan import Mount, Scan, as_scan
 
 _log = logging.getLogger(__name__)
 
+ALL_SHOWN = np.empty(0, np.uint8)  # see `kernels.evidence.ground_evidence`
 MAX_BINS = 2**15 - 1  # what the kernels count in int16
 
 
@@ -39,7 +40,8 @@ class RayISM:
 
     Where a scan does not show the ground, as that of a planar laser, the plane under the mount is the ground, and all
     returns from 0.05 m above it mark, except those of beams that meet one surface one behind another; see
-    `kernels.evidence.ground_evidence`. A line in the log states it, once for each model.
+    `kernels.evidence.ground_evidence`. A line in the log states it, once for each model. With `flat_ground` the plane
+    is the ground in any case, and returns mark from `obstacle_height` on.
 
     Counts become belief: R returns give occupied ``1 - p_false_alarm**R`` (as in Bosch's evidential occupancy, CVPR
     2024), and rays give free ``1 - E_H[p_miss**N(H)]`` with N(H) the number of rays below the unknown height H of an
@@ -156,7 +158,8 @@ class RayISM:
 
         # The ground, by the returns that show it, and the rays that meet it and the clearance above it
         coarse = _ground_spec(spec, self.ground_cell)
-        shown = ground_evidence(points, origin, mount.sensor_height)
+        is_plane = self.ground is flat_ground  # whatever the returns show
+        shown = ALL_SHOWN if is_plane else ground_evidence(points, origin, mount.sensor_height)
         if len(shown):
             self._explain_unseen_ground(int(np.count_nonzero(shown)), mount)
         candidates = shown_points(points, shown).T if len(shown) else xyz

@@ -211,7 +211,7 @@ def _mark_obstacles(
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     noise, near = np.float32(numbers.range_noise), np.float32(cells.resolution)
     for n in range(points.x.shape[0]):
-        if work.above[n] > low and work.above[n] <= high and work.run[n] >= near:
+        if work.above[n] > low and work.above[n] < high and work.run[n] >= near:
             x, y, share = points.x[n], points.y[n], noise / work.run[n]
             du, dv = (x - origin[0]) * share, (y - origin[1]) * share
             _hit(work.hits, cells, x - du, y - dv)

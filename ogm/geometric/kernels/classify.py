@@ -64,7 +64,7 @@ def classify_rays(
         kind, reach = OBSTACLE, here
         if rays.point[first + n] < 0:
             kind = NO_RETURN
-        elif above > high:
+        elif above >= high:
             kind = OVERHEAD
         elif above > low:
             reach = min(max((run - margin) * per_metre, zero), bins)

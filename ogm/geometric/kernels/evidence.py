@@ -30,6 +30,7 @@ BEND, NOISE, RATIO = (
     1.5,
 )  # of the last beam of a chain: rise over run and rise, both by height; ratio of runs
 REAR = np.float32(0.8)  # share of the run of a beam's farthest return, from which others of the beam show what it shows
+LEAST = np.float32(1e-3)  # [m] above the clearance, within which such returns mark
 PLANE = np.float32(0.05)  # [m] above the ground, from which returns that do not show it mark
 
 
@@ -187,11 +188,18 @@ def shown_points(points: Points, shown: NDArray[np.uint8]) -> NDArray[np.float32
 
 @kernel
 def raise_unshown(above: NDArray[np.float32], shown: NDArray[np.uint8], numbers: RayNumbers) -> None:
-    """Raise heights above ground from `PLANE` on to those of obstacles, for returns that do not show the ground."""
-    lowest = np.float32(numbers.obstacle_height)
+    """Take heights above ground to those of obstacles, for returns that do not show the ground.
+
+    Heights from `PLANE` on are raised to the lowest that marks, and those at the clearance lowered below it.
+    """
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     for n in range(shown.shape[0]):
-        if not shown[n] and above[n] > PLANE and above[n] <= lowest:
-            above[n] = np.nextafter(lowest, np.float32(np.inf))
+        if shown[n]:
+            continue
+        if above[n] > PLANE and above[n] <= low:
+            above[n] = np.nextafter(low, np.float32(np.inf))
+        elif above[n] >= high and above[n] < high + LEAST:
+            above[n] = np.nextafter(high, np.float32(0))
 
 
 @kernel
@@ -203,5 +211,5 @@ def mark_own_cells(
     for n in range(points.x.shape[0]):
         u, v = (points.x[n] - np.float32(cells.x0)) * inverse, (points.y[n] - np.float32(cells.y0)) * inverse
         inside = u >= 0 and u < hits.shape[0] and v >= 0 and v < hits.shape[1]
-        if inside and above[n] > np.float32(low) and above[n] <= np.float32(high):
+        if inside and above[n] > np.float32(low) and above[n] < np.float32(high):
             hits[int(u), int(v)] = max(hits[int(u), int(v)], 1)

@@ -83,7 +83,7 @@ def _returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[
         r = math.hypot(dx, dy)
         if above < -ism.below_ground or r < spec.resolution:
             continue
-        is_obstacle = ism.obstacle_height < above <= ism.clearance
+        is_obstacle = ism.obstacle_height < above < ism.clearance
         end = r / spec.resolution
         if above <= ism.obstacle_height:
             end += 1
