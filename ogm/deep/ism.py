@@ -71,8 +71,8 @@ class DeepISM:
     name of a model. Intensities whose mean lies outside the training's range are left out, since manufacturers
     calibrate differently. A scan of over 1.2 times the most points of the training is thinned to that number, by the
     same random choice every time. A scan of a tenth of the fewest points of the training, or less, gives an unknown
-    grid. A scan that does not show the ground, as of a lidar of few layers, gives the masses of rays, or an unknown grid
-    by a network without them.
+    grid. A scan that does not show the ground, as of a lidar of few layers, gives the masses of rays, or an unknown
+    grid by a network without them.
     """
 
     mount: Mount | None
