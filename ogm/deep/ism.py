@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ogm.deep.engines import load_engine
 from ogm.deep.points import to_ground_frame
+from ogm.geometric import shows_ground
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.scan import Mount, Scan, as_scan, check_mount
 
@@ -70,7 +71,8 @@ class DeepISM:
     name of a model. Intensities whose mean lies outside the training's range are left out, since manufacturers
     calibrate differently. A scan of over 1.2 times the most points of the training is thinned to that number, by the
     same random choice every time. A scan of a tenth of the fewest points of the training, or less, gives an unknown
-    grid.
+    grid. A scan that does not show the ground, as of a lidar of few layers, gives the masses of rays, or an unknown
+    grid by a network without them.
     """
 
     mount: Mount | None
@@ -178,7 +180,11 @@ class DeepISM:
         elif rays is None:
             rays = [placed.rays(scan).mass for scan in given]
         mass = placed.engine.masses(pillars, rays)
-        # The network was not trained on cells under the ego vehicle, nor on scans without points: unknown
+        # The network was not trained on scans that do not show the ground: the masses of rays, or unknown
+        for k, scan in enumerate(given):
+            if not shows_ground(scan, mounts[0]):
+                mass[k] = 0 if rays is None else rays[k]
+        # Nor on cells under the ego vehicle, nor on scans without points: unknown
         mass[:, *placed.ego_cells] = 0
         mass[[self._has_too_few(one) for one in pillars]] = 0
         return [EvidentialGrid.trusted(self.spec, one) for one in mass]

@@ -14,7 +14,7 @@ The kernels are compiled by numba at their first call in a new environment and c
 """
 
 from ogm.geometric.doppler import moving_detections, sensor_velocity
-from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground
+from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground, shows_ground
 from ogm.geometric.height_band import HeightBandISM
 from ogm.geometric.planar import PlanarISM, plane_text
 from ogm.geometric.radar import RadarISM
@@ -22,5 +22,5 @@ from ogm.geometric.ray import RayISM
 
 __all__ = [
     "HeightBandISM", "PlanarISM", "RadarISM", "RayISM", "flat_ground", "ground_height", "local_ground",
-    "moving_detections", "patchwork_ground", "plane_text", "sensor_velocity",
+    "moving_detections", "patchwork_ground", "plane_text", "sensor_velocity", "shows_ground",
 ]  # fmt: skip

@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.extras import install_line
+from ogm.geometric.inputs import to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, GroundLimits, Points, Surface
+from ogm.geometric.kernels.evidence import ground_evidence
 from ogm.geometric.kernels.surface import fill, ground_heights, sample_many
 from ogm.grid import GridSpec
+from ogm.scan import Mount, Scan
 
 GroundPoint = tuple[float, float, float]
 GroundEstimate = Callable[[NDArray[np.float32], GridSpec, GroundPoint], NDArray[np.float32]]
@@ -109,6 +112,12 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Gro
     height[count > 0] = total[count > 0] / count[count > 0]
     fill(height, np.minimum(count, 8).astype(np.float32), np.float32(ground_point[2]))
     return height
+
+
+def shows_ground(scan: Scan, mount: Mount) -> bool:
+    """Return whether a scan as a whole shows the ground, see `ground_evidence`; True without points."""
+    xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
+    return not len(ground_evidence(Points(*xyz.T), mount.origin.astype(np.float32), mount.sensor_height))
 
 
 def ground_height(height: NDArray[np.float32], spec: GridSpec, xyz: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,17 +1,20 @@
 """The model to use: rays over a local ground, marking apart from clearing."""
 
+import logging
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.ground import GroundEstimate, local_ground, surface_of
+from ogm.geometric.ground import GroundEstimate, flat_ground, local_ground, surface_of
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayNumbers, WorkSpace
 from ogm.geometric.kernels.belief import clear_sectors, ray_mass
+from ogm.geometric.kernels.evidence import ground_evidence, mark_own_cells, shown_points
 from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
 from ogm.geometric.kernels.rays import sort_rays
 from ogm.grid import EvidentialGrid, GridSpec
@@ -19,6 +22,9 @@ from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
 
+_log = logging.getLogger(__name__)
+
+ALL_SHOWN = np.empty(0, np.uint8)  # see `kernels.evidence.ground_evidence`
 MAX_BINS = 2**15 - 1  # what the kernels count in int16
 
 
@@ -31,6 +37,11 @@ class RayISM:
     crowns and, if given, beams without echo, clear the cells they pass, the less the higher above ground they pass
     and not at all above `clearance`. Where no ray passes low enough, or an obstacle before the cell hides some
     heights above it, the cell stays unknown.
+
+    Where a scan does not show the ground, as that of a planar laser, the plane under the mount is the ground, and all
+    returns from 0.05 m above it mark, except those of beams that meet one surface one behind another; see
+    `kernels.evidence.ground_evidence`. A line in the log states it, once for each model. With `flat_ground` the plane
+    is the ground in any case, and returns mark from `obstacle_height` on.
 
     Counts become belief: R returns give occupied ``1 - p_false_alarm**R`` (as in Bosch's evidential occupancy, CVPR
     2024), and rays give free ``1 - E_H[p_miss**N(H)]`` with N(H) the number of rays below the unknown height H of an
@@ -156,21 +167,45 @@ class RayISM:
         xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
         points, directions = Points(*xyz.T), _no_return_directions(scan, mount)
 
-        # The ground, and the rays that meet it and the clearance above it
+        # The ground, by the returns that show it, and the rays that meet it and the clearance above it
         coarse = _ground_spec(spec, self.ground_cell)
-        ground = surface_of(_checked_height(self.ground(xyz, coarse, mount.ground_point), coarse), coarse)
+        is_plane = self.ground is flat_ground  # whatever the returns show
+        shown = ALL_SHOWN if is_plane else ground_evidence(points, origin, mount.sensor_height)
+        if len(shown):
+            self._explain_unseen_ground(int(np.count_nonzero(shown)), mount)
+        candidates = shown_points(points, shown).T if len(shown) else xyz
+        ground = surface_of(_checked_height(self.ground(candidates, coarse, mount.ground_point), coarse), coarse)
         limits = ray_limits(ground, origin, numbers.clearance, polar)
 
         # Every beam is a ray
         work = _work_space(len(xyz) + len(directions), polar)
-        rays = sort_rays(points, directions, origin, ground, polar, numbers, work)
+        rays = sort_rays(points, directions, origin, ground, polar, numbers, shown, work)
 
         # Rays clear what they pass, and mark what stops them
         clear_sectors(rays, points, origin, limits, polar, cells, numbers, work)
 
+        if len(shown):
+            mark_own_cells(points, work.above, cells, numbers, work.hits)
+
         # Counts become belief
         mass = ray_mass(work.free, work.hits, polar, _powers(math.sqrt(self.p_false_alarm)), numbers)
         return EvidentialGrid.trusted(spec, mass)
+
+    def _explain_unseen_ground(self, shown: int, mount: Mount) -> None:
+        """Log, once for each model, that the mount's height decides what is ground."""
+        if self in _explained:
+            return
+        _explained.add(self)
+        seen = f"only {shown} returns show" if shown else "no return shows"
+        _log.warning(
+            "%s the ground: it is taken to lie %.2f m below the sensor, and what rises above it is an obstacle; "
+            "check `sensor_height` (--sensor-height), and use the model `planar` for a laser in one plane",
+            seen,
+            mount.sensor_height,
+        )
+
+
+_explained: WeakSet[RayISM] = WeakSet()  # models that have logged that their scans show no ground
 
 
 def _no_return_directions(scan: Scan, mount: Mount) -> NDArray[np.float32]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.geometric.kernels.arguments import Points, PolarGrid, RayNumbers, Rays, Surface, WorkSpace
+from ogm.geometric.kernels.evidence import raise_unshown
 from ogm.geometric.kernels.polar import azimuth, polar_coordinates
 from ogm.geometric.kernels.surface import sample
 from ogm.jit import kernel, vector
@@ -24,6 +25,7 @@ def sort_rays(
     ground: Surface,
     polar: PolarGrid,
     numbers: RayNumbers,
+    shown: NDArray[np.uint8],
     work: WorkSpace,
 ) -> Rays:
     """Turn every return and every beam without echo into a ray, sorted by sector and in a sector by slope.
@@ -42,6 +44,8 @@ def sort_rays(
     ground : Surface
     polar : PolarGrid
     numbers : RayNumbers
+    shown : (N,) or (0,) uint8
+        Returns that show the ground, from `ground_evidence`.
     work : WorkSpace
         For N + M rays.
 
@@ -52,6 +56,7 @@ def sort_rays(
     """
     polar_coordinates(points, origin, polar.sectors, work)
     _heights(points, ground, work.above)
+    raise_unshown(work.above, shown, numbers)
     _aim(directions, points.x.shape[0], polar.sectors, numbers.max_range, work)
     _sort_by_slope_class(work.slope, work.order)
     starts = _sort_by_sector(points.x.shape[0], polar.sectors, work)

@@ -1,0 +1,215 @@
+"""Returns that show the ground: those of beams that meet one surface, each beam farther out than the one below it.
+
+A wall stops all beams of a direction at one distance, and a single beam shows no surface at all: its returns lie on a
+cone with its tip in the sensor. Ground shows by beams one behind another, on a surface that passes under the sensor.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.kernels.arguments import Cells, Points, RayNumbers
+from ogm.geometric.kernels.polar import azimuth
+from ogm.jit import kernel
+
+__all__ = ["ground_evidence", "mark_own_cells", "raise_unshown", "shown_points"]
+
+SECTORS = 256
+BINS, LOWEST, BIN = 512, np.float32(-1.28), np.float32(0.005)  # of ray slopes (rise over run), from the lowest up
+HIGHEST = np.float32(1.275)
+SAMPLE = 16384  # returns, about, that show whether a scan as a whole shows the ground
+LINKS, SHARE = 5, 0.25  # links of beams in a sector that shows the ground; share of such sectors in such a scan
+APART = 0.003  # rise over run between two beams
+STEEPEST, WALL = 0.3, 0.5  # rise over run from a beam to the next: at most on ground, with noise; at least on a wall
+UNDER = 0.5  # share of the sensor's height by which a link, extended to the sensor, passes under it
+LEVEL = 0.1  # share of the sensor's height above the plane of the mount, up to which a chain of links begins
+BEND, NOISE, RATIO = (
+    0.35,
+    0.05,
+    1.5,
+)  # of the last beam of a chain: rise over run and rise, both by height; ratio of runs
+REAR = np.float32(0.8)  # share of the run of a beam's farthest return, from which others of the beam show what it shows
+LEAST = np.float32(1e-3)  # [m] above the clearance, within which such returns mark
+PLANE = np.float32(0.05)  # [m] above the ground, from which returns that do not show it mark
+
+
+@kernel
+def ground_evidence(points: Points, origin: NDArray[np.float32], sensor_height: float) -> NDArray[np.uint8]:
+    """Return which returns show the ground, or that the scan as a whole shows it.
+
+    A *link* joins the farthest returns of two neighbouring beams of a sector, if the surface between them is no
+    steeper than ground and, extended to the sensor, passes well under it. Where a quarter of the sectors have
+    `LINKS` or more, the scan as a whole shows the ground. Else a beam shows it that is linked to the beam below it,
+    which shows it or lies on the plane of the mount, and to the one above, and is no wall.
+
+    Parameters
+    ----------
+    points : Points
+        N returns.
+    origin : (3,) float32
+        The sensor [m].
+    sensor_height : float
+        Height of the sensor above the ground [m].
+
+    Returns
+    -------
+    (N,) uint8
+        1 for a return that shows the ground, else 0; of length 0 if the scan as a whole shows it.
+    """
+    count = points.x.shape[0]
+    farthest, beams = np.empty((SECTORS, BINS), np.int32), np.empty((BINS, 3))
+    stride = (count // SAMPLE) | 1  # odd: firings have an even number of beams
+    _find_farthest(points, origin, stride, farthest)
+    seen, used = 0, 0
+    for s in range(SECTORS):
+        found, links = _find_beams(points, origin, farthest[s], beams), 0
+        for k in range(found - 1):
+            links += int(_is_link(beams[k], beams[k + 1], sensor_height))
+        used += int(found > 0)
+        seen += int(links >= LINKS)
+    if count == 0 or seen > SHARE * used:
+        return np.empty(0, np.uint8)
+
+    if stride > 1:
+        _find_farthest(points, origin, 1, farthest)
+    reach, shows = np.zeros((SECTORS, BINS), np.float32), np.empty(BINS, np.bool_)
+    for s in range(SECTORS):
+        found, k = _find_beams(points, origin, farthest[s], beams), -1
+        _find_chain(beams[:found], sensor_height, shows)
+        for b in range(BINS):  # one or two of a beam
+            if farthest[s, b] >= 0:
+                slope, run, _ = _ray(points, origin, farthest[s, b])
+                while k + 1 < found and slope >= beams[k + 1, 0]:
+                    k += 1
+                reach[s, b] = REAR * run if shows[k] else np.float32(np.inf)
+    shown = np.zeros(count, np.uint8)
+    for n in range(count):
+        s, b, run = _place(points, origin, n)
+        shown[n] = run >= reach[s, b]
+    return shown
+
+
+@kernel
+def _ray(points: Points, origin: NDArray[np.float32], n: int) -> tuple[np.float32, np.float32, np.float32]:
+    """Return slope (rise over run), run and rise [m] of a return from the sensor."""
+    dx, dy, dz = points.x[n] - origin[0], points.y[n] - origin[1], points.z[n] - origin[2]
+    run = np.float32(math.sqrt(dx * dx + dy * dy))
+    return dz / max(run, np.float32(1e-6)), run, dz
+
+
+@kernel
+def _place(points: Points, origin: NDArray[np.float32], n: int) -> tuple[int, int, np.float32]:
+    """Return sector and bin of slope of a return, and its run [m]."""
+    slope, run, _ = _ray(points, origin, n)
+    angle = azimuth(points.x[n] - origin[0], points.y[n] - origin[1])
+    s = min(int(angle * np.float32(SECTORS / (2 * math.pi))), SECTORS - 1)
+    return s, int((min(max(slope, LOWEST), HIGHEST) - LOWEST) / BIN), run
+
+
+@kernel
+def _find_farthest(points: Points, origin: NDArray[np.float32], stride: int, farthest: NDArray[np.int32]) -> None:
+    """Fill in the index of the farthest return of each bin among every `stride`-th return; -1 without any."""
+    runs = np.zeros(farthest.shape, np.float32)
+    farthest[:] = -1
+    for n in range(0, points.x.shape[0], stride):
+        s, b, run = _place(points, origin, n)
+        if run > runs[s, b]:
+            runs[s, b], farthest[s, b] = run, n
+
+
+@kernel
+def _find_beams(
+    points: Points, origin: NDArray[np.float32], farthest: NDArray[np.int32], beams: NDArray[np.float64]
+) -> int:
+    """Fill in slope, run and rise of each beam's farthest return in a sector, from the lowest up; return the number."""
+    found = 0
+    for b in range(BINS):
+        if farthest[b] < 0:
+            continue
+        slope, run, rise = _ray(points, origin, farthest[b])
+        if found == 0 or slope - beams[found - 1, 0] >= APART:
+            beams[found, 0], beams[found, 1], beams[found, 2] = slope, run, rise
+            found += 1
+        elif run > beams[found - 1, 1]:
+            beams[found - 1, 1], beams[found - 1, 2] = run, rise
+    return found
+
+
+@kernel
+def _is_link(near: NDArray[np.float64], far: NDArray[np.float64], sensor_height: float) -> bool:
+    """Return whether the surface between the farthest returns of two beams may be ground."""
+    if far[1] <= near[1]:
+        return False
+    slope = (far[2] - near[2]) / (far[1] - near[1])
+    return bool(abs(slope) <= STEEPEST and slope * near[1] - near[2] >= UNDER * sensor_height)
+
+
+@kernel
+def _is_wall(beams: NDArray[np.float64], k: int) -> bool:
+    """Return whether a beam meets a surface that the next or the one before it meets steeply above or below."""
+    for j in range(max(k, 1), min(k + 2, beams.shape[0])):
+        if beams[j, 1] - beams[j - 1, 1] < (beams[j, 2] - beams[j - 1, 2]) / WALL:
+            return True
+    return False
+
+
+@kernel
+def _find_chain(beams: NDArray[np.float64], sensor_height: float, shows: NDArray[np.bool_]) -> None:
+    """Fill in which beams of a sector, the lowest first, show the ground."""
+    count, level = beams.shape[0], LEVEL * sensor_height - sensor_height
+    for k in range(count):
+        shows[k] = False
+        if _is_wall(beams, k):
+            continue
+        run, rise = beams[k, 1], beams[k, 2]
+        links = k + 1 < count and not _is_wall(beams, k + 1) and _is_link(beams[k], beams[k + 1], sensor_height)
+        if k == 0:  # the surface of three beams leads to the ground under the sensor
+            more = count > 2 and not _is_wall(beams, 2) and _is_link(beams[1], beams[2], sensor_height)
+            if links and more:
+                slope = (beams[1, 2] - rise) / (beams[1, 1] - run)
+                shows[0] = rise - slope * run <= level
+        elif (shows[k - 1] or beams[k - 1, 2] <= level) and _is_link(beams[k - 1], beams[k], sensor_height):
+            near, ratio = beams[k - 1, 2], run / beams[k - 1, 1]
+            ends_chain = ratio < RATIO and rise - near <= sensor_height * (BEND * (ratio - 1) + NOISE)
+            shows[k] = links or ends_chain
+
+
+@kernel
+def shown_points(points: Points, shown: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the points that show the ground, as rows of x, y and z, (3, K)."""
+    xyz, kept = np.empty((3, shown.shape[0]), np.float32), 0
+    for n in range(shown.shape[0]):
+        if shown[n]:
+            xyz[0, kept], xyz[1, kept], xyz[2, kept] = points.x[n], points.y[n], points.z[n]
+            kept += 1
+    return xyz[:, :kept]
+
+
+@kernel
+def raise_unshown(above: NDArray[np.float32], shown: NDArray[np.uint8], numbers: RayNumbers) -> None:
+    """Take heights above ground to those of obstacles, for returns that do not show the ground.
+
+    Heights from `PLANE` on are raised to the lowest that marks, and those at the clearance lowered below it.
+    """
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
+    for n in range(shown.shape[0]):
+        if shown[n]:
+            continue
+        if above[n] > PLANE and above[n] <= low:
+            above[n] = np.nextafter(low, np.float32(np.inf))
+        elif above[n] >= high and above[n] < high + LEAST:
+            above[n] = np.nextafter(high, np.float32(0))
+
+
+@kernel
+def mark_own_cells(
+    points: Points, above: NDArray[np.float32], cells: Cells, numbers: RayNumbers, hits: NDArray[np.int32]
+) -> None:
+    """Add half a hit to cells that hold a return of an obstacle, if its hits, spread by noise, lie beside them."""
+    low, high, inverse = numbers.obstacle_height, numbers.clearance, np.float32(1.0 / cells.resolution)
+    for n in range(points.x.shape[0]):
+        u, v = (points.x[n] - np.float32(cells.x0)) * inverse, (points.y[n] - np.float32(cells.y0)) * inverse
+        inside = u >= 0 and u < hits.shape[0] and v >= 0 and v < hits.shape[1]
+        if inside and above[n] > np.float32(low) and above[n] < np.float32(high):
+            hits[int(u), int(v)] = max(hits[int(u), int(v)], 1)
