@@ -24,11 +24,7 @@ APART = 0.003  # rise over run between two beams
 STEEPEST, WALL = 0.3, 0.5  # rise over run from a beam to the next: at most on ground, with noise; at least on a wall
 UNDER = 0.5  # share of the sensor's height by which a link, extended to the sensor, passes under it
 LEVEL = 0.1  # share of the sensor's height above the plane of the mount, up to which a chain of links begins
-BEND, NOISE, RATIO = (
-    0.35,
-    0.05,
-    1.5,
-)  # of the last beam of a chain: rise over run and rise, both by height; ratio of runs
+BEND, NOISE, RATIO = 0.35, 0.05, 1.5  # of the last beam of a chain: rise over run, rise, by height; ratio of runs
 REAR = np.float32(0.8)  # share of the run of a beam's farthest return, from which others of the beam show what it shows
 LEAST = np.float32(1e-3)  # [m] above the clearance, within which such returns mark
 PLANE = np.float32(0.05)  # [m] above the ground, from which returns that do not show it mark
@@ -68,6 +64,8 @@ def ground_evidence(points: Points, origin: NDArray[np.float32], sensor_height: 
             links += int(_is_link(beams[k], beams[k + 1], sensor_height))
         used += int(found > 0)
         seen += int(links >= LINKS)
+        if seen > SHARE * SECTORS:
+            break
     if count == 0 or seen > SHARE * used:
         return np.empty(0, np.uint8)
 
