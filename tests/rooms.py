@@ -1,8 +1,12 @@
-"""Rooms of boxes: depths and ranges by analytic ray casting."""
+"""Rooms of boxes: depths and ranges by analytic ray casting, and depth images as messages."""
+
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from ogm.io import Intrinsics
+from ogm.io.messages.plain import header
 from ogm.pose import pose
 
 CAMERA = Intrinsics(160, 120, 131.0, 131.0, 79.5, 59.5)  # 62 x 49 degrees
@@ -37,3 +41,25 @@ def depths(T_room_camera: np.ndarray, boxes: tuple = (), camera: Intrinsics = CA
 def looking(height: float, pitch: float = 0.0, yaw: float = 0.0) -> np.ndarray:
     """Return the pose of a camera above the middle of a room's floor, by angles in degrees; pitch is down."""
     return pose(z=height, yaw=np.radians(yaw)) @ pose(pitch=np.radians(pitch))
+
+
+def image_message(depth: np.ndarray, encoding: str, frame: str, stamp: float) -> Any:
+    pixels = (depth * 1000).round().astype(np.uint16) if encoding != "32FC1" else depth.astype(np.float32)
+    data = pixels.view(np.uint8).reshape(-1)
+    sizes = {"height": len(depth), "width": depth.shape[1], "step": pixels.strides[0]}
+    return SimpleNamespace(header=header(stamp, frame), encoding=encoding, is_bigendian=0, data=data, **sizes)
+
+
+def info_message(frame: str, stamp: float, ros1: bool) -> Any:
+    k = np.array([CAMERA.fx, 0, CAMERA.cx, 0, CAMERA.fy, CAMERA.cy, 0, 0, 1])
+    matrices = {"d": np.zeros(5), "k": k, "r": np.eye(3).ravel(), "p": np.insert(k, [3, 6, 9], 0)}
+    roi = SimpleNamespace(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    named = {name.upper() if ros1 else name: value for name, value in matrices.items()}
+    rest = {
+        "height": CAMERA.height,
+        "width": CAMERA.width,
+        "distortion_model": "plumb_bob",
+        "binning_x": 0,
+        "binning_y": 0,
+    }
+    return SimpleNamespace(header=header(stamp, frame), roi=roi, **named, **rest)

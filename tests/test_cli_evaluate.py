@@ -446,6 +446,7 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
                 assert found == pytest.approx(scores["brier"], rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pictures")
 def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ("evaluate", drive, "--ism", "ray", "--fused", "dempster", "--every", 4)

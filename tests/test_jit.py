@@ -88,11 +88,13 @@ def test_a_changed_helper_in_another_file_is_compiled_anew(run: Run) -> None:
     assert run(5) == ["15", "1"]
 
 
+@pytest.mark.slow
 def test_another_clone_of_the_same_sources_takes_the_same_kernels(run: Run) -> None:
     assert run(2, root="a") == ["6", "1"]
     assert run(2, root="b") == ["6", "0"]
 
 
+@pytest.mark.slow
 def test_folders_of_old_versions_are_removed(run: Run, tmp_path: Path) -> None:
     for version in range(jit.KEPT_VERSIONS + 1):
         run(version)

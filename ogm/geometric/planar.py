@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
-from ogm.geometric.kernels.arguments import BeamNumbers, Cells, PlanarBeams
+from ogm.geometric.kernels.arguments import BeamColumns, BeamNumbers, Cells
 from ogm.geometric.kernels.beams import ends_of, fans_of, find_directions
 from ogm.geometric.kernels.planar import TAIL, clear_fans, combine_claims, mark_ends
 from ogm.grid import EvidentialGrid, GridSpec, PartialGrid
@@ -57,7 +57,7 @@ class PlanarISM:
     p_false_alarm : float
         Chance that an echo comes from an empty cell, in (0, 0.5).
     no_return_weight : float
-        Reliability of free by beams without echo, and by wide beams (`Scan.kind` "cone"), [0, 1]. PlanarBeams without
+        Reliability of free by beams without echo, and by wide beams (`Scan.kind` "cone"), [0, 1]. Beams without
         echo count up to `Scan.max_range`, and not at all where that is unknown.
     beam_width : float, optional
         Full width of a beam [rad]; by default that of the scan, `Scan.beam_width`, and else 0. An end wider than a
@@ -66,7 +66,7 @@ class PlanarISM:
         A beam lower than this above the ground [m], or than half the sensor's height, may have met the floor: it
         neither clears nor marks.
     clearance : float
-        PlanarBeams that rise above this height [m] neither clear nor mark from there on.
+        Beams that rise above this height [m] neither clear nor mark from there on.
 
     Raises
     ------
@@ -146,7 +146,7 @@ class PlanarISM:
         _clear_footprint(mass, cells, mount)
         return PartialGrid.of(self.spec, corner, mass, in_plane=True)
 
-    def _beams(self, scan: Scan, mount: Mount) -> PlanarBeams:
+    def _beams(self, scan: Scan, mount: Mount) -> BeamColumns:
         """Return the beams of a scan, levelled by its mount."""
         offset = to_vehicle_frame(scan.points, mount, mount.ego_footprint).astype(np.float64) - mount.origin
         count, height = len(offset), mount.sensor_height
@@ -168,7 +168,7 @@ class PlanarISM:
         order = np.lexsort((reach, azimuth))
         order = order[used[order]]
         marks = echo & (distance <= end)
-        return PlanarBeams(x[order], y[order], azimuth[order], reach[order], echo[order], marks[order])
+        return BeamColumns(x[order], y[order], azimuth[order], reach[order], echo[order], marks[order])
 
 
 def _step(azimuth: NDArray[np.float64]) -> float:

@@ -17,7 +17,7 @@ log: logging.Logger = logging.getLogger(__name__)
 _SLACK = 1e-3  # [m] below the greatest range, within which a range is the greatest: drivers round
 
 
-class Beams(NamedTuple):
+class BeamRanges(NamedTuple):
     """Ranges of the beams of one planar scan.
 
     Attributes
@@ -59,7 +59,7 @@ def echoes(
     ranges : (B,) float64
         [m]
     min_range, max_range : float
-        See `Beams`.
+        See `BeamRanges`.
     """
     silent = np.isposinf(ranges)
     if max_range is not None:
@@ -67,12 +67,14 @@ def echoes(
     return (ranges > 0) & (ranges >= min_range) & (ranges <= REACH) & ~silent, silent
 
 
-def planar_scan(beams: Beams, where: str, stamp: float | None, intensity_max: IntensityScale | None = None) -> Scan:
+def planar_scan(
+    beams: BeamRanges, where: str, stamp: float | None, intensity_max: IntensityScale | None = None
+) -> Scan:
     """Return the scan of beams in the x-y plane.
 
     Parameters
     ----------
-    beams : Beams
+    beams : BeamRanges
     where : str
         Name of the scan, for notices.
     stamp : float or None

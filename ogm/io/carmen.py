@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.beams import Beams, echoes, planar_scan
+from ogm.io.beams import BeamRanges, echoes, planar_scan
 from ogm.io.labels import REACH
 from ogm.io.reading import read_bytes
 from ogm.scan import Scan
@@ -141,7 +141,7 @@ class CarmenLog:
             silent |= echoes(ranges, 0.0, line.max_range)[1]
             max_range = min(line.max_range, line.max_range if max_range is None else max_range)
         angles = np.asarray(line.start + line.step * np.arange(len(ranges)))
-        beams = Beams(np.where(silent, np.inf, ranges), angles, intensity=line.remission)
+        beams = BeamRanges(np.where(silent, np.inf, ranges), angles, intensity=line.remission)
         scan = planar_scan(beams, f"{line.kind} {n}", None)
         return Scan(scan.points, no_returns=scan.no_returns, kind=scan.kind, max_range=max_range)
 

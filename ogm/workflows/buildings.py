@@ -1,13 +1,12 @@
 """Maps of buildings: defaults for the scans of planar lasers."""
 
 import math
+from contextlib import suppress
 from typing import NamedTuple
 
 from ogm.datasets import Dataset
 from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
-
-_TRIED = 5  # scans that are read until one can be
-_UNREADABLE = (ValueError, TypeError, OSError)
+from ogm.scan import Frame
 
 
 class MapDefaults(NamedTuple):
@@ -42,12 +41,17 @@ def map_defaults(dataset: Dataset, rule: str = REVISE) -> MapDefaults:
 
 def is_planar(dataset: Dataset) -> bool:
     """Return whether the scans are of a planar laser, by the first that can be read."""
-    for frame in dataset[:_TRIED]:
-        try:
-            return frame.scan.kind == "planar"
-        except _UNREADABLE:
-            continue  # the mapping reports it
-    return False
+    frame = first_readable(dataset)
+    return frame is not None and frame.scan.kind == "planar"
+
+
+def first_readable(dataset: Dataset) -> Frame | None:
+    """Return the first frame with a scan that can be read; None if there is none."""
+    for frame in dataset:
+        with suppress(ValueError, TypeError, OSError):  # the mapping reports it
+            if frame.scan is not None:
+                return frame
+    return None
 
 
 def has_doubtful_clock(dataset: Dataset) -> bool:

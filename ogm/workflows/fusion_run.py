@@ -27,6 +27,7 @@ from ogm.plot.moving import moving_groups
 from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Boxes, Frame
 from ogm.storage.files import OF_DISK, error_text
+from ogm.workflows.buildings import first_readable
 from ogm.workflows.findings import without_numbers
 
 ARROW_SECONDS = 1.0  # [s] of the way that an arrow shows
@@ -96,8 +97,8 @@ class FusionRun:
     def titles(self) -> tuple[str, str, str]:
         """Titles of measurement, map and conflict."""
         (model, rule), half_life = self.names, np.ravel(self.mapper.half_life)[0]
-        frame = self.dataset[0] if self.last is None else self.last.frame
-        model = title_of(model, frame.scan, frame.mount)
+        frame = first_readable(self.dataset) if self.last is None else self.last.frame
+        model = model if frame is None else title_of(model, frame.scan, frame.mount)
         fading = "" if math.isinf(half_life) else f", half-life {half_life:g} s"
         if isinstance(self.mapper, DynamicMapper):
             fading = f", arrows: {ARROW_SECONDS:g} s"

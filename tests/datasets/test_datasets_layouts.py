@@ -217,6 +217,7 @@ def test_a_dataset_goes_to_another_process(written):
     assert (other[0].truth.state == dataset[1].truth.state).all()
 
 
+@pytest.mark.slow
 @each("name", SOURCES)
 def test_what_was_read_stays_behind_and_is_read_again_in_another_folder(written, name, monkeypatch, tmp_path):
     monkeypatch.chdir(written(name).parent)

@@ -3,20 +3,18 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from cases import each, needs, refused
 from PIL import Image
-from rooms import CAMERA, TABLE, depths, looking
+from rooms import CAMERA, TABLE, depths, image_message, info_message, looking
 
 from ogm.datasets import SensorSetup, open_dataset
 from ogm.io.depth import T_OPTICAL_BODY
 from ogm.io.logs import LogWriter
 from ogm.io.messages import StampedTransform, tf_message
-from ogm.io.messages.plain import header
 from ogm.pose import inverse, pose, transform_points
 
 needs("rosbags", "mcap")
@@ -24,28 +22,6 @@ IMAGE, INFO, TF = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "tf2_ms
 FRAME = "camera_optical_frame"
 T_BODY_OPTICAL = inverse(T_OPTICAL_BODY)
 T_BASE_CAMERA = pose(0.1, 0.0, 0.8) @ pose(pitch=np.radians(12))
-
-
-def image_message(depth: np.ndarray, encoding: str, frame: str, stamp: float) -> Any:
-    pixels = (depth * 1000).round().astype(np.uint16) if encoding != "32FC1" else depth.astype(np.float32)
-    data = pixels.view(np.uint8).reshape(-1)
-    sizes = {"height": len(depth), "width": depth.shape[1], "step": pixels.strides[0]}
-    return SimpleNamespace(header=header(stamp, frame), encoding=encoding, is_bigendian=0, data=data, **sizes)
-
-
-def info_message(frame: str, stamp: float, ros1: bool) -> Any:
-    k = np.array([CAMERA.fx, 0, CAMERA.cx, 0, CAMERA.fy, CAMERA.cy, 0, 0, 1])
-    matrices = {"d": np.zeros(5), "k": k, "r": np.eye(3).ravel(), "p": np.insert(k, [3, 6, 9], 0)}
-    roi = SimpleNamespace(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-    named = {name.upper() if ros1 else name: value for name, value in matrices.items()}
-    rest = {
-        "height": CAMERA.height,
-        "width": CAMERA.width,
-        "distortion_model": "plumb_bob",
-        "binning_x": 0,
-        "binning_y": 0,
-    }
-    return SimpleNamespace(header=header(stamp, frame), roi=roi, **named, **rest)
 
 
 def write(

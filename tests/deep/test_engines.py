@@ -164,6 +164,7 @@ def test_grids_that_do_not_suit_the_network_are_refused() -> None:
     refused("multiples of 16 cells", engine.on, GridSpec.centered(length=9 * 0.16, width=8 * 0.16, resolution=0.16))
 
 
+@pytest.mark.slow
 def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, tmp_path: Path) -> None:
     """The life of a run's weights: trained, exported, mapped without torch, trained again."""
     network = PillarNetwork(tiny, small).eval()

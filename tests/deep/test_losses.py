@@ -325,6 +325,7 @@ TABLE = [
 ]
 
 
+@pytest.mark.slow
 @each("chances, weight, masses", TABLE)
 def test_optima_of_cells_whose_state_varies(chances: tuple, weight: float, masses: list) -> None:
     literature = [with_uniform(loss, 1.0) for loss in (paper, released, digamma_loss)]

@@ -117,6 +117,7 @@ def test_bearings_need_two_scales() -> None:
     refused("bearings", PillarNetwork, NetworkConfig(pillar=8, blocks=((8, 1),), join="add", bearings=True), SPEC)
 
 
+@pytest.mark.slow
 @both
 @each("n", [0, 1, 2])
 def test_empty_and_one_point_scans_can_be_learned_from(config: NetworkConfig, n: int) -> None:

@@ -276,6 +276,7 @@ def data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_model(data: Path) -> None:
     out = data / "mine.json"
     code, output = run(

@@ -179,6 +179,7 @@ def test_near_densities_have_a_gradient() -> None:
     *((OF_TWO[name], [(5, 2)] * 2) for name in OF_TWO if name != "dirichlet_kl"),
     *((GENERAL[name], [(5, 8)] * 2) for name in GENERAL),
 ])  # fmt: skip
+@pytest.mark.slow
 def test_tensors_of_an_accelerator_stay_there(function: Any, shapes: list[tuple[int, ...]]) -> None:
     """The meta device holds shapes and no values: reading one, or leaving for numpy, is an error on it."""
     assert function(*(torch.zeros(shape, device="meta") for shape in shapes)).device.type == "meta"

@@ -32,6 +32,7 @@ def test_a_small_run_finds_nothing(tmp_path: Path) -> None:
     assert rows["all"]["accepted"] + rows["all"]["refused"] == rows["all"]["inputs"] == 12 * (len(rows) - 1)
 
 
+@pytest.mark.slow
 def test_what_was_found_once_is_refused_or_read(tmp_path: Path) -> None:
     code, text, rows = run(tmp_path, "--again", str(HERE / "found"))
     assert code == 0, text

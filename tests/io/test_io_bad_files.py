@@ -246,6 +246,7 @@ def test_text_without_end(name, tmp_path, monkeypatch):
     refused(put(tmp_path, name, header.encode() + b"1 2 3\n" * 10), "60 bytes when decoded, wanted at most 30")
 
 
+@pytest.mark.slow
 def test_lines_before_the_vertices_take_little_memory(tmp_path, monkeypatch):
     header = PLY.replace("binary_little_endian", "ascii").replace("vertex 10", "vertex 1")
     header = header.replace("element", "element camera 1000000\nproperty float f\nelement", 1)

@@ -261,6 +261,7 @@ def test_a_sample_depends_on_plan_and_number_alone(recipe: DataRecipe) -> None:
     np.testing.assert_array_equal(first.truth.height_cm, again.truth.height_cm)
 
 
+@pytest.mark.slow
 def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: DataRecipe, tmp_path: Path) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5, samples=1, validation=0)
     store = dataset.simulate(tmp_path / "data", plan, workers=1)

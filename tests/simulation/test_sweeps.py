@@ -183,6 +183,7 @@ def test_space_is_there_for_the_most_detections() -> None:
     refused("1 to 100000", StoredRadar.from_dict, radars[0]._asdict() | {"sweeps": 10**9})
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("kept_towns")
 def test_sweeps_of_a_sample_are_the_same_every_time_and_see_the_traffic_move() -> None:
     pytest.importorskip("open3d")

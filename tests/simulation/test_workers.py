@@ -202,6 +202,7 @@ def test_two_workers_make_the_same_bytes_though_one_dies(tmp_path: Path, whole: 
     assert contents(tmp_path / "data") == whole
 
 
+@pytest.mark.slow
 def test_workers_that_die_again_and_again_are_an_error(tmp_path: Path) -> None:
     died = tmp_path / "died"
     died.mkdir()

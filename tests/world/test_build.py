@@ -98,6 +98,7 @@ def test_a_built_map_is_that_of_its_scans(place: Place, integrated: Path) -> Non
         assert all(load_drive(world.store, name).finished for name in drive_names(world.store))
 
 
+@pytest.mark.slow
 @each("rule", ["cautious", "dempster", "cumulative"])
 def test_the_map_of_each_drive_is_discounted_before_it_meets_the_others(tmp_path: Path, rule: str) -> None:
     """Whatever the number of its sub-maps, and in whatever order drives are built."""

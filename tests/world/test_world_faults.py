@@ -56,6 +56,7 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
 # ---- lost and damaged
 
 
+@pytest.mark.slow
 def test_a_lost_sub_map_is_made_anew_or_named(town: Path, copy: Path) -> None:
     with WorldMap.open(copy, "r+") as world:
         index = world.tiles()[4]

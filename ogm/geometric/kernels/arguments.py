@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "PlanarBeams", "Points", "PolarGrid",
+    "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "BeamColumns", "Points", "PolarGrid",
     "RayLimits", "RayNumbers", "Rays", "SectorRays", "Surface", "WorkSpace",
 ]  # fmt: skip
 
@@ -19,7 +19,7 @@ class Cells(NamedTuple):
     resolution: float  # side of a cell [m]
 
 
-class PlanarBeams(NamedTuple):
+class BeamColumns(NamedTuple):
     """Beams in the plane of a grid, in the order of their azimuths, echoes of one beam in that of their ranges."""
 
     x: NDArray[np.float64]  # (N,) cosine of the azimuth

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.kernels.arguments import BeamNumbers, Directions, PlanarBeams
+from ogm.geometric.kernels.arguments import BeamColumns, BeamNumbers, Directions
 from ogm.jit import kernel
 
 __all__ = ["ends_of", "fans_of", "find_directions", "range_limits"]
@@ -20,12 +20,12 @@ PANE = 4.0  # [m] the same for openings of which half of the beams or more have 
 
 
 @kernel
-def find_directions(beams: PlanarBeams, step: float, cone: bool) -> Directions:
+def find_directions(beams: BeamColumns, step: float, cone: bool) -> Directions:
     """Return the directions of beams, of which several may be echoes of one, and which are neighbours.
 
     Parameters
     ----------
-    beams : PlanarBeams
+    beams : BeamColumns
     step : float
         Angle from one beam of the sensor to the next [rad].
     cone : bool
@@ -132,12 +132,12 @@ def fans_of(directions: Directions, numbers: BeamNumbers) -> NDArray[np.float64]
 
 
 @kernel
-def ends_of(beams: PlanarBeams, directions: Directions, numbers: BeamNumbers) -> NDArray[np.float64]:
+def ends_of(beams: BeamColumns, directions: Directions, numbers: BeamNumbers) -> NDArray[np.float64]:
     """Return what is occupied: the ends of beams with an echo, of which those count less that others contradict.
 
     Parameters
     ----------
-    beams : PlanarBeams
+    beams : BeamColumns
     directions : Directions
     numbers : BeamNumbers
 

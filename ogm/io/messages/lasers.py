@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.beams import Beams, echoes, planar_scan, range_limits
+from ogm.io.beams import BeamRanges, echoes, planar_scan, range_limits
 from ogm.io.columns import IntensityRange, IntensityScale, intensity_range
 from ogm.io.messages.plain import describe_message, reads_message, stamp_seconds
 from ogm.io.notices import notice
@@ -52,7 +52,7 @@ def scan_from_laser_scan(message: Any, *, intensity_max: IntensityScale | None =
     ranges, beam, count = _per_echo(message.ranges, where)
     least, greatest = range_limits(float(message.range_min), float(message.range_max), where)
     angles, times = _angles(message, count, where), _times(message, count, where)
-    beams = Beams(
+    beams = BeamRanges(
         ranges,
         angles[beam],
         beam,
