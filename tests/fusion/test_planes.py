@@ -114,7 +114,9 @@ def test_a_laser_a_depth_camera_and_a_lidar_of_one_log_give_one_map(tmp_path: Pa
     table = (x > 2.0) & (x < 2.9) & (abs(y) < 0.5)
     man = (x > 1.8) & (x < 1.9) & (y > 0.8) & (y < 1.1)
     wall = (abs(x - ROOM[3]) < 0.05) & (abs(y) < 2) & ~((y > 0.9) & (y < 2.9))  # not in the shadow of the man
-    assert grid.occupied[table].min() > 0.5
+    # Between two rings of the lidar, rays pass above and below the top: the only free that a lidar does not promise.
+    assert (grid.occupied[table] > 0.5).mean() > 0.9
+    assert grid.free[table].max() < 0.7
     assert (grid.occupied[man].min(), grid.free[man].max()) == (pytest.approx(1, abs=0.4), pytest.approx(0, abs=0.4))
     assert (grid.occupied[wall] > 0.5).mean() > 0.9
     assert grid.free[wall].max() < 0.5
