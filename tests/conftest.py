@@ -19,6 +19,8 @@ settings.load_profile("any machine")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+sys.path.append(str(Path(__file__).parents[1] / "examples"))  # drives that are made: yard, hall
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell: interrupts are tested
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -298,7 +298,7 @@ def free_port() -> int:
 def test_no_example_is_left_out_and_none_is_long() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "ego_motion", "own_driver", "ros2_node", "zenoh_bridge",
-        "own_sensor_model", "read_live_map", "yard",  # tests/test_tutorials.py
+        "hall", "own_sensor_model", "read_live_map", "yard",  # tests/test_tutorials.py
     }  # fmt: skip
     for path in set(EXAMPLES.glob("*.py")) - {EXAMPLES / "ego_motion.py"}:  # a filter, its data and its comparison
         assert sum(bool(line.strip()) for line in path.read_text().splitlines()) <= 60, path.name

@@ -1,4 +1,7 @@
-"""A made hall and the scans of a planar laser in it: poses, odometry with noise, and a CARMEN log."""
+"""A hall with two pillars and what a planar laser measures in it, to try maps of buildings without any data.
+
+from hall import AZIMUTH, distances, drive, noisy
+"""
 
 import math
 from pathlib import Path
@@ -15,11 +18,11 @@ WALLS = np.array(  # from, to: a hall with two pillars and an alcove [m]
         *([[x, y], [x + a, y + b]] for x, y in ((3, 3), (8.5, 4.5)) for a, b in ((0.6, 0), (0, 0.6))),
     ]
 )  # fmt: skip
-AZIMUTH = np.radians(np.arange(-90, 91, 1.0))
+AZIMUTH = np.radians(np.arange(-90, 91, 1.0))  # of the beams
 
 
-def cast(T: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return the echoes of a planar laser at a pose, (N, 3), with range noise of 10 mm."""
+def distances(T: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return the ranges of a planar laser at a pose, (181,) [m], with noise of 10 mm."""
     yaw = math.atan2(T[1, 0], T[0, 0])
     d = np.stack([np.cos(AZIMUTH + yaw), np.sin(AZIMUTH + yaw)], axis=1)[:, None]
     start, along = WALLS[:, 0] - T[:2, 3], WALLS[:, 1] - WALLS[:, 0]
@@ -27,7 +30,12 @@ def cast(T: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float32
     reach = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / cross
     at = (start[:, 0] * d[..., 1] - start[:, 1] * d[..., 0]) / cross
     reach = np.where((reach > 0) & (at >= 0) & (at <= 1), reach, np.inf).min(axis=1)
-    reach += rng.normal(0, 0.01, len(reach))
+    return np.asarray(reach + rng.normal(0, 0.01, len(reach)))
+
+
+def cast(T: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return the echoes of the laser at a pose, (N, 3), in its frame."""
+    reach = distances(T, rng)
     return np.stack([reach * np.cos(AZIMUTH), reach * np.sin(AZIMUTH), 0 * reach], axis=1).astype(np.float32)
 
 
@@ -55,7 +63,7 @@ def write_log(path: Path, poses: NDArray[np.float64], seed: int = 0) -> Path:
     """Write the scans at some poses as a CARMEN log, 0.5 s apart."""
     rng, lines = np.random.default_rng(seed), []
     for k, T in enumerate(poses):
-        ranges = np.hypot(*cast(T, rng)[:, :2].T)
+        ranges = distances(T, rng)
         place = f"{T[0, 3]:.6f} {T[1, 3]:.6f} {math.atan2(T[1, 0], T[0, 0]):.6f}"
         beams = " ".join(f"{r:.3f}" for r in ranges)
         lines.append(f"FLASER {len(ranges)} {beams} {place} {place} {0.5 * k + 100:.3f} host {0.5 * k:.3f}")
