@@ -19,6 +19,7 @@ from torch.utils.data import Dataset
 
 from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, ray_masses
 from ogm.deep.points import to_ground_frame
+from ogm.geometric import shows_ground
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.scan import Frame, Scan
@@ -182,7 +183,8 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
     -------
     dict
         ``height``: of the sensor above ground [m]. ``points``: in a scan. ``intensity``: a scan's mean on the grid, of
-        98 % of the scans, widened by two standard deviations of the augmentation's factor.
+        98 % of the scans, widened by two standard deviations of the augmentation's factor. ``ground``: 1 for a scan
+        that shows the ground, else 0.
     """
     rows, shards = [], dataset.shards
     chosen = np.linspace(0, len(dataset) - 1, count).astype(int)
@@ -195,11 +197,12 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
         batch = PillarDataset([frame], dataset.spec, PLAIN, dataset.z_range)[0]
         intensity = batch.pillars.features[:, 3]
         mean = float(intensity.mean()) if len(intensity) else 0.0
-        rows.append((frame.mount.sensor_height, len(frame.scan), mean))
+        rows.append((frame.mount.sensor_height, len(frame.scan), mean, shows_ground(frame.scan, frame.mount)))
     low, high = np.quantile(rows, (0, 1), axis=0).tolist()
     low[2], high[2] = np.quantile(np.array(rows)[:, 2], (0.01, 0.99)).tolist()
     factor = float(np.exp(2 * dataset.augmentation.gain))
-    return {"height": (low[0], high[0]), "points": (low[1], high[1]), "intensity": (low[2] / factor, high[2] * factor)}
+    ranges = {"height": (low[0], high[0]), "points": (low[1], high[1])}
+    return ranges | {"intensity": (low[2] / factor, high[2] * factor), "ground": (low[3], high[3])}
 
 
 def augment(

@@ -48,7 +48,7 @@ def description_checksum(description: Mapping[str, Any]) -> str:
 def check_description(description: dict[str, Any]) -> None:
     """Raise a ValueError if the ranges of the training data are impossible: `DeepISM` compares scans with them."""
     ranges = description.get("seen", {})
-    good = isinstance(ranges, dict) and set(ranges) <= {"height", "points", "intensity"}
+    good = isinstance(ranges, dict) and set(ranges) <= {"height", "points", "intensity", "ground"}
     for pair in ranges.values() if isinstance(ranges, dict) else ():
         numbers = isinstance(pair, list) and len(pair) == 2 and all(type(n) in (int, float) for n in pair)
         good = good and numbers and -math.inf < pair[0] <= pair[1] < math.inf

@@ -72,7 +72,7 @@ class DeepISM:
     calibrate differently. A scan of over 1.2 times the most points of the training is thinned to that number, by the
     same random choice every time. A scan of a tenth of the fewest points of the training, or less, gives an unknown
     grid. A scan that does not show the ground, as of a lidar of few layers, gives the masses of rays, or an unknown
-    grid by a network without them.
+    grid by a network without them, unless the training had such scans.
     """
 
     mount: Mount | None
@@ -95,9 +95,9 @@ class DeepISM:
         self.description = dict(engine.description if description is None else description)
         x, y = (0.0, 0.0) if mount is None else map(float, mount.origin[:2])
         self.spec = _moved(self.engine.spec, x, y) if spec is None else spec
-        ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf)}
+        ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf), "ground": (1.0, 1.0)}
         ranges |= self.description.get("seen", {})
-        self._point_range, self._intensity_range, self._height_range = ranges.values()
+        self._point_range, self._intensity_range, self._height_range, self._ground_range = ranges.values()
         self._placed: dict[Mount, _Placed] = {}
         if mount is not None:
             self._at(mount)
@@ -182,7 +182,7 @@ class DeepISM:
         mass = placed.engine.masses(pillars, rays)
         # The network was not trained on scans that do not show the ground: the masses of rays, or unknown
         for k, scan in enumerate(given):
-            if not shows_ground(scan, mounts[0]):
+            if self._ground_range[0] > 0 and not shows_ground(scan, mounts[0]):
                 mass[k] = 0 if rays is None else rays[k]
         # Nor on cells under the ego vehicle, nor on scans without points: unknown
         mass[:, *placed.ego_cells] = 0
