@@ -11,7 +11,7 @@ from ogm.fusion import make_mapper
 from ogm.geometric import PlanarISM
 
 ROOT = Path(__file__).parent.parent
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT / "examples"))
 from hall import cast, drive  # noqa: E402
 
 PICTURE = ROOT / "docs" / "pictures" / "building.png"
