@@ -48,7 +48,8 @@ def pose(
     """
     T = np.eye(4)
     for turn in ((0, 0, yaw), (0, pitch, 0), (roll, 0, 0)):
-        T[:3, :3] = T[:3, :3] @ vector_to_matrix(turn)
+        if any(turn):
+            T[:3, :3] = T[:3, :3] @ vector_to_matrix(turn)
     T[:3, 3] = x, y, z
     return check_pose(T)
 

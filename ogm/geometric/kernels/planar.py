@@ -138,5 +138,6 @@ def combine_claims(
     """
     for i in range(free.shape[0]):
         for j in range(free.shape[1]):
-            mass[i, j, 0] = np.float32(0) if occupied[i, j] > false_alarm else free[i, j]
+            rest = np.float32(0) if occupied[i, j] > false_alarm else np.float32(1) - occupied[i, j]
+            mass[i, j, 0] = min(free[i, j], rest)
             mass[i, j, 1] = occupied[i, j]

@@ -61,6 +61,7 @@ def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
             value = (1 - ism.p_false_alarm) * weight * beyond
             mass[cell][1] = max(mass[cell][1], value)
     mass[mass[..., 1] > ism.p_false_alarm, 0] = 0
+    mass[..., 0] = np.minimum(mass[..., 0], 1 - mass[..., 1])
     a, b, c, d = ism.mount.ego_footprint  # type: ignore[union-attr]
     mass[np.ix_((xs > a) & (xs < b), (ys > c) & (ys < d))] = 0
     return mass
