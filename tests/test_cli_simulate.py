@@ -164,6 +164,7 @@ def test_a_recipe_is_named_in_the_data_set_and_goes_on_without_it(
     assert "ogm.samples/4" in ogm("info", tmp_path / "data").output
 
 
+@pytest.mark.slow
 def test_preview_draws_a_sample_and_its_town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("_from_the_air", "_from_behind"):  # the same views with fewer pixels
         camera = getattr(studio, name)

@@ -82,6 +82,7 @@ def run(tmp_path: Path) -> Run:
     return written
 
 
+@pytest.mark.slow
 def test_a_changed_helper_in_another_file_is_compiled_anew(run: Run) -> None:
     assert run(2) == ["6", "1"]
     assert run(2) == ["6", "0"]

@@ -245,6 +245,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, recipe: Recipe) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_training_learns_and_states_where_the_weights_come_from(run: Path) -> None:
     rows = [[float(v) for v in row.split(",")[2:4]] for row in (run / "log.csv").read_text().splitlines()[1:]]
     assert rows[-1][0] < 0.8 * rows[0][0]  # the training loss
@@ -284,6 +285,7 @@ def test_a_recipe_of_radar_is_not_for_lidars(tmp_path: Path) -> None:
     refused("networks of lidars take a GridSpec", train, [], frames(1), SMALL, tmp_path, LITE_RECIPE)
 
 
+@pytest.mark.slow
 def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
     refused("describes no network", load_network, run / "best.safetensors", error=OgmError)
     from ogm.deep.engines import weights_of
@@ -299,6 +301,7 @@ def exported(run: Path) -> Path:
     return run / "radar.onnx"
 
 
+@pytest.mark.slow
 def test_the_exported_network_gives_the_grid_of_torch(run: Path, exported: Path) -> None:
     model = DeepRadarISM.load(exported, spec=SPEC, mount=CORNER)
     wanted = DeepRadarISM.load(run, spec=SPEC, mount=CORNER)(sweep(9)).mass
@@ -307,6 +310,7 @@ def test_the_exported_network_gives_the_grid_of_torch(run: Path, exported: Path)
     assert model.engine.description["data"] == "made up"
 
 
+@pytest.mark.slow
 def test_damaged_exports_are_refused(exported: Path, tmp_path: Path) -> None:
     path, data = tmp_path / "radar.onnx", exported.read_bytes()
     flipped = bytearray(data)

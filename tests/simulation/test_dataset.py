@@ -18,7 +18,7 @@ from ogm.state import CellState
 from ogm.truth import TRUTH_SPEC
 from ogm.truth.boxes import count_returns
 
-pytestmark = pytest.mark.usefixtures("kept_towns")
+pytestmark = [pytest.mark.usefixtures("kept_towns"), pytest.mark.slow]  # towns take seconds; test_cli_simulate has one
 PLAN = DatasetPlan(town_size=240.0, mounts=only("vlp-32c"))
 
 
@@ -34,7 +34,6 @@ def same(a: SimulatedSample, b: SimulatedSample) -> bool:
     return arrays and np.array_equal(a.truth.state, b.truth.state) and a.yaw_rate == b.yaw_rate
 
 
-@pytest.mark.slow
 def test_a_sample_depends_on_plan_and_number_alone(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     """Not on what was made before, in another town, from another drive, or with how many cores."""
     dataset.make_sample(PLAN, "training", 12)
@@ -136,7 +135,6 @@ def test_points_are_those_of_the_lidar() -> None:
         np.testing.assert_allclose(beams.times, spec.times, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_mounting_and_ego_motion_are_kept() -> None:
     mount = LidarMount("hdl-32e", 1.0, (1.7, 2.1), (-0.3, 0.3), 0.04)
     plan = replace(PLAN, mounts=(mount,), in_motion=1.0, bad_weather=1.0)
@@ -153,7 +151,6 @@ def test_mounting_and_ego_motion_are_kept() -> None:
     assert np.linalg.norm(sample.velocity - (sample.velocity @ forward_axis) * forward_axis) < 0.5
 
 
-@pytest.mark.slow
 def test_both_ways_to_observe_the_truth_agree(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     hd = dataset.make_sample(replace(PLAN, truth="hd", hd_layers=300), "training", 3)
     assert np.array_equal(hd.steps, pair[0].steps)
@@ -163,7 +160,6 @@ def test_both_ways_to_observe_the_truth_agree(pair: tuple[SimulatedSample, Simul
     assert np.mean(a[both] == b[both]) > 0.95
 
 
-@pytest.mark.slow
 def test_without_truth_the_scans_are_the_same(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     bare = dataset.make_sample(replace(PLAN, truth="none"), "training", 3)
     assert same(replace(bare, truth=pair[0].truth), pair[0])

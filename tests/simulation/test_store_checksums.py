@@ -47,6 +47,7 @@ def content(sample: SimulatedSample) -> list[Any]:
     return [*(one.tobytes() for one in (*arrays, *poses)), *facts]
 
 
+@pytest.mark.slow
 def test_flipped_bits_are_found(store: Store) -> None:
     """In chunks of the second shard, which is read in a third of the first one's time, and in metadata."""
 
