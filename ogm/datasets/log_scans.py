@@ -95,7 +95,9 @@ class LogScans:
         self.cameras = {name: camera_of(log, name) for name in self.topics if log.topics[name].type == IMAGE}
         self.transforms.heads = self._with_bodies(self.transforms.heads)
         named = [(log.topic_of(ref), head.frame) for ref, head in self.transforms.heads]
-        frames = {key: self._spelled(key[1]) if key[1] else self._unnamed(key[0], named) for key in dict.fromkeys(named)}
+        frames = {
+            key: self._spelled(key[1]) if key[1] else self._unnamed(key[0], named) for key in dict.fromkeys(named)
+        }
         sensors = {name: self._sensor(name, placed) for name in frames.values()}
         clock = self.transforms.clock
         rows = zip(self.transforms.heads, named, clock.stamps.tolist(), clock.parts.tolist(), strict=True)
@@ -258,7 +260,9 @@ class LogScans:
             Topics and frames of all scans.
         """
         others = {frame for name, frame in named if name == topic and frame}
-        found = sorted(others) or (lidar_frames(self.transforms.buffer) if len(self.topics) == 1 else [])
+        possible = [facts.type for facts in self.log.topics.values() if facts.type in (*_LIDAR_TYPES, *PLANAR_TYPES)]
+        is_only = self.log.topics[topic].type in possible and len(possible) == 1
+        found = sorted(others) or (lidar_frames(self.transforms.buffer) if is_only else [])
         if len(found) != 1:
             return unnamed_frame(topic)
         why = "that of the others" if others else "the only frame of a lidar in transforms"

@@ -83,7 +83,7 @@ def test_unusual_transforms_cost_no_pose(
     assert all(any(note in record.getMessage() for record in caplog.records) for note in notes)
 
 
-@each("name, told", [("", "the scans of /points name no frame"), ("velo", "no transform leads to velo, the frame of /poi")])
+@each("name, told", [("", "the scans of /points name no frame"), ("velo", "no transform leads to velo, the frame")])
 def test_a_given_mount_joins_scans_of_an_unknown_frame(tmp_path: Path, name: str, told: str) -> None:
     drive = messages_of(SCANS)
     mounted(drive, [0.0], "/tf_static")
