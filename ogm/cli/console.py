@@ -62,16 +62,16 @@ def with_options(text: str) -> str:
 
 
 def complain(text: str) -> None:
-    """Print a line about what is wrong, in the words of the command line."""
-    stderr.print(f"ogm: {with_options(text)}", markup=False)
+    """Print a line about what is wrong."""
+    stderr.print(f"ogm: {text}", markup=False)
 
 
 class SafeConsole(Console):
-    """A console that prints every text `printable`, also in tables."""
+    """A console that prints every text `printable` and in the words of the command line, also in tables."""
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Return the text as rich has it."""
-        return super().render_str(printable(text), **options)
+        return super().render_str(printable(with_options(text)), **options)
 
 
 class SafeFormatter(logging.Formatter):

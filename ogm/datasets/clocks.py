@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 BACK = 0.5  # [s] by which stamps fall behind the log time in one step, and go back, where a clock was put back
 AHEAD = 60.0  # [s] by which stamps run ahead of the log time in one step where a clock was put ahead
 AGREE = 3  # scans in a row that agree with each other, from which a clock is believed to be another
-LATE = 10.0  # [s] behind the newest stamp, up to which a single scan is late and not wrong
+LATE = 10.0  # [s] behind the newest stamp, up to which a message is late and not wrong
 _NEAR = 2.0  # [s] of log time within which topics that are cut are cut together
 _SPEEDS = (0.5, 2.0)  # of stamps against log time, between which they are taken for 1
 _APART = 1000.0  # [s] between two parts on the time line: more than any transform is interpolated over
@@ -18,7 +18,8 @@ _COARSE = 2.0**-9  # [s] the least step of stamps that are too coarse: that of 3
 _START = 10.0  # [s] after 0, up to which the scan after one of stamp 0 shows that its clock began at 0
 _TWICE = 0.3  # of the step of stamps, at least, that messages of one coarse stamp last
 _EXAMPLES = 100  # stamps
-_OFFSET = 2.0  # [s] between two clocks: more than any transform takes to be computed
+_OFFSET = 2.0  # [s] between two clocks: more than most transforms take to be computed
+_VARIES = 0.1  # [s] of the middle half of delays: those of a slow computation vary, those of a clock are constant
 STRAY = -1
 """Part of a scan with a stamp that agrees with no other."""
 
@@ -204,6 +205,10 @@ def clock_offset(
 ) -> list[ClockFinding]:
     """Return a finding where the clocks of scans and of other messages differ by over 2 s; else none.
 
+    Stamps up to 10 s behind are those of late messages, as of a slow SLAM, where the delay varies by more than 0.1 s
+    (between its quartiles), or where the stamps begin with those of the scans: a clock that is behind gives
+    some from before.
+
     Parameters
     ----------
     topic : str
@@ -222,8 +227,10 @@ def clock_offset(
         return []
     order = np.argsort(other_times)
     behind = np.interp(log_times[inside], other_times[order], (other_times - others)[order])
-    offset = float(np.median(behind - (log_times - stamps)[inside]))
-    if abs(offset) <= _OFFSET:
+    quartile, offset, other_quartile = np.percentile(behind - (log_times - stamps)[inside], [25, 50, 75]).tolist()
+    begins_late = others.min() >= np.nanmin(stamps) - _SLACK
+    is_late = 0 < offset <= LATE and (begins_late or other_quartile - quartile > _VARIES)
+    if abs(offset) <= _OFFSET or is_late:
         return []
     text = f"stamps are {abs(offset):.4g} s {'ahead of' if offset > 0 else 'behind'} those of the {what}, by log times"
     way = (

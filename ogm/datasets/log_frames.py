@@ -15,6 +15,16 @@ _LIDAR = re.compile(
 )
 
 
+def unnamed_frame(topic: str) -> str:
+    """Return the name that stands for the frame of the scans of a topic whose headers name none."""
+    return f"(frame of {topic})"
+
+
+def lidar_frames(buffer: TransformBuffer) -> list[str]:
+    """Return the frames of a transform buffer with the name of a lidar, of several in a chain the last."""
+    return _lidars(_children(buffer), buffer.frames)
+
+
 def sensor_frame(buffer: TransformBuffer, frame: str, vehicle: Sequence[str]) -> str:
     """Return the frame of the sensor that measured a cloud.
 
@@ -34,9 +44,7 @@ def sensor_frame(buffer: TransformBuffer, frame: str, vehicle: Sequence[str]) ->
     OgmError
         If the frame lies above the vehicle, and transforms do not lead from there to one lidar.
     """
-    children: dict[str, list[str]] = {}
-    for parent, child in buffer.pairs:
-        children.setdefault(parent, []).append(child)
+    children = _children(buffer)
     below = _below(children, frame)
     if frame in vehicle:  # a cloud of several lidars has no place of its own
         lidars = _lidars(children, below)
@@ -54,6 +62,14 @@ def sensor_frame(buffer: TransformBuffer, frame: str, vehicle: Sequence[str]) ->
         way = "give `sensor_position` (x, y, z in base_link), or by `topic` the cloud in its sensor's frame"
         raise OgmError(f"{where}, and transforms {found}: {way}")
     return lidars[0]
+
+
+def _children(buffer: TransformBuffer) -> dict[str, list[str]]:
+    """Return the frames directly below each frame."""
+    children: dict[str, list[str]] = {}
+    for parent, child in buffer.pairs:
+        children.setdefault(parent, []).append(child)
+    return children
 
 
 def _below(children: dict[str, list[str]], frame: str) -> list[str]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ogm.datasets.clocks import STRAY, ClockFinding
 from ogm.datasets.frames import FrameRef, SensorPlace
+from ogm.datasets.log_frames import lidar_frames, unnamed_frame
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.sensor_setup import SensorSetup, setup_of
 from ogm.io.depth import Intrinsics
@@ -93,13 +94,16 @@ class LogScans:
         self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
         self.cameras = {name: camera_of(log, name) for name in self.topics if log.topics[name].type == IMAGE}
         self.transforms.heads = self._with_bodies(self.transforms.heads)
-        frames = {name: self._spelled(name) for name in {head.frame for _, head in self.transforms.heads}}
-        sensors = {frame: self._sensor(name, placed) for frame, name in frames.items()}
+        named = [(log.topic_of(ref), head.frame) for ref, head in self.transforms.heads]
+        frames = {
+            key: self._spelled(key[1]) if key[1] else self._unnamed(key[0], named) for key in dict.fromkeys(named)
+        }
+        sensors = {name: self._sensor(name, placed) for name in frames.values()}
         clock = self.transforms.clock
-        rows = zip(self.transforms.heads, clock.stamps.tolist(), clock.parts.tolist(), strict=True)
+        rows = zip(self.transforms.heads, named, clock.stamps.tolist(), clock.parts.tolist(), strict=True)
         scans = [
-            ScanRef(ref, log.topic_of(ref), sensors[head.frame], frames[head.frame], head.time, stamp, part)
-            for (ref, head), stamp, part in rows
+            ScanRef(ref, key[0], sensors[frames[key]], frames[key], head.time, stamp, part)
+            for (ref, head), key, stamp, part in rows
             if part != STRAY
         ]
         mounts = {name: setup_of(setups, name).T_vehicle_sensor for name in self.topics}
@@ -245,6 +249,25 @@ class LogScans:
             return frame
         self.transforms.notes.append(f"the frame {frame} of scans is taken for {alike[0]}, that of transforms")
         return alike[0]
+
+    def _unnamed(self, topic: str, named: Iterable[tuple[str, str]]) -> str:
+        """Return the frame of scans whose headers name none: of the topic's others, or of the only lidar in transforms.
+
+        Parameters
+        ----------
+        topic : str
+        named : iterable of (str, str)
+            Topics and frames of all scans.
+        """
+        others = {frame for name, frame in named if name == topic and frame}
+        possible = [facts.type for facts in self.log.topics.values() if facts.type in (*_LIDAR_TYPES, *PLANAR_TYPES)]
+        is_only = self.log.topics[topic].type in possible and len(possible) == 1
+        found = sorted(others) or (lidar_frames(self.transforms.buffer) if is_only else [])
+        if len(found) != 1:
+            return unnamed_frame(topic)
+        why = "that of the others" if others else "the only frame of a lidar in transforms"
+        self.transforms.notes.append(f"scans of {topic} without frame are taken for those of {found[0]}, {why}")
+        return self._spelled(found[0])
 
     def _sensor(self, frame: str, placed: bool) -> str:
         """Return the frame of the sensor of clouds, or that of the vehicle, in which its position is given."""

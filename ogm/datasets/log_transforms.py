@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.clocks import ClockFinding, DriveClock, clock_offset, coarse_stamps
-from ogm.datasets.log_frames import FIXED, sensor_frame
+from ogm.datasets.log_frames import FIXED, sensor_frame, unnamed_frame
 from ogm.io.depth import T_OPTICAL_BODY
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageHead, MessageRef
@@ -260,7 +260,11 @@ class LogTransforms:
             read = " that can be read" * bool(self.lost)
             return f"the log has no transforms (/tf, /tf_static){read} and no odometry"
         if sensor not in self.buffer.frames:
-            return f"no transform leads to {sensor or 'a frame without name'}, the frame of {topic}; there are {frames}"
+            unnamed = sensor == unnamed_frame(topic)
+            what = f"the scans of {topic} name no" if unnamed else f"no transform leads to {sensor}, the"
+            way = f"; `setups` with its mount joins it with {_VEHICLE}" * bool(self._named(_VEHICLE))
+            of_topic = "" if unnamed else f" of {topic}"
+            return f"{what} frame{of_topic}; there are {frames}{way}"
         root = self._root(sensor)
         fixed = [frame for name in FIXED for frame in self._named(name)]
         if root == sensor or not self._joined([root], sensor):

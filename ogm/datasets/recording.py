@@ -410,6 +410,11 @@ def why_no_height(points: NDArray[np.float32]) -> str:
     ----------
     points : (N, 4) float32
     """
+    from ogm.geometric.inputs import explain_coordinates, extent_text  # compiles kernels, which most callers need not
+
+    finite = points[np.isfinite(points[:, :3]).all(axis=1), :3]
+    if len(finite) and (cause := explain_coordinates(finite)):
+        return f" (its points lie at {extent_text(finite)}: {cause})"
     plane = ground_plane(points)
     if plane is not None and plane.incline > MAX_INCLINE:
         return (

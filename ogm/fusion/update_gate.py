@@ -144,12 +144,12 @@ class UpdateGate:
         if elapsed < -self.max_delay:
             raise StampJump(
                 f"stamp {time} s is {-elapsed:.6g} s older than the map ({self.stamp} s), allowed are "
-                f"{self.max_delay:g} s; sort the scans, set max_delay, or call reset() if the clock was put back"
+                f"{self.max_delay:g} s: sort the scans by stamp; after a clock was put back, begin a new map"
             )
         if elapsed > MAX_GAP:
             raise StampJump(
                 f"stamp {time} follows {self.stamp}: a gap of {elapsed:.4g} s; are the stamps in seconds? "
-                "Call reset() to begin a new drive"
+                "A new drive needs a new map"
             )
         if time is not None:
             self._check_jump(vehicle, time)
@@ -202,7 +202,7 @@ class UpdateGate:
             raise PoseJump(
                 f"the pose jumps by {distance:.3g} m and {math.degrees(turn):.3g} degrees since the last scan that was "
                 f"accepted, {seconds:.3g} s before (allowed: {self.max_speed:g} m/s): leave the scan out if it is a "
-                "glitch, call reset() after a closed loop, or set max_speed"
+                "glitch; begin a new map after a closed loop"
             )
         self._refused = None
 

@@ -74,19 +74,36 @@ def explain_nothing(scan: Scan, spec: GridSpec, mount: Mount) -> str:
     if not len(points):
         return f"{lead} none lies within 1000 km; wanted metres, around the sensor"
     xyz = points @ mount.T_vehicle_points[:3, :3].T + mount.T_vehicle_points[:3, 3]
-    low, high, middle = xyz.min(axis=0), xyz.max(axis=0), np.median(xyz, axis=0)
-    extent = ", ".join(f"{axis} {a:.0f} to {b:.0f} m" for axis, a, b in zip("xyz", low, high, strict=True))
-    count, spread = int(spec.contains(xyz[:, 0], xyz[:, 1]).sum()), float(max(high[:2] - low[:2]))
-    if float(np.hypot(*middle[:2])) > max(spread / 2, spec.length):
-        centre = ", ".join(f"{value:.0f}" for value in middle)
-        cause = f"in map coordinates, around ({centre}) m? Give `sensor_position`, or points around the sensor"
-    elif spread > 2 * NEAR:
-        cause = "in millimetres? Divide them by 1000"
-    elif count:
+    count = int(spec.contains(xyz[:, 0], xyz[:, 1]).sum())
+    cause = explain_coordinates(xyz, spec.length)
+    if not cause and count:
         cause = f"the ground is expected at z {mount.ground_point[2]:.2f} m: check `sensor_height` and `axes`"
-    else:
+    elif not cause:
         cause = f"beyond the grid of {spec.length:g} x {spec.width:g} m? Give a larger `length` and `width`"
-    return f"{lead}, {extent}, {count} lie on it; {cause}"
+    return f"{lead}, {extent_text(xyz)}, {count} lie on it; {cause}"
+
+
+def extent_text(xyz: NDArray[np.floating[Any]]) -> str:
+    """Return the extent of points (N, 3) [m] in words."""
+    ends = zip("xyz", xyz.min(axis=0), xyz.max(axis=0), strict=True)
+    return ", ".join(f"{axis} {low:.0f} to {high:.0f} m" for axis, low, high in ends)
+
+
+def explain_coordinates(xyz: NDArray[np.floating[Any]], near: float = NEAR / 10) -> str:
+    """Return why points are not around their sensor or not in metres, as a question with the way out; else "".
+
+    Parameters
+    ----------
+    xyz : (N, 3) float
+        At least one finite point [m].
+    near : float
+        Distance [m] up to which the middle of the points lies around their sensor.
+    """
+    middle, spread = np.median(xyz, axis=0), float(np.ptp(xyz[:, :2], axis=0).max())
+    if float(np.hypot(*middle[:2])) > max(spread / 2, near):
+        centre = ", ".join(f"{value:.0f}" for value in middle)
+        return f"in map coordinates, around ({centre}) m? Give `sensor_position`, or points around the sensor"
+    return "in millimetres? Divide them by 1000" if spread > 2 * NEAR else ""
 
 
 def _warn(invalid: int, count: int) -> None:

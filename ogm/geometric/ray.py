@@ -199,7 +199,7 @@ class RayISM:
         seen = f"only {shown} returns show" if shown else "no return shows"
         _log.warning(
             "%s the ground: it is taken to lie %.2f m below the sensor, and what rises above it is an obstacle; "
-            "check `sensor_height` (--sensor-height), and use the model `planar` for a laser in one plane",
+            "check `sensor_height`, and use the model `planar` for a laser in one plane",
             seen,
             mount.sensor_height,
         )

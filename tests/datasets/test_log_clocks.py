@@ -12,7 +12,7 @@ from commands import completed
 
 from ogm import Scan
 from ogm.datasets import open_dataset
-from ogm.datasets.clocks import STRAY, clock_findings, clock_parts, joint_parts
+from ogm.datasets.clocks import STRAY, clock_findings, clock_offset, clock_parts, joint_parts
 from ogm.fusion import EvidentialMapper, fuse
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
@@ -99,6 +99,22 @@ def test_clock_findings(stamps: np.ndarray, kinds: list[str], what: str) -> None
         assert re.search(what, finding.what), finding
         assert finding.where.startswith("/points")
         assert finding.way_out
+
+
+SPREAD = np.random.default_rng(1).uniform(-0.4, 0.4, 40)
+
+
+@each("stamps, log_times, found", [
+        (T0 + TIME, T0 + TIME + 2.5, ""),  # a slow SLAM that began with the log
+        (T0 - 4.0 + TIME, np.sort(T0 - 1.5 + TIME + SPREAD), ""),  # one that ran before
+        (T0 - 4.0 + TIME, T0 - 1.5 + TIME, "2.45 s ahead of those of the transforms"),
+        (T0 - 20.0 + TIME, np.sort(T0 + TIME + SPREAD), "s ahead"),  # later than anything is computed
+        (T0 + 2.5 + TIME, np.sort(T0 + TIME + SPREAD), "s behind"),
+        (T0 - 1.5 + TIME, T0 + TIME, ""),
+    ])  # fmt: skip
+def test_late_transforms_are_no_offset_of_clocks(stamps: np.ndarray, log_times: np.ndarray, found: str) -> None:
+    findings = clock_offset("/points", T0 + TIME + 0.05, T0 + TIME, "transforms", log_times, stamps)
+    assert [found in str(one) for one in findings] == [True] * bool(found)
 
 
 # --- Logs --------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import pytest
 from cases import each
 from random_logs import CLOUD, START, STEP, TF, Drive, Message, made_scans, messages_of, restamp, write
 
-from ogm.datasets import open_dataset
+from ogm.datasets import SensorSetup, open_dataset
 from ogm.io.messages import StampedTransform, tf_message
 from ogm.pose import pose
 from ogm.workflows import check_drive
@@ -64,6 +64,8 @@ def _doubled(drive: Drive) -> None:
         (lambda drive: _named(drive, "/lidar/"), ""),
         (lambda drive: _named(drive, " lidar"), ""),
         (lambda drive: _named(drive, "LiDAR"), "the frame LiDAR of scans is taken for lidar"),
+        (lambda drive: _named(drive, ""), "scans of /points without frame are taken for those of lidar, the only"),
+        (lambda drive: _named(drive[:4], "/"), "without frame are taken for those of lidar, that of the others"),
         (_all_static, "different static transforms from lidar to map: each counts at its stamp"),
         (_two_parents, "lidar has the parents odom, map: the shortest way counts, map <- lidar"),
         (_doubled, ""),
@@ -79,6 +81,20 @@ def test_unusual_transforms_cost_no_pose(
     assert len(notes) == bool(line)
     assert all(line in note for note in notes)
     assert all(any(note in record.getMessage() for record in caplog.records) for note in notes)
+
+
+@each("name, told", [("", "the scans of /points name no frame"), ("velo", "no transform leads to velo, the frame")])
+def test_a_given_mount_joins_scans_of_an_unknown_frame(tmp_path: Path, name: str, told: str) -> None:
+    drive = messages_of(SCANS)
+    mounted(drive, [0.0], "/tf_static")
+    other = tf_message([StampedTransform("base_link", "rear_lidar", START, pose(z=9.0))])
+    drive.append(Message(topic="/tf_static", type=TF, message=other, time=START))
+    _named(drive, name)
+    path = write(tmp_path / "a.mcap", drive)
+    assert told in (poses := open_dataset(path).facts["poses"])
+    assert "`setups` with its mount joins it with base_link" in poses
+    dataset = open_dataset(path, setups=SensorSetup("/points", mount=(0.0,) * 6))
+    np.testing.assert_allclose([ref.T_map_sensor for ref in dataset.refs], [T for _, T in SCANS], atol=1e-6)
 
 
 def _offset(drive: Drive, seconds: float) -> None:

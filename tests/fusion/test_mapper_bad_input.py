@@ -72,7 +72,7 @@ def test_a_pose_in_camera_axes_is_refused():
 def test_a_closed_loop_is_refused_until_reset_which_begins_a_new_map(name):
     mapper, fresh = begun(name), MAPPERS[name](SPEC)
     refused(
-        r"call reset\(\) after a closed loop", mapper.update, uniform(SPEC), pose(200.0), stamp=10.1, error=PoseJump
+        r"begin a new map after a closed loop", mapper.update, uniform(SPEC), pose(200.0), stamp=10.1, error=PoseJump
     )
     mapper.reset()
     assert (mapper.stamp, mapper.T_map_vehicle, mapper.scans) == (None, None, 0)

@@ -89,6 +89,7 @@ PARSERS: dict[str, Callable[[bytes, Path], Table]] = {
     ".laz": parse_las,
     ".npy": parse_npy,
 }
+_MAPS = (".npz", ".png", ".jpg", ".jpeg", ".pgm", ".yaml", ".yml", ".tif", ".tiff", ".nc", ".zarr")
 _SIGNATURES = (
     (b"# .PCD", "a PCD cloud", (".pcd",)),
     (b"ply\n", "a PLY cloud", (".ply",)),
@@ -123,9 +124,11 @@ def parse(data: bytes, path: Path) -> Table:
         If the ending is not known, the first bytes are another format's, or the file is damaged.
     """
     if (suffix := next((one for one in PARSERS if path.name.lower().endswith(one)), None)) is None:
+        is_map = path.suffix.lower() in _MAPS
+        way_out = "`ogm view` shows maps and pictures of maps" if is_map else "name the file after its format"
         raise OgmError(
             f"{path} ends in {path.suffix or 'no suffix'}, wanted {', '.join(PARSERS)}, or one of these "
-            "and .xz or .gz: name the file after its format"
+            f"and .xz or .gz; {way_out}"
         )
     for signature, what, suffixes in _SIGNATURES:
         if data.startswith(signature) and suffix not in suffixes:
