@@ -20,7 +20,7 @@ from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
 from ogm.io.messages import StampedTransform
-from ogm.models.named import title_of
+from ogm.models.named import part_for, title_of
 from ogm.plot import Panel
 from ogm.plot.movie import Movie
 from ogm.plot.moving import moving_groups
@@ -84,6 +84,7 @@ class FusionRun:
     path: float = 0.0  # [m]
     speed: float = math.nan  # [m/s]
     seconds: list[tuple[float, float]] = field(default_factory=list)  # of model and mapper
+    models: dict[str, None] = field(default_factory=dict)  # parts of the model that scans were mapped by
     reasons: Counter[str] = field(default_factory=Counter)  # of skipped scans, without their numbers
     turned: list[float] = field(default_factory=list)  # [rad] within scans by more than `MAX_TURN`
 
@@ -176,6 +177,7 @@ class FusionRun:
         self.track.append(step.T_map_grid[:2, 3].tolist())  # type: ignore[index]
         self.taken.append(k)
         self.seconds.append(step.seconds)
+        self.models[part_for(self.names[0], step.frame.scan)] = None
         self.last = step
 
     def check_shown(self) -> None:
@@ -275,7 +277,7 @@ class FusionRun:
             "scans": f"{len(self.taken)} mapped, {self.failed} skipped",
             "time": f"{self.elapsed:.1f} s",
             "path": f"{self.path:.1f} m",
-            **{self.names[0]: model, "mapper": mapper, "map": f"{cells}: {_shares(self.mapper.grid)}"},
+            **{"+".join(self.models): model, "mapper": mapper, "map": f"{cells}: {_shares(self.mapper.grid)}"},
         }
         if isinstance(self.mapper, DynamicMapper):
             groups = moving_groups(self.mapper.dynamic_grid)
