@@ -41,6 +41,7 @@ _COMPILED: dict[Rule, int] = {
     **{dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE, normalized_cautious: CAUTIOUS, revise: REVISION}
 }
 _NOTHING = np.zeros((1, 1, 2), np.float32)
+_NOTHING.flags.writeable = False
 _NOWHERE = np.array([[1.0, 0.0, 1e9], [0.0, 1.0, 1e9]])  # affine map to cells that `_NOTHING` does not have
 
 
@@ -320,7 +321,9 @@ class EvidentialMapper(Mapper):
             return ScanLookup(_NOTHING, _NOWHERE, 1)
         if scan.elapsed < 0:
             mass = self._aged(mass, -scan.elapsed)
-        return ScanLookup(np.ascontiguousarray(mass), scan.affine, scan.samples)
+        values = np.ascontiguousarray(mass).view()
+        values.flags.writeable = False  # as masses of some grids are: the kernel is compiled for one type
+        return ScanLookup(values, scan.affine, scan.samples)
 
     def _memory(self, elapsed: float) -> Memory:
         """Return how the map forgets, and the time of a scan [s after the last one]."""

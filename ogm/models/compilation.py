@@ -46,6 +46,7 @@ def main_kernels(job: str) -> Kernels:
         from ogm.fusion.kernels import BeliefLayers, Memory, evidential_update
         from ogm.fusion.lookup import ScanLookup
 
+        f3.flags.writeable = False
         layers, memory = BeliefLayers(f2, f2, d2), Memory(1.0, 1.0, 1.0, 1.0, False, False, 0.0, 0.0)
         return [(evidential_update, (layers, (0, 0), ScanLookup(f3, d2, 1), 1.0, memory, 0, 1.0))]
     from ogm.fusion.dynamic.groups import Groups, find_groups

@@ -98,7 +98,7 @@ def test_unseen_ground_is_stated_once_for_each_model(caplog: pytest.LogCaptureFi
     (line,) = caplog.messages
     assert "no return shows the ground" in line
     assert "0.30 m below the sensor" in line
-    assert "--sensor-height" in line
+    assert "`sensor_height`" in line
     caplog.clear()
     RayISM(SPEC, mount_at(1.0))(cast(SCENES["hall"], LAYERS["16"], 1.0)[0])
     assert not caplog.messages
