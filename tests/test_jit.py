@@ -159,6 +159,7 @@ print(sum(stats.cache_misses.values()) if stats else 0)
 """
 
 
+@pytest.mark.slow
 def test_the_next_process_finds_kernels_on_disk() -> None:
     """A kernel that holds another in its closure has a name of its own in each process, and is compiled in each."""
     missed = [int(subprocess.run([sys.executable, "-c", MERGE], capture_output=True, check=True).stdout) for _ in "ab"]

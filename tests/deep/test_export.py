@@ -22,6 +22,7 @@ from ogm.deep.torch_engine import fused
 from ogm.grid import GridSpec
 
 needs("onnx", "onnxruntime", "onnxscript")
+pytestmark = pytest.mark.slow  # exporting takes a quarter of a minute
 
 OTHER = GridSpec(0.16, (96, 16), (-3.2, -2.0))  # its sides are multiples of both networks'
 NETWORKS = {
