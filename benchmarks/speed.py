@@ -36,6 +36,7 @@ from ogm.geometric.inputs import to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, Points, RayNumbers
 from ogm.geometric.kernels.belief import clear_sectors, ray_mass
 from ogm.geometric.kernels.breaks import ground_breaks
+from ogm.geometric.kernels.evidence import ground_evidence
 from ogm.geometric.kernels.polar import ray_limits
 from ogm.geometric.kernels.rays import sort_rays
 from ogm.pose import pose
@@ -113,11 +114,13 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
     ground = surface_of(ism.ground(xyz, coarse, mount.ground_point), coarse)
     limits, work = ray_limits(ground, origin, numbers.clearance, polar), ray._work_space(len(xyz), polar)
     columns, alarms = Points(*xyz.T), ray._powers(math.sqrt(ism.p_false_alarm))
-    rays = sort_rays(columns, nothing, origin, ground, polar, numbers, work)
+    shown = ground_evidence(columns, origin, mount.sensor_height)
+    rays = sort_rays(columns, nothing, origin, ground, polar, numbers, shown, work)
     calls = {
         "points in the vehicle frame": lambda _: to_vehicle_frame(points, mount, mount.ego_footprint),
+        "returns that show the ground": lambda _: ground_evidence(columns, origin, mount.sensor_height),
         "ground map": lambda _: ism.ground(xyz, coarse, mount.ground_point),
-        "rays, sorted": lambda _: sort_rays(columns, nothing, origin, ground, polar, numbers, work),
+        "rays, sorted": lambda _: sort_rays(columns, nothing, origin, ground, polar, numbers, shown, work),
         "breaks of the ground": lambda _: ground_breaks(rays, limits, polar, numbers),
         "marks and belief, with the breaks": lambda _: clear_sectors(
             rays, columns, origin, limits, polar, cells, numbers, work

@@ -1,5 +1,6 @@
 """Radial velocities from Doppler: whose they are, where, and how fast over ground."""
 
+import lzma
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from cases import each
 
 from ogm import Mount, Scan
-from ogm.geometric.doppler import RadialVelocities, moving_detections, radial_velocities
+from ogm.geometric.doppler import RadialVelocities, moving_detections, radial_velocities, sensor_velocity
 from ogm.pose import inverse, pose, transform_points
 
 CAR, WALLS = 6, 60
@@ -81,6 +82,47 @@ def test_folded_doppler_is_unfolded_by_the_interval():
     unfolded = radial_velocities(replace(folded, doppler_interval=width), mount)
     plain = radial_velocities(scan, mount)
     np.testing.assert_allclose(unfolded.speed, plain.speed, atol=1e-4)
+
+
+@each("interval", [8.0, 10.4, 45.8])
+def test_the_velocity_of_the_sensor_is_found_from_folded_doppler(interval):
+    rng, right = np.random.default_rng(4), 0
+    for _ in range(20):
+        count = rng.integers(60, 400)
+        azimuth, speed, heading = rng.uniform(-1, 1, count), rng.uniform(0, 50), rng.uniform(-np.pi, np.pi)
+        unit, velocity = (
+            np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1),
+            speed * np.array([np.cos(heading), np.sin(heading)]),
+        )
+        doppler = rng.normal(0, 0.1, count) - unit @ velocity + rng.uniform(-20, 20, count) * (rng.random(count) < 0.3)
+        points = np.column_stack([20 * unit, np.zeros((count, 2))]).astype(np.float32)
+        folded = Scan(points, doppler=(doppler + interval / 2) % interval - interval / 2, doppler_interval=interval)
+        found = sensor_velocity(folded)
+        right += found is not None and np.hypot(*(found - velocity)) < 0.3
+    assert right >= 19
+
+
+def test_where_folds_agree_alike_no_velocity_is_found():
+    azimuth = np.linspace(-0.1, 0.1, 100)
+    unit = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    points = np.column_stack([20 * unit, np.zeros((100, 2))]).astype(np.float32)
+    doppler = (5 - 23 * unit[:, 0]) % 10 - 5
+    assert sensor_velocity(Scan(points, doppler=doppler, doppler_interval=10.0)) is None
+
+
+def test_real_folded_doppler_gives_the_speed_ahead(real):
+    speeds = []
+    for path in sorted(real("astyx_radar").glob("radar_6455_*.txt.xz")):
+        with lzma.open(path, "rt") as file:
+            table = np.loadtxt(file, skiprows=2)
+        points = np.column_stack([table[:, :3], np.zeros(len(table))]).astype(np.float32)
+        found = sensor_velocity(Scan(points, doppler=-table[:, 3], doppler_interval=10.4))
+        speeds.append((np.nan, np.nan) if found is None else found)
+    forward, left = np.transpose(speeds)
+    known = np.isfinite(forward)
+    assert known.mean() >= 0.85
+    assert (np.abs(left[known]) < 1).all()
+    assert ((forward[known] > -0.1) & (forward[known] < 20)).all()
 
 
 def test_in_another_frame_places_and_directions_turn_and_speeds_stay():

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.geometric import moving_detections, sensor_velocity
+from ogm.geometric.doppler import unfolded
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.pose import rotate
@@ -143,14 +144,15 @@ def _detections(scan: Scan, mount: Mount, noise: RadarNoise) -> _Detections:
     c, s, (ox, oy, _) = math.cos(ahead), math.sin(ahead), mount.origin
     local = np.zeros((len(scan), 4))
     local[:, 0], local[:, 1] = c * (x - ox) + s * (y - oy), c * (y - oy) - s * (x - ox)
-    flat = Scan(local.astype(np.float32), doppler=scan.doppler)
+    flat = Scan(local.astype(np.float32), doppler=scan.doppler, doppler_interval=scan.doppler_interval)
     distance, azimuth = np.hypot(*local[:, :2].T), np.arctan2(local[:, 1], local[:, 0])
 
     moving, doppler = np.zeros(len(scan), np.bool_), np.zeros(len(scan))
     velocity = sensor_velocity(flat, doppler_noise=noise.doppler_noise)
     if velocity is not None and scan.doppler is not None:
         moving = moving_detections(flat, noise.doppler_noise, noise.azimuth_noise)
-        doppler = scan.doppler + np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1) @ velocity
+        over_ground = scan.doppler + np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1) @ velocity
+        doppler = unfolded(over_ground, scan.doppler_interval)
     strength = np.zeros(len(scan)) if scan.rcs is None else (scan.rcs.astype(np.float64) + 10) / 20
     height = z - mount.ground_point[2]
     x0, x1, y0, y1 = mount.ego_footprint

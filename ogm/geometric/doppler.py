@@ -21,11 +21,14 @@ from ogm.scan import Mount, Scan
 
 __all__ = [
     "DirectionSectors", "RadialVelocities", "direction_sectors", "moving_detections", "nearest_in_direction",
-    "radial_velocities", "sensor_velocity",
+    "radial_velocities", "sensor_velocity", "unfolded",
 ]  # fmt: skip
 
 PAIRS = 128  # of detections that a velocity is guessed from
 LEAST = 5  # detections that a velocity is estimated from
+TOP_SPEED = 60.0  # [m/s] up to which velocities are sought where Doppler folds
+GUESSED_FROM = 1000  # detections that suffice to guess from where Doppler folds
+FOLDED_GUESSES = 8  # velocities that are refined where Doppler folds
 GATE = 3  # standard deviations from a standing world beyond which a detection moves
 
 
@@ -99,7 +102,9 @@ def sensor_velocity(scan: Scan, *, doppler_noise: float = 0.1) -> NDArray[np.flo
 
     Of a standing world, doppler = -v . u for the direction u of each detection. The velocity that most detections
     agree with, of those that pairs of them give, is refined by least squares (Kellner et al., "Instantaneous
-    ego-motion estimation using Doppler radar", 2013). The pairs are the same every time.
+    ego-motion estimation using Doppler radar", 2013). The pairs are the same every time. Where Doppler folds
+    (`Scan.doppler_interval`), all velocities up to 60 m/s are compared by the sum of ``exp(2 pi i r / interval)`` over
+    the residuals r, to which folds are equal, and the best are refined on residuals folded alike.
 
     Parameters
     ----------
@@ -112,11 +117,16 @@ def sensor_velocity(scan: Scan, *, doppler_noise: float = 0.1) -> NDArray[np.flo
     -------
     (2,) float64 or None
         Velocity over ground along the sensor's x and y axes [m/s]; None with fewer than 5 detections, without Doppler,
-        or where less than half of them agree.
+        where less than half of them agree, or where they agree with velocities that differ by folds.
     """
     if scan.doppler is None:
         return None
-    return _velocity(scan.points[:, :2].astype(np.float64), scan.doppler, doppler_noise)
+    return _velocity(scan.points[:, :2].astype(np.float64), scan.doppler, doppler_noise, scan.doppler_interval)
+
+
+def unfolded(speed: NDArray[np.float64], interval: float | None) -> NDArray[np.float64]:
+    """Return speeds [m/s] as those within half of an interval that equal them up to folds; as they are without one."""
+    return speed if interval is None else (speed + interval / 2) % interval - interval / 2
 
 
 def moving_detections(
@@ -136,7 +146,7 @@ def moving_detections(
     if scan.doppler is None:
         return np.zeros(len(scan), np.bool_)
     xy = scan.points[:, :2].astype(np.float64) - (0.0 if origin is None else origin[:2])
-    found = _over_ground(xy, scan.doppler, doppler_noise, azimuth_noise)
+    found = _over_ground(xy, scan.doppler, doppler_noise, azimuth_noise, scan.doppler_interval)
     return np.zeros(len(scan), np.bool_) if found is None else np.abs(found[0]) > GATE * found[1]
 
 
@@ -160,7 +170,7 @@ def radial_velocities(
     ----------
     scan : Scan
         With `Scan.doppler` against the sensor or over ground. If it has a `Scan.doppler_interval`, speeds over ground
-        are taken to be less than half of it. If not, Doppler is taken as it is: **a folded one is wrong by its width**,
+        are less than half of it. If not, Doppler is taken as it is: **a folded one is wrong by its width**,
         and so is the speed, as of a car that comes at 13 m/s towards a vehicle of 13 m/s whose radar folds at 23 m/s.
     mount : Mount
         Of the sensor.
@@ -187,10 +197,8 @@ def radial_velocities(
     usable = np.isfinite(scan.points[:, :3]).all(axis=1) & np.isfinite(scan.doppler) & (distance > 1e-3)
     usable &= ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
     place, from_sensor, distance = place[usable], from_sensor[usable], distance[usable]
-    found = _over_ground(from_sensor, scan.doppler[usable], doppler_noise, azimuth_noise)
+    found = _over_ground(from_sensor, scan.doppler[usable], doppler_noise, azimuth_noise, scan.doppler_interval)
     speed, deviation = found or (np.zeros(len(place)), np.ones(len(place)))
-    if (interval := scan.doppler_interval) is not None:
-        speed = (speed + interval / 2) % interval - interval / 2
     sectors = direction_sectors(beam)
     bearing = np.arctan2(from_sensor[:, 1], from_sensor[:, 0])
     nearest = nearest_in_direction(bearing, distance, sectors)
@@ -202,18 +210,22 @@ def radial_velocities(
 
 
 def _over_ground(
-    xy: NDArray[np.float64], doppler: NDArray[np.float32], doppler_noise: float, azimuth_noise: float
+    xy: NDArray[np.float64],
+    doppler: NDArray[np.float32],
+    doppler_noise: float,
+    azimuth_noise: float,
+    interval: float | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return radial velocities over ground and their standard deviations; None if no velocity of the sensor is found.
 
     `xy` (N, 2) are places around the sensor [m].
     """
-    velocity = _velocity(xy, doppler, doppler_noise)
+    velocity = _velocity(xy, doppler, doppler_noise, interval)
     if velocity is None:
         return None
     unit = xy / np.maximum(np.hypot(*xy.T), 1e-6)[:, None]
     across = unit @ np.array([-velocity[1], velocity[0]])
-    return doppler + unit @ velocity, np.hypot(doppler_noise, across * azimuth_noise)
+    return unfolded(doppler + unit @ velocity, interval), np.hypot(doppler_noise, across * azimuth_noise)
 
 
 class DirectionSectors(NamedTuple):
@@ -257,22 +269,68 @@ def nearest_in_direction(
     return nearest
 
 
-def _velocity(xy: NDArray[np.float64], doppler: NDArray[np.float32], noise: float) -> NDArray[np.float64] | None:
+def _velocity(
+    xy: NDArray[np.float64], doppler: NDArray[np.float32], noise: float, interval: float | None
+) -> NDArray[np.float64] | None:
     usable = np.isfinite(doppler) & (np.hypot(*xy.T) > 1e-3)
     unit = xy[usable] / np.hypot(*xy[usable].T)[:, None]
     rate = doppler[usable].astype(np.float64)
     if len(rate) < LEAST:
         return None
+    if interval is None:
+        guess = _guess_of_pairs(unit, rate, noise)
+        return _refined(guess, unit, rate, (noise, noise), None)[0]
+    noises = (max(interval / 16, noise), max(interval / 32, noise), noise, noise, noise)
+    found = [_refined(guess, unit, rate, noises, interval) for guess in _folded_guesses(unit, rate, interval)]
+    velocity, agreeing = max(found, key=lambda pair: pair[1])
+    if velocity is None:
+        return None
+    rivals = [other for other, number in found if other is not None and number > 0.95 * agreeing]
+    return velocity if all(np.hypot(*(other - velocity)) < interval / 4 for other in rivals) else None
+
+
+def _guess_of_pairs(unit: NDArray[np.float64], rate: NDArray[np.float64], noise: float) -> NDArray[np.float64]:
+    """Return the velocity that most detections agree with, of those of random pairs of detections, and of none."""
     first, second = np.random.default_rng(0).integers(len(rate), size=(2, PAIRS))
     A = np.stack([unit[first], unit[second]], axis=1)
     firm = np.abs(np.linalg.det(A)) > 0.05
     guesses = np.linalg.solve(A[firm], -np.stack([rate[first], rate[second]], axis=-1)[firm][..., None])[..., 0]
     guesses = np.vstack([guesses, np.zeros(2)])
-    agree = np.abs(rate + guesses @ unit.T) < 4 * noise
-    best = agree[agree.sum(axis=1).argmax()]
-    for _ in range(2):
-        if best.sum() < max(LEAST, len(rate) / 2):
-            return None
-        velocity: NDArray[np.float64] = np.linalg.lstsq(unit[best], -rate[best], rcond=1e-3)[0]
-        best = np.abs(rate + unit @ velocity) < 4 * noise
-    return velocity
+    best: NDArray[np.float64] = guesses[(np.abs(rate + guesses @ unit.T) < 4 * noise).sum(axis=1).argmax()]
+    return best
+
+
+def _folded_guesses(unit: NDArray[np.float64], rate: NDArray[np.float64], interval: float) -> list[NDArray[np.float64]]:
+    """Return the velocities of a grid with the greatest sums of ``exp(2 pi i r / interval)`` over the residuals r."""
+    thinned = slice(None, None, 1 + len(rate) // GUESSED_FROM)
+    unit, rate = unit[thinned], rate[thinned]
+    axis = np.arange(-math.ceil(4 * TOP_SPEED / interval), math.ceil(4 * TOP_SPEED / interval) + 1) * (interval / 4)
+    turn = 2j * math.pi / interval
+    along_x = np.exp(turn * (unit[:, :1] * axis + rate[:, None]))
+    score = np.abs(along_x.T @ np.exp(turn * unit[:, 1:] * axis))
+    best = np.argpartition(-score, min(FOLDED_GUESSES, score.size - 1), axis=None)[:FOLDED_GUESSES]
+    x, y = np.unravel_index(best, score.shape)
+    return list(np.stack([axis[x], axis[y]], axis=-1))
+
+
+def _refined(
+    velocity: NDArray[np.float64],
+    unit: NDArray[np.float64],
+    rate: NDArray[np.float64],
+    noises: tuple[float, ...],
+    interval: float | None,
+) -> tuple[NDArray[np.float64] | None, int]:
+    """Return a velocity refined by least squares, once for each standard deviation, and the detections that agree.
+
+    None and 0 if less than half of the detections agree at a step.
+    """
+    agreeing = 0
+    for noise in noises:
+        expected = -unit @ velocity
+        residual = unfolded(rate - expected, interval)
+        agree = np.abs(residual) < 4 * noise
+        agreeing = int(agree.sum())
+        if agreeing < max(LEAST, len(rate) / 2):
+            return None, 0
+        velocity = np.linalg.lstsq(unit[agree], -(expected + residual)[agree], rcond=1e-3)[0]
+    return velocity, agreeing
