@@ -23,9 +23,8 @@ from ogm.evidence.arrays import refuse_masked
 from ogm.storage.archive import open_archive, write_archive
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["LAYERED_FORMAT", "CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid", "PartialGrid"]
+__all__ = ["CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid", "PartialGrid"]
 
-_FORMAT, LAYERED_FORMAT = "ogm.EvidentialGrid/1", "ogm.LayeredGrid/1"
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
 _MAX_CELLS = 2**28  # 2 GiB of masses; a file that announces more is refused before it is unpacked
 _MIN_CELL, _MAX_CELL = 1e-6, 1e6  # [m] sides of cells: beyond, products of lengths leave the range of float32
@@ -209,8 +208,60 @@ class ShownInNotebooks:
         return html(self)
 
 
+class SavedGrid(ShownInNotebooks):
+    """Mixin of grids: an ``.npz`` file that explains itself, lossless, and read without unpickling."""
+
+    FORMAT: ClassVar[str]
+    spec: GridSpec
+
+    def arrays(self) -> dict[str, ArrayLike]:
+        """Return the arrays of the file, checked: ``resolution`` and ``origin`` [m], ``axes``, and the cells."""
+        raise NotImplementedError
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Return the grid of the arrays of a file."""
+        raise NotImplementedError
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the grid, lossless and in one step, to an ``.npz`` file: see `docs/formats.md`.
+
+        `ogm.io.write_grid` also writes a stamp, a place in a frame, and further layers.
+
+        Raises
+        ------
+        ValueError
+            If the path has another ending, or the numbers are no masses.
+        OSError
+            If the file cannot be written; a file that is there stays whole until the new one is.
+        """
+        write_archive(path, self.FORMAT, **self.arrays())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a grid that `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        OgmError
+            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
+        """
+        with open_archive(path, cls.FORMAT) as arrays:
+            return cls.of_arrays(arrays)
+
+    def _place(self) -> dict[str, ArrayLike]:
+        return {"resolution": self.spec.resolution, "origin": self.spec.origin}
+
+
+def spec_of_arrays(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> GridSpec:
+    """Return the cells of a file by its arrays ``resolution`` and ``origin``."""
+    return GridSpec(float(arrays["resolution"]), (shape[0], shape[1]), tuple(arrays["origin"].tolist()))
+
+
 @dataclass(frozen=True, eq=False)
-class EvidentialGrid(ShownInNotebooks):
+class EvidentialGrid(SavedGrid):
     """Belief masses of free and occupied for every cell of a grid.
 
     Parameters
@@ -229,6 +280,7 @@ class EvidentialGrid(ShownInNotebooks):
         1e-6. Nothing is repaired: see `ogm.evidence.renormalize`.
     """
 
+    FORMAT: ClassVar[str] = "ogm.EvidentialGrid/1"
     spec: GridSpec
     mass: NDArray[np.float32]
 
@@ -349,44 +401,16 @@ class EvidentialGrid(ShownInNotebooks):
         """Give numpy the masses, (nx, ny, 2); without a copy where none is asked for or needed."""
         return np.array(self.mass, dtype, copy=copy)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the grid, lossless and in one step, to an ``.npz`` file that explains itself.
-
-        The archive holds ``mass`` (nx, ny, 2) float32, ``resolution`` and ``origin`` [m], and the texts
-        ``format``, ``states`` and ``axes``. Whatever stood at `path` stays whole until the new file is.
-
-        Raises
-        ------
-        ValueError
-            If the path has another ending, or the masses are none (see `check`).
-        OSError
-            If the file cannot be written.
-        """
+    def arrays(self) -> dict[str, ArrayLike]:
+        """Return the arrays of the file: ``mass`` (nx, ny, 2), ``states``, ``axes``, ``resolution``, ``origin`` [m]."""
         self.check()
-        write_archive(
-            path,
-            _FORMAT,
-            states=["free", "occupied"],
-            axes="[ix (x forward), iy (y left), state]; origin is the corner of cell (0, 0)",
-            resolution=self.spec.resolution,
-            origin=self.spec.origin,
-            mass=self.mass,
-        )
+        axes = "[ix (x forward), iy (y left), state]; origin is the corner of cell (0, 0)"
+        return {"states": ["free", "occupied"], "axes": axes, **self._place(), "mass": self.mass}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a grid that `save` wrote. Nothing is unpickled.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        ValueError
-            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
-        """
-        with open_archive(path, _FORMAT) as data:
-            spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
-            return cls(spec, data["mass"])
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """See `SavedGrid.of_arrays`."""
+        return cls(spec_of_arrays(arrays, arrays["mass"].shape), arrays["mass"])
 
 
 class PartialGrid(EvidentialGrid):
@@ -472,7 +496,7 @@ class CombinedGrid(EvidentialGrid):
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredGrid(ShownInNotebooks):
+class LayeredGrid(SavedGrid):
     """Named layers of numbers on the cells of one grid: conflict, velocity, height, and whatever is no mass.
 
     Parameters
@@ -487,6 +511,7 @@ class LayeredGrid(ShownInNotebooks):
         If a layer has another shape than `spec`.
     """
 
+    FORMAT: ClassVar[str] = "ogm.LayeredGrid/1"
     spec: GridSpec
     layers: Mapping[str, NDArray[np.float32]]
 
@@ -508,27 +533,19 @@ class LayeredGrid(ShownInNotebooks):
             raise KeyError(f"there is no layer {name!r}, only {', '.join(self.layers) or 'none'}")
         return self.layers[name]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``layers`` (L, nx, ny) and their ``names`` to an ``.npz`` file, as `EvidentialGrid.save` does."""
+    def arrays(self) -> dict[str, ArrayLike]:
+        """Return the arrays of the file: ``layers`` (L, nx, ny), ``names``, ``axes``, ``resolution`` and ``origin``."""
         layers = np.array([*self.layers.values()], np.float32).reshape(len(self.layers), *self.spec.shape)
         if layers.nbytes > current_limits().grid:  # such a file could not be read again
-            raise too_large(path, layers.nbytes, "grid")
-        write_archive(
-            path,
-            LAYERED_FORMAT,
-            names=np.array([*self.layers], np.str_),
-            axes="[layer, ix (x forward), iy (y left)]; origin is the corner of cell (0, 0)",
-            resolution=self.spec.resolution,
-            origin=self.spec.origin,
-            layers=layers,
-        )
+            raise too_large("the layers", layers.nbytes, "grid")
+        axes = "[layer, ix (x forward), iy (y left)]; origin is the corner of cell (0, 0)"
+        return {"names": np.array([*self.layers], np.str_), "axes": axes, **self._place(), "layers": layers}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read layers that `save` wrote; errors as those of `EvidentialGrid.load`."""
-        with open_archive(path, LAYERED_FORMAT) as data:
-            spec = GridSpec(float(data["resolution"]), data["layers"].shape[1:], tuple(data["origin"].tolist()))
-            return cls(spec, dict(zip(data["names"].tolist(), data["layers"], strict=True)))
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """See `SavedGrid.of_arrays`."""
+        spec = spec_of_arrays(arrays, arrays["layers"].shape[1:])
+        return cls(spec, dict(zip(arrays["names"].tolist(), arrays["layers"], strict=True)))
 
     def __eq__(self, other: object) -> bool:
         """Return whether the other has the same cells and the same layers; NaN equals NaN."""

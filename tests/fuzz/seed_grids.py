@@ -39,9 +39,7 @@ def _files(folder: Path) -> dict[str, bytes]:
 
 
 def _written(name: str, make: Callable[[], Any], options: dict[str, Any], folder: Path) -> Target:
-    if name.endswith(".npz"):
-        make().save(folder / name)
-    elif name.endswith(".npy"):
+    if name.endswith(".npy"):
         np.save(folder / name, make().mass)
     else:
         write_grid(folder / name, make(), **options)
@@ -57,8 +55,9 @@ def _written(name: str, make: Callable[[], Any], options: dict[str, Any], folder
 
 
 def placed() -> PlacedGrid:
-    """Return the masses with a place in a frame."""
-    return PlacedGrid(evidential(), pose(z=0.5), "odom", 12.5)
+    """Return the masses with a place in a frame, and a layer."""
+    grid = evidential()
+    return PlacedGrid(grid, pose(z=0.5), "odom", 12.5, layers=LayeredGrid(grid.spec, {"height": grid.occupied}))
 
 
 def turned() -> PlacedGrid:
@@ -68,6 +67,7 @@ def turned() -> PlacedGrid:
 
 _WRITTEN: dict[str, tuple[str, Callable[[], Any], dict[str, Any]]] = {
     "grid-npz": ("a.npz", evidential, {}),
+    "grid-npz-placed": ("p.npz", placed, {}),
     "grid-npz-dynamic": ("a.npz", dynamic, {}),
     "grid-npz-layered": ("a.npz", layered, {}),
     "grid-npy": ("a.npy", evidential, {}),

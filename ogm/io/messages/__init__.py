@@ -21,6 +21,7 @@ from ogm.io.messages.layers import (
     grid_from_foxglove_grid,
     grid_from_grid_map,
     grid_map,
+    layers_from_foxglove_grid,
     layers_from_grid_map,
 )
 from ogm.io.messages.livox import scan_from_livox
@@ -30,8 +31,8 @@ from ogm.io.transforms import StampedTransform
 
 __all__ = [
     "StampedTransform", "fill_message", "foxglove_grid", "grid_from_foxglove_grid", "grid_from_grid_map",
-    "grid_from_occupancy_grid", "grid_map", "intrinsics_from_camera_info", "layers_from_grid_map", "occupancy_grid",
-    "point_cloud2", "scan_from_continental", "scan_from_depth_image", "scan_from_laser_scan", "scan_from_livox",
-    "scan_from_point_cloud2", "scan_from_radar_scan", "scan_from_range", "scan_from_velodyne_scan", "scans_from_pcap",
-    "tf_message", "transform_from_odometry", "transforms_from_tf",
+    "grid_from_occupancy_grid", "grid_map", "intrinsics_from_camera_info", "layers_from_foxglove_grid",
+    "layers_from_grid_map", "occupancy_grid", "point_cloud2", "scan_from_continental", "scan_from_depth_image",
+    "scan_from_laser_scan", "scan_from_livox", "scan_from_point_cloud2", "scan_from_radar_scan", "scan_from_range",
+    "scan_from_velodyne_scan", "scans_from_pcap", "tf_message", "transform_from_odometry", "transforms_from_tf",
 ]  # fmt: skip

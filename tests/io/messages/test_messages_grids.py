@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io import PlacedGrid
 from ogm.io.messages import (
     foxglove_grid,
@@ -113,7 +113,7 @@ def test_grid_map_by_every_reader(sent, by_mcap, ros1_class, stores):
     grid = ell()
     conflict = np.full(SPEC.shape, np.nan)
     conflict[3, 1] = 0.25
-    plain = grid_map(grid, frame_id="odom", stamp=3.5, layers={"conflict": conflict})
+    plain = grid_map(grid, frame_id="odom", stamp=3.5, layers=LayeredGrid(SPEC, {"conflict": conflict}))
     ros1 = ros1_class(GRID_MAP)().deserialize(bytes(stores[1].serialize_ros1(plain, GRID_MAP)))
     for arrived in (sent(plain, GRID_MAP, 1), sent(plain, GRID_MAP, 2), by_mcap(plain, GRID_MAP), ros1):
         assert list(arrived.layers) == ["free", "occupied", "unknown", "conflict"]
@@ -187,7 +187,7 @@ def test_foxglove_grid(T):
     grid = ell()
     conflict = np.arange(54).reshape(9, 6) / 64
     message = decoded_by_protobuf(
-        foxglove_grid(grid, frame_id="map", stamp=3.5, T_frame_grid=T, layers={"conflict": conflict})
+        foxglove_grid(grid, stamp=3.5, T_frame_grid=T, layers=LayeredGrid(SPEC, {"conflict": conflict}))
     )
     assert message.frame_id == "map"
     assert (message.timestamp.seconds, message.timestamp.nanos) == (3, 500_000_000)
@@ -219,10 +219,12 @@ def test_foxglove_grid(T):
 
 
 def test_names_of_layers_are_not_taken_twice():
-    refused("'free' is the grid's own", grid_map, ell(), frame_id="map", layers={"free": ell().free})
-    refused("shape", grid_map, ell(), frame_id="map", layers={"height": np.zeros((6, 9))})
+    free = ell().free
+    refused("'free' is the grid's own", grid_map, ell(), layers=LayeredGrid(SPEC, {"free": free}))
+    others = LayeredGrid(SPEC.refined(2), {"height": np.zeros((18, 12))})
+    refused("layers must have the cells of the grid", grid_map, ell(), layers=others)
     pytest.importorskip("foxglove")
-    refused("'alpha' is the grid's own", foxglove_grid, ell(), frame_id="map", layers={"alpha": ell().free})
+    refused("'alpha' is the grid's own", foxglove_grid, ell(), layers=LayeredGrid(SPEC, {"alpha": free}))
 
 
 def broken_occupancy(**changes):
