@@ -64,7 +64,7 @@ def write_grid(
     >>> write_grid("map.tif", PlacedGrid(mapper.grid, pose(x, y, yaw=yaw), crs="EPSG:25832"))  # doctest: +SKIP
     """
     path = Path(path)
-    placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
+    placed = PlacedGrid.of(grid)
     check_grid_output(path, mode=mode, message=message, crs=placed.crs)
     ending = path.suffix.lower()
     if ending in _YAML:

@@ -1,6 +1,7 @@
 """A grid and its place in the frame of a file: what map files hold besides the cells."""
 
 import math
+import re
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Self
 
@@ -13,6 +14,7 @@ from ogm.pose import check_pose, check_stamp, pose
 
 _MAX_TILT = 1e-3  # [rad] within which a frame counts as level: at 100 m the projected cells are off by 0.05 mm
 _NO_TURN = 1e-9  # [rad]
+MODEL_LAYER = re.compile(r"(model[0-9]+|plane|rest)_\w+")  # of `ogm.fusion.EvidentialMapper.layers`: one of its maps
 
 
 class Corner(NamedTuple):
@@ -95,10 +97,21 @@ class PlacedGrid:
         return Corner(float(corner[0]), float(corner[1]), 0.0 if abs(yaw) < _NO_TURN else yaw)
 
     @classmethod
+    def of(cls, grid: "AnyGrid | PlacedGrid") -> "PlacedGrid":
+        """Return a placed grid as it is, another one with its coordinates as the frame."""
+        return grid if isinstance(grid, PlacedGrid) else cls(grid)
+
+    @classmethod
     def of_bands(cls, bands: LayeredGrid, *place: Any, **facts: Any) -> Self:
         """Return the grid of named bands and the layers beside it (`grid_from_bands`), with further attributes."""
         grid, layers = grid_from_bands(bands)
         return cls(grid, *place, layers=layers, **facts)
+
+    def without_models(self) -> "PlacedGrid":
+        """Return the same without the layers that hold the map of each of several models."""
+        named = {} if self.layers is None else self.layers.layers
+        rest = {name: layer for name, layer in named.items() if not MODEL_LAYER.fullmatch(name)}
+        return replace(self, layers=LayeredGrid(self.grid.spec, rest) if rest else None)
 
     @property
     def bands(self) -> LayeredGrid:

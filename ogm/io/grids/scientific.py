@@ -82,7 +82,7 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
         If xarray is missing, or for a `crs` rasterio.
     """
     xarray = optional("xarray", Path("an xarray.Dataset"), "geo", "made")
-    placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
+    placed = PlacedGrid.of(grid)
     T = placed.T_frame_grid
     level = np.allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-9)
     cells = (placed.upright if level else placed).bands
