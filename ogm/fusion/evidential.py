@@ -194,6 +194,7 @@ class EvidentialMapper(Mapper):
         Neither the vehicle's pose, with which jumps are found, nor the number of scans is in a file.
         """
         placed = PlacedGrid.of(saved).upright
+        placed.evidential  # noqa: B018  it must have masses
         (nx, ny), side = placed.grid.spec.shape, placed.grid.spec.resolution
         if spec is None:
             spec = placed.grid.spec if window == "fixed" else GridSpec(side, (nx, ny), (-nx * side / 2, -ny * side / 2))

@@ -12,6 +12,7 @@ from ogm.fusion.bayes import BinaryBayesMapper
 from ogm.fusion.dynamic.mapper import DynamicFilter, DynamicMapper
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.evidential import EvidentialMapper
+from ogm.fusion.map_editing import extended
 from ogm.fusion.mapper import Mapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec
@@ -50,7 +51,7 @@ def make_mapper(
     max_speed : float
         Beyond which a pose is a jump [m/s]; infinity allows every jump.
     saved : PlacedGrid, optional
-        A map that is continued, see `EvidentialMapper.from_grid`; for evidence rules.
+        A map that an evidence rule continues, see `EvidentialMapper.from_grid`.
     T_map_vehicle : (4, 4) array, optional
         Where a rolling window of a saved map begins.
 
@@ -136,6 +137,22 @@ def bounding_window(step: float, lowest: NDArray[np.float64], highest: NDArray[n
             f"most {_MAX_CELLS} are allowed; give `window=rolling`, or a coarser `resolution`"
         )
     return GridSpec(step, (nx, ny), (low[0] * step, low[1] * step))
+
+
+def continued_window(cells: GridSpec, saved: PlacedGrid, window: WindowMode | str) -> GridSpec:
+    """Return the window of a drive that continues a saved map: a fixed one holds both, on the cells of the map.
+
+    Parameters
+    ----------
+    cells : GridSpec
+        Window of the drive alone.
+    saved : PlacedGrid
+    window : {"rolling", "fixed"}
+    """
+    old = saved.upright.grid.spec
+    if window == "rolling":
+        return cells
+    return extended(old, cells) if math.isclose(old.resolution, cells.resolution) else extended(cells, old)
 
 
 def echo_window(frames: Iterable[Frame], spec: GridSpec) -> GridSpec:

@@ -74,14 +74,15 @@ def crop(grid: AnyGrid | PlacedGrid, extent: Sequence[float]) -> PlacedGrid:
     return replace(placed, grid=cut(placed.grid), layers=placed.layers and cut(placed.layers))
 
 
-def resampled(grid: AnyGrid | PlacedGrid, spec: GridSpec, method: ResampleMethod = "worst") -> PlacedGrid:
+def resampled(grid: AnyGrid | PlacedGrid, spec: GridSpec | float, method: ResampleMethod = "worst") -> PlacedGrid:
     """Return a map on other cells, in its own coordinates.
 
     Parameters
     ----------
     grid : PlacedGrid, EvidentialGrid or LayeredGrid
         `DynamicGrid.to_evidential` gives the masses of a dynamic map.
-    spec : GridSpec
+    spec : GridSpec or float
+        The cells, or their side [m], from the same corner on.
     method : {"worst", "area", "nearest", "cautious"}
         Of masses, see `ogm.fusion.resample_to`: by default free is never enlarged. Of conflict counts the greatest of
         the cells that a new cell covers, of other layers that at its centre. The maps of several models that a map was
@@ -93,7 +94,11 @@ def resampled(grid: AnyGrid | PlacedGrid, spec: GridSpec, method: ResampleMethod
         If the map is dynamic.
     """
     placed = PlacedGrid.of(grid)
-    if placed.grid.spec == spec:
+    source = placed.grid.spec
+    if not isinstance(spec, GridSpec):
+        nx, ny = (math.ceil(n * source.resolution / spec - _ROUNDING) for n in source.shape)
+        spec = GridSpec(spec, (nx, ny), source.origin)
+    if source == spec:
         return placed
     return _moved(placed, spec, np.eye(4), method)
 
@@ -162,9 +167,9 @@ def _joined(first: LayeredGrid | None, second: LayeredGrid | None) -> dict[str, 
     return joined
 
 
-def extended(spec: GridSpec, other: GridSpec, T: NDArray[np.float64]) -> GridSpec:
+def extended(spec: GridSpec, other: GridSpec, T: ArrayLike | None = None) -> GridSpec:
     """Return the cells of one grid and as many more as another needs, which `T`, (4, 4), takes to its coordinates."""
-    A, b = planar_transform(T)
+    A, b = planar_transform(np.eye(4) if T is None else np.asarray(T, np.float64))
     x0, x1, y0, y1 = other.extent
     corners = np.array([(x, y) for x in (x0, x1) for y in (y0, y1)]) @ A.T + b
     places = (corners - spec.origin) / spec.resolution

@@ -24,8 +24,9 @@ PATIENCE = 2.0  # [s] for which closing waits for viewers to go, and for the por
 class FoxglovePublisher:
     """A server for viewers; each step of `ogm.fusion.fuse` that it is given goes to them, with the map as of then.
 
-    Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/points`` (foxglove.PointCloud, in the
-    sensor's frame) and ``/tf`` (foxglove.FrameTransforms: map, vehicle, sensor). What no viewer has subscribed to is
+    Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/layers`` (the same with the conflict, if the
+    map keeps it), ``/points`` (foxglove.PointCloud, in the sensor's frame) and ``/tf`` (foxglove.FrameTransforms: map,
+    vehicle, sensor). What no viewer has subscribed to is
     not even made. A viewer that is too slow misses messages, and holds up nothing.
 
     Parameters
@@ -66,6 +67,7 @@ class FoxglovePublisher:
             raise OSError(f"cannot serve at {host}:{port}: {error}; give another port, 0 for any free one") from error
         self.host, self.port = host, int(self._server.port)
         self._map = channels.GridChannel("/map", context=context)
+        self._layers = channels.GridChannel("/layers", context=context)
         self._points = channels.PointCloudChannel("/points", context=context)
         self._tf = channels.FrameTransformsChannel("/tf", context=context)
 
@@ -90,7 +92,7 @@ class FoxglovePublisher:
 
     def _close(self, patience: float) -> None:
         until = time.monotonic() + patience
-        for channel in (self._map, self._points, self._tf):
+        for channel in (self._map, self._layers, self._points, self._tf):
             channel.close()
         stopping = threading.Thread(target=self._server.stop, name="ogm-closing", daemon=True)
         stopping.start()  # waits for clients that never finish their handshake
@@ -115,9 +117,11 @@ class FoxglovePublisher:
             self._tf.log(_transforms(frame, sensor, stamp), log_time=when)
         if self._points.has_sinks():
             self._points.log(_cloud(frame, sensor, stamp), log_time=when)
+        T = pose(z=_ground_height(frame))
         if self._map.has_sinks():
-            T = pose(z=_ground_height(frame))
             self._map.log(foxglove_grid(mapper.grid, frame_id=MAP, stamp=stamp, T_frame_grid=T), log_time=when)
+        if self._layers.has_sinks() and (layers := getattr(mapper, "conflict", None)) is not None:
+            self._layers.log(foxglove_grid(layers, frame_id=MAP, stamp=stamp, T_frame_grid=T), log_time=when)
 
 
 def _is_free(host: str, port: int) -> bool:

@@ -156,12 +156,12 @@ def grid_from_layer(layers: LayeredGrid, name: str, values: tuple[float, float] 
 
     Raises
     ------
-    KeyError
-        If there is no such layer.
     ValueError
-        If both values are the same, or not finite.
+        If there is no such layer, or both values are the same or not finite.
     """
     low, high = values
+    if name not in layers.layers:
+        raise ValueError(f"there is no layer {name!r}, only {', '.join(layers.layers) or 'none'}")
     if not (np.isfinite([low, high]).all() and low != high):
         raise ValueError(f"values must be two different numbers, of free and of occupied cells, got {low:g}, {high:g}")
     share = np.clip((layers[name] - np.float32(low)) / np.float32(high - low), 0, 1)
