@@ -284,9 +284,9 @@ class EvidentialMapper(Mapper):
         corner, measured = grid.known[0], self._measured(grid)
         if self._waiting is not None:
             self._parts, self._waiting = continued_parts(self._parts[PLAIN], self._waiting, measured.keys()), None
-            for part in self._parts.values():  # of other programs, which leave nothing to unknown
-                sure = part.mass.sum(axis=-1) > 1 - self.min_unknown + TOLERANCE
-                part.mass[sure] = _bounded(part.mass[sure], self.min_unknown)
+            for layers in self._parts.values():  # of other programs, which leave nothing to unknown
+                sure = layers.mass.sum(axis=-1) > 1 - self.min_unknown + TOLERANCE
+                layers.mass[sure] = _bounded(layers.mass[sure], self.min_unknown)
         shape, now = self._window.spec0.shape, self._now + max(scan.elapsed, 0.0)
         added = {part: PartLayers.empty(shape, now) for part in measured.keys() - self._parts.keys()}
         scan = scan._replace(affine=scan.affine - [[0, 0, corner[0]], [0, 0, corner[1]]])

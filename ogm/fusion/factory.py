@@ -71,10 +71,10 @@ def make_mapper(
     if rule not in RULES:
         raise ValueError(f"there is no rule {rule!r}; there are {', '.join(MAP_RULES)}")
     half_life = 2.0 if half_life is None else half_life
-    settings: dict[str, Any] = {"half_life": half_life, "window": window, "max_speed": max_speed}
+    options: dict[str, Any] = {"half_life": half_life, "window": window, "max_speed": max_speed}
     if saved is None:
-        return EvidentialMapper(spec, RULES[rule], **settings)
-    return EvidentialMapper.from_grid(saved, spec, T_map_vehicle=T_map_vehicle, rule=RULES[rule], **settings)
+        return EvidentialMapper(spec, RULES[rule], **options)
+    return EvidentialMapper.from_grid(saved, spec, T_map_vehicle=T_map_vehicle, rule=RULES[rule], **options)
 
 
 def adding_rule_warning(rule: str) -> str:

@@ -52,9 +52,9 @@ def crop(grid: AnyGrid | PlacedGrid, extent: Sequence[float]) -> PlacedGrid:
     placed, (x0, x1, y0, y1) = PlacedGrid.of(grid), map(float, extent)
     source = placed.grid.spec
     low, high = [], []
-    for start, stop, corner, n in zip((x0, y0), (x1, y1), source.origin, source.shape, strict=True):
-        low.append(max(math.floor((start - corner) / source.resolution + _ROUNDING), 0))
-        high.append(min(math.ceil((stop - corner) / source.resolution - _ROUNDING), n))
+    for start, stop, edge, n in zip((x0, y0), (x1, y1), source.origin, source.shape, strict=True):
+        low.append(max(math.floor((start - edge) / source.resolution + _ROUNDING), 0))
+        high.append(min(math.ceil((stop - edge) / source.resolution - _ROUNDING), n))
     if not (x0 < x1 and y0 < y1) or min(b - a for a, b in zip(low, high, strict=True)) < 1:
         raise ValueError(
             f"the area x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m has no cell of the map, which has {source}"

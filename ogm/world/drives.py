@@ -121,13 +121,13 @@ class Drive:
             If an anchor's frame has no pose.
         """
         by_row = not isinstance(poses, Mapping)
-        found = dict(enumerate(poses)) if by_row else poses
+        found: Mapping[int, Any] = poses if isinstance(poses, Mapping) else dict(enumerate(poses))
 
         def place(one: SubMap) -> NDArray[np.float64]:
             number = one.anchor if by_row else one.number
             if number not in found:
                 raise ValueError(f"frame {number} of drive {self.name} has no pose, and is an anchor")
-            return found[number]
+            return np.asarray(found[number], np.float64)
 
         return self.moved(place)
 

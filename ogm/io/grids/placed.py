@@ -105,7 +105,7 @@ class PlacedGrid:
     def of_bands(cls, bands: LayeredGrid, *place: Any, **facts: Any) -> Self:
         """Return the grid of named bands and the layers beside it (`grid_from_bands`), with further attributes."""
         grid, layers = grid_from_bands(bands)
-        return cls(grid, *place, layers=layers, **facts)
+        return cls(grid, *place, **facts | {"layers": layers})
 
     def without_models(self) -> "PlacedGrid":
         """Return the same without the layers that hold the map of each of several models."""
@@ -142,10 +142,11 @@ class PlacedGrid:
         if not self.T_frame_grid[:2, 3].any():
             return self
         spec = replace(self.grid.spec, origin=(corner.x, corner.y))
-        masses = isinstance(self.grid, EvidentialGrid)
-        grid = EvidentialGrid.trusted(spec, self.grid.mass) if masses else replace(self.grid, spec=spec)
-        layers = self.layers and replace(self.layers, spec=spec)
-        return replace(self, grid=grid, layers=layers, T_frame_grid=pose(z=float(self.T_frame_grid[2, 3])))
+        grid, layers = self.grid, self.layers and replace(self.layers, spec=spec)
+        moved = (
+            EvidentialGrid.trusted(spec, grid.mass) if isinstance(grid, EvidentialGrid) else replace(grid, spec=spec)
+        )
+        return replace(self, grid=moved, layers=layers, T_frame_grid=pose(z=float(self.T_frame_grid[2, 3])))
 
 
 def placed_at(bands: LayeredGrid, yaw: float, **facts: Any) -> PlacedGrid:
