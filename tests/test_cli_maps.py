@@ -195,7 +195,9 @@ def test_ctrl_c_keeps_the_maps_so_far(drive: Path, tmp_path: Path, monkeypatch: 
     with open_log(tmp_path / "m.mcap") as log:
         assert log.topics["/map"].count == 2
         assert log.topics["/map"].type == "grid_map_msgs/msg/GridMap"
-    assert read_grid(tmp_path / "m.mcap").at(WALL + 0.25, 1.0).occupied > 0.5
+    placed = read_placed_grid(tmp_path / "m.mcap")
+    assert placed.grid.at(WALL + 0.25, 1.0).occupied > 0.5
+    assert list(placed.layers.layers) == ["free_to_occupied", "occupied_to_free"]
 
 
 def test_ctrl_c_while_the_first_map_is_logged_keeps_it(

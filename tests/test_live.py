@@ -99,14 +99,22 @@ def _no_thread_is_left() -> Iterator[None]:
 
 def test_a_viewer_receives_the_map_the_points_and_the_poses() -> None:
     fused = mapper()
-    with FoxglovePublisher(port=0) as publisher, Client(publisher.port) as client:
-        until(lambda: publisher._map.has_sinks() and publisher._points.has_sinks() and publisher._tf.has_sinks())
+    topics = ("/tf", "/points", "/map", "/layers")
+    with FoxglovePublisher(port=0) as publisher, Client(publisher.port, topics) as client:
+        until(
+            lambda: all(
+                one.has_sinks() for one in (publisher._map, publisher._layers, publisher._points, publisher._tf)
+            )
+        )
         report = serve(one_by_one(fused, *(frame(k, "lidar") for k in range(3))), LShape(), fused, publisher)
-        received = [client.receive() for _ in range(9)]
+        received = [client.receive() for _ in range(12)]
     assert (report.mapped, report.dropped, report.failed) == (3, 0, 0)
-    assert [one.topic for one in received] == ["/tf", "/points", "/map"] * 3
-    assert [one.time for one in received[::3]] == [0, 100_000_000, 200_000_000]
-    tf, points, grid = (one.message for one in received[-3:])
+    assert tuple(one.topic for one in received) == topics * 3
+    assert [one.time for one in received[::4]] == [0, 100_000_000, 200_000_000]
+    tf, points, grid, layers = (one.message for one in received[-4:])
+    conflict = grid_fields(layers)
+    assert list(conflict) == ["free_to_occupied", "occupied_to_free"]
+    np.testing.assert_array_equal(conflict["free_to_occupied"], fused.conflict["free_to_occupied"])
 
     # Masses and cells, as they are in Python.
     fields, spec = grid_fields(grid), fused.grid.spec
