@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Self, overload
+from typing import Any, ClassVar, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,8 @@ from ogm.storage.archive import open_archive, write_archive
 from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid", "PartialGrid"]
+
+Sampling = Literal["nearest", "bilinear"]
 
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
 _MAX_CELLS = 2**28  # 2 GiB of masses; a file that announces more is refused before it is unpacked
@@ -192,6 +194,46 @@ class GridSpec:
             raise ValueError(f"factor must be a positive whole number, got {factor}")
         nx, ny = self.shape
         return GridSpec(self.resolution / factor, (nx * int(factor), ny * int(factor)), self.origin)
+
+
+def sampled_opinions(
+    points: ArrayLike,
+    origin: tuple[float, float],
+    resolution: float,
+    masses: Callable[[NDArray[np.float64]], NDArray[np.float32]],
+    method: Sampling,
+) -> Opinion | NDArray[np.float32]:
+    """Return the opinions at points of a map that is any function of its cells; see `EvidentialGrid.opinion_at`.
+
+    Parameters
+    ----------
+    points : (..., 2) array
+        x, y [m].
+    origin : (float, float)
+        x, y of the corner of cell (0, 0) [m].
+    resolution : float
+        Side of a cell [m].
+    masses : function
+        Takes cells, whole numbers (..., 2), to their masses of free and occupied, (..., 2): 0 beyond the map.
+    method : {"nearest", "bilinear"}
+    """
+    xy = np.asarray(points, np.float64)
+    if xy.shape[-1:] != (2,):
+        raise ValueError(f"points must have x and y on their last axis, got shape {xy.shape}")
+    if not np.isfinite(xy).all():
+        raise ValueError(f"points must be finite [m], got {xy[~np.isfinite(xy).all(axis=-1)].reshape(-1, 2)[0]}")
+    cell = (xy - origin) / resolution
+    if method == "nearest":
+        mass = masses(np.floor(cell))
+    elif method == "bilinear":
+        low = np.floor(cell - 0.5)
+        share = cell - 0.5 - low
+        corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
+        weights = (np.where(corner, share, 1 - share).prod(axis=-1, keepdims=True) for corner in corners)
+        mass = sum(w * masses(low + corner) for w, corner in zip(weights, corners, strict=True)).astype(np.float32)
+    else:
+        raise ValueError(f"method must be nearest or bilinear, got {method!r}")
+    return Opinion(*mass.tolist()) if mass.ndim == 1 else np.concatenate([mass, unknown(mass)[..., None]], axis=-1)
 
 
 class ShownInNotebooks:
@@ -384,6 +426,39 @@ class EvidentialGrid(SavedGrid):
             raise ValueError(f"({px}, {py}) m lies outside the grid: x in [{x0}, {x1}), y in [{y0}, {y1}) m")
         mass = self.mass[self.spec.index(x, y)]
         return mass if mass.ndim > 1 else Opinion(*mass.tolist())
+
+    @overload
+    def opinion_at(self, points: tuple[float, float], method: Sampling = "nearest") -> Opinion: ...
+    @overload
+    def opinion_at(self, points: NDArray[Any], method: Sampling = "nearest") -> NDArray[np.float32]: ...
+    def opinion_at(self, points: ArrayLike, method: Sampling = "nearest") -> Opinion | NDArray[np.float32]:
+        """Return the opinion at any points: unknown outside of the grid, where `at` is an error.
+
+        Parameters
+        ----------
+        points : (..., 2) array
+            x, y [m].
+        method : {"nearest", "bilinear"}
+            "nearest": the masses of the cell that holds the point. "bilinear": the mean of those of the four cells
+            whose centres are around it, weighted by its place between them.
+
+        Returns
+        -------
+        Opinion or (..., 3) float32
+            The opinion at one point (2,), the masses of free, occupied and unknown at each point of an array.
+
+        Raises
+        ------
+        ValueError
+            If the shape is another, a coordinate is not finite, or `method` none of the choices.
+        """
+
+        def masses(cell: NDArray[np.float64]) -> NDArray[np.float32]:
+            inside = ((cell >= 0) & (cell < self.spec.shape)).all(axis=-1, keepdims=True)
+            i, j = np.moveaxis(np.where(inside, cell, 0).astype(np.intp), -1, 0)
+            return np.where(inside, self.mass[i, j], np.float32(0))
+
+        return sampled_opinions(points, self.spec.origin, self.spec.resolution, masses, method)
 
     def __repr__(self) -> str:
         free, occupied, unknown = (float(one.mean()) for one in (self.free, self.occupied, self.unknown))
