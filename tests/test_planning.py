@@ -105,14 +105,7 @@ def nav2_inflation(costs: np.ndarray, side: float, radii: tuple[float, float], s
 @each("unknown, flags", [("unknown", {}), ("inflated", {"inflate_unknown": True}),
                          ("obstacle", {"around_unknown": True}), ("free", {})])  # fmt: skip
 def test_costs_are_those_of_nav2(unknown: str, flags: dict[str, bool]) -> None:
-    numbers = [
-        (0.25, 0.7, 10.0),
-        (0.0, 0.0, 10.0),
-        (0.3, 3.0, 1.0),
-        (0.5, 1.1, 2.58),
-        (0.0, 20.0, 0.0),
-        (0.5, 0.5, 3.0),
-    ]
+    numbers = [(0.25, 0.7, 5.0), (0.0, 0.1, 10.0), (0.3, 3.0, 1.0), (0.5, 1.1, 2.6), (0.0, 20.0, 0.0), (0.5, 0.5, 3.0)]
     for seed, (inscribed, inflation, scaling) in enumerate(numbers):
         grid = random_grid(seed)
         start = np.array([0 if unknown == "free" else 255, 0, 254], np.uint8)[predict_state(grid.mass)]
@@ -123,10 +116,17 @@ def test_costs_are_those_of_nav2(unknown: str, flags: dict[str, bool]) -> None:
         assert (found[differs] > by_search[differs]).all()
         distance = brute_distance((start == 254) | ((start == 255) & (unknown == "obstacle")))
         table = [nav2_cost(math.sqrt(n), 0.25, inscribed, scaling) for n in range(math.ceil(inflation / 0.25) ** 2 + 1)]
-        around = np.append(table, 0)[np.minimum(np.round(distance**2), len(table)).astype(int)] * bool(inflation)
+        around = np.append(table, 0)[np.minimum(np.round(distance**2), len(table)).astype(int)]
         takes = around > 0 if unknown == "inflated" else around >= 253
         wanted = np.where((start == 255) & takes, around, np.maximum(start, around))
         np.testing.assert_array_equal(found, wanted)
+
+
+def test_a_map_without_inflation_has_the_costs_of_its_states() -> None:
+    grid, empty = random_grid(0), EvidentialGrid.vacuous(GridSpec(0.5, (3, 2), (0.0, 0.0)))
+    np.testing.assert_array_equal(costmap(grid, 0, 0), np.array([255, 0, 254])[predict_state(grid.mass)])
+    for unknown, cost in {"unknown": 255, "inflated": 255, "obstacle": 254, "free": 0}.items():
+        assert (costmap(empty, 0.1, 1.0, unknown=unknown) == cost).all()
 
 
 def test_the_cost_of_a_distance_is_that_of_nav2_to_the_last_bit() -> None:
