@@ -113,7 +113,7 @@ def map_(
     layers: Annotated[
         str | None,
         Option(
-            help="Layers beside the masses, commas between: ground_height. Written as NAME_layers with the ending of "
+            help="Layers beside the masses, commas between: ground_height, distance, cost. Written as NAME_layers with the ending of "
             "the grid, and drawn.",
             metavar="NAME[,NAME]...",
         ),

@@ -62,6 +62,10 @@ def serve(
     time_unit: options.TimeUnit = None,
     rule: Rule = None,
     half_life: HalfLife = None,
+    inflation_radius: options.InflationRadius = None,
+    inscribed_radius: options.InscribedRadius = None,
+    cost_scaling: options.CostScaling = None,
+    cost_unknown: options.CostUnknown = None,
     length: options.Length = None,
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
@@ -91,6 +95,7 @@ def serve(
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
     import_extra("foxglove", "live")  # before kernels are compiled
+    costs = options.cost_function(inflation_radius, inscribed_radius, cost_scaling, cost_unknown)
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
     ism = chosen_model(ism, spec, rule or "")
@@ -123,7 +128,7 @@ def serve(
         with first_call():
             warm_up(model, mapper, example)
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a viewer that goes away is no error
-        publisher = stack.enter_context(FoxglovePublisher(host, port))
+        publisher = stack.enter_context(FoxglovePublisher(host, port, costs=costs))
         out.print(f"serving /map, /points and /tf at {publisher.url}; Ctrl-C stops")
         report = served(
             frames,

@@ -21,12 +21,23 @@ from ogm.geometric.ray import RayISM, RayTrace
 from ogm.grid import EvidentialGrid, LayeredGrid
 from ogm.models.combined import CombinedISM
 from ogm.models.named import ModelsByKind
+from ogm.planning import costmap, distance_to_obstacles
 from ogm.scan import InverseSensorModel, Scan
 
 LayerFunction = Callable[[RayTrace], Mapping[str, NDArray[np.float32]]]
 """Returns layers of one scan, (nx, ny) each, NaN where unknown; `RayTrace.grid` holds the masses of the whole model."""
 
-LAYERS: Mapping[str, LayerFunction] = {"ground_height": height_layers}
+
+def planning_layers(trace: RayTrace) -> dict[str, NDArray[np.float32]]:
+    """Return the distance to the nearest obstacle [m] and nav2's costs with its defaults, NaN where unknown."""
+    costs = costmap(trace.grid, 0.0, 0.55).astype(np.float32)
+    return {"distance": distance_to_obstacles(trace.grid, "free"), "cost": np.where(costs > 254, np.nan, costs)}
+
+
+LAYERS: Mapping[str, LayerFunction] = {
+    "ground_height": height_layers,
+    **dict.fromkeys(("distance", "cost"), planning_layers),
+}
 """Name of each layer of `map_layers`, and the function that makes it; one function may make several."""
 
 

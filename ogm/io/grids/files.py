@@ -44,8 +44,8 @@ def write_grid(
     mode : {"trinary", "scale", "raw"}, optional
         Of ``.yaml``: the state of each cell (default), or its value of 0 ... 100, which is occupied + unknown / 2, by
         grey levels and transparency, or as it is.
-    message : {"occupancy-grid", "grid-map", "foxglove-grid"}, optional
-        Of logs, see `GridLog`; by default the first.
+    message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}, optional
+        Of logs, see `GridLog`; by default the first. A costmap is on ``/costmap_raw``.
 
     Raises
     ------
@@ -74,7 +74,8 @@ def write_grid(
     elif ending in _SCIENTIFIC:
         write_scientific(path, placed)
     elif ending in LOG_ENDINGS:
-        with GridLog(path, message or "occupancy-grid") as log:
+        topic = "/costmap_raw" if message == "costmap" else "/map"
+        with GridLog(path, message or "occupancy-grid", topic) as log:
             log.write(placed)
     elif ending == ".png":
         write_picture(path, placed.upright.evidential)
@@ -91,7 +92,7 @@ def check_grid_output(
     ----------
     path : path
     mode : {"trinary", "scale", "raw"}, optional
-    message : {"occupancy-grid", "grid-map", "foxglove-grid"}, optional
+    message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}, optional
     crs : str, optional
         Of the `PlacedGrid`.
     """

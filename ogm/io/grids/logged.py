@@ -11,6 +11,7 @@ from typing import Any, Literal, Self, get_args
 from ogm.grid import EvidentialGrid
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.logs import LogMessage, LogReader, LogWriter, open_log
+from ogm.io.messages.costs import layers_from_nav2_costmap, nav2_costmap
 from ogm.io.messages.grids import cells_from_update, grid_from_occupancy_grid, occupancy_grid
 from ogm.io.messages.layers import foxglove_grid, grid_map, layers_from_foxglove_grid, layers_from_grid_map
 from ogm.io.messages.plain import stamp_seconds, tf_message
@@ -20,16 +21,18 @@ from ogm.storage.files import FilePath, OgmError, error_context
 
 _log = logging.getLogger(__name__)
 
-GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid"]
+GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid", "costmap"]
 # Type of each message, and the function that makes it.
 _MESSAGES: dict[str, tuple[str, Callable[..., Any]]] = {
     "occupancy-grid": ("nav_msgs/msg/OccupancyGrid", occupancy_grid),
     "grid-map": ("grid_map_msgs/msg/GridMap", grid_map),
     "foxglove-grid": ("foxglove.Grid", foxglove_grid),
+    "costmap": ("nav2_msgs/msg/Costmap", nav2_costmap),
 }
 _READERS: dict[str, Callable[[Any], Any]] = {
     "nav_msgs/msg/OccupancyGrid": grid_from_occupancy_grid,
     "grid_map_msgs/msg/GridMap": layers_from_grid_map,
+    "nav2_msgs/msg/Costmap": layers_from_nav2_costmap,
     "foxglove.Grid": layers_from_foxglove_grid,
     "foxglove_msgs/msg/Grid": layers_from_foxglove_grid,
 }
@@ -45,10 +48,10 @@ class GridLog:
     ----------
     path : path
         ``.mcap``, ``.db3`` or ``.bag``. Its folder must exist.
-    message : {"occupancy-grid", "grid-map", "foxglove-grid"}
+    message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}
         ``nav_msgs/OccupancyGrid``, which every viewer and planner reads, has one number per cell.
         ``grid_map_msgs/GridMap`` has all bands, for RViz with grid_map's plug-in. ``foxglove.Grid`` has all bands and
-        colours, in MCAP alone.
+        colours, in MCAP alone. ``nav2_msgs/Costmap`` has the layer ``cost``, see `ogm.planning.costmap`.
     topic : str
         Of the grids; transforms go to ``/tf``.
 
