@@ -19,10 +19,11 @@ from wall_drive import HEIGHT, WALL, write_drive
 from ogm.fusion import resampled
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
-from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
+from ogm.io import GridLog, PlacedGrid, occupancy_from_costs, read_grid, read_placed_grid, write_grid
 from ogm.io.logs import open_log
 from ogm.io.messages import grid_from_occupancy_grid, transforms_from_tf
 from ogm.io.messages.grids import occupancy_values
+from ogm.planning import costmap
 from ogm.pose import pose
 from ogm.state import predict_state
 
@@ -305,3 +306,33 @@ def test_convert_starts_without_the_heavy_packages() -> None:
     code = "import sys, ogm.cli; print(*{name.split('.')[0] for name in sys.modules})"
     loaded = set(subprocess.check_output([sys.executable, "-c", code], text=True).split())
     assert not loaded & {"rasterio", "xarray", "netCDF4", "zarr", "rosbags", "mcap", "foxglove", "PIL", "yaml", "scipy"}
+
+
+def test_costs_are_written_as_each_format_holds_them(tmp_path: Path) -> None:
+    write_grid(tmp_path / "m.npz", grid())
+    numbers = ("--inflation-radius", 1.0, "--inscribed-radius", 0.25, "--cost-scaling", 3)
+    costs = costmap(grid(), 0.25, 1.0, 3.0)
+    for name, words in {"c.yaml": (), "c.mcap": (), "g.mcap": ("--message", "grid-map"), "c.db3": ("--message", "costmap"),
+                        "c.npz": ()}.items():  # fmt: skip
+        completed("convert", tmp_path / "m.npz", tmp_path / name, *numbers, *words)
+    percent = occupancy_values(occupancy_from_costs(LayeredGrid(SPEC, {"cost": costs})))
+    assert 99 in percent
+    for name in ("c.yaml", "c.mcap"):
+        np.testing.assert_array_equal(occupancy_values(read_grid(tmp_path / name)), percent)
+    with open_log(tmp_path / "c.db3") as log:
+        (message,) = log.messages(["/costmap_raw"])
+        np.testing.assert_array_equal(np.reshape(message.decode().data, SPEC.shape[::-1]).T, costs)
+    for name in ("g.mcap", "c.npz"):
+        placed = read_placed_grid(tmp_path / name)
+        assert placed.grid == grid()
+        np.testing.assert_array_equal(placed.layers["cost"], costs)
+    again = completed("convert", tmp_path / "c.npz", tmp_path / "d.npz", *numbers[:2], "--cost-unknown", "free")
+    assert "masses" in again.output
+    assert read_placed_grid(tmp_path / "d.npz").layers["cost"].max() == 254
+    refused_command("costs need --inflation-radius", "convert", tmp_path / "m.npz", tmp_path / "x.npz", *numbers[2:])
+    refused_command("needs costs", "convert", tmp_path / "m.npz", tmp_path / "x.db3", "--message", "costmap")
+    refused_command("unknown must be one of", "convert", tmp_path / "m.npz", tmp_path / "x.npz", *numbers,
+                    "--cost-unknown", "x")  # fmt: skip
+    refused_command(
+        "--message costmap is for costs", "fuse", tmp_path, "--out", tmp_path / "x.db3", "--message", "costmap"
+    )

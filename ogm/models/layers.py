@@ -27,10 +27,14 @@ from ogm.scan import InverseSensorModel, Scan
 LayerFunction = Callable[[RayTrace], Mapping[str, NDArray[np.float32]]]
 """Returns layers of one scan, (nx, ny) each, NaN where unknown; `RayTrace.grid` holds the masses of the whole model."""
 
+COST_REACH = 2.0  # [m] beyond the inscribed radius, within which obstacles cost
+COST_SCALING = 2.0  # [1/m] costs halve every 0.35 m
+
 
 def planning_layers(trace: RayTrace) -> dict[str, NDArray[np.float32]]:
-    """Return the distance to the nearest obstacle [m] and nav2's costs with its defaults, NaN where unknown."""
-    costs = costmap(trace.grid, 0.0, 0.55).astype(np.float32)
+    """Return the distance to the nearest obstacle [m], and costs for the ego footprint, NaN where unknown."""
+    inscribed = min(map(abs, trace.mount.ego_footprint))
+    costs = costmap(trace.grid, inscribed, inscribed + COST_REACH, COST_SCALING).astype(np.float32)
     return {"distance": distance_to_obstacles(trace.grid, "free"), "cost": np.where(costs > 254, np.nan, costs)}
 
 
