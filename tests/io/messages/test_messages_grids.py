@@ -307,7 +307,7 @@ def test_costs_by_every_reader(T, sent, by_mcap):
     assert len(np.unique(costs)) > 4
     plain = nav2_costmap(LayeredGrid(SPEC, {"cost": costs}), frame_id="odom", stamp=3.5, T_frame_grid=T)
     for arrived in (sent(plain, COSTMAP, 2), by_mcap(plain, COSTMAP)):
-        facts, data = arrived.metadata, np.array(arrived.data)
+        facts, data = arrived.metadata, np.frombuffer(bytes(arrived.data), np.uint8)
         assert (facts.size_x, facts.size_y, facts.layer, arrived.header.frame_id) == (9, 6, "master", "odom")
         assert facts.update_time.sec == 3
         np.testing.assert_array_equal(data.reshape(6, 9).T, costs)  # row by row, x fastest, as nav2's getIndex
