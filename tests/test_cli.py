@@ -306,8 +306,10 @@ def test_the_installed_script_runs() -> None:
 
 def test_layers_are_written_beside_the_masses(scan: Path, tmp_path: Path) -> None:
     words = ("map", scan, "--ism", "ray", "--sensor-height", 1.7, "--out", tmp_path / "o.npz", *SMALL)
-    completed(*words, "--layers", "ground_height", "--picture", tmp_path / "o.png")
+    completed(*words, "--layers", "ground_height,distance,cost", "--picture", tmp_path / "o.png")
     layers = LayeredGrid.load(tmp_path / "o_layers.npz")
     assert layers.spec == EvidentialGrid.load(tmp_path / "o.npz").spec
     assert abs(layers["ground_height"][layers.spec.index(5.0, 0.1)]) < 0.05
+    wall = layers.spec.index(8.1, 0.1)
+    assert (layers["distance"][wall], layers["cost"][wall]) == (0, 254)
     refused_command("there is no layer 'height'", *words, "--layers", "height")
