@@ -21,7 +21,7 @@ CURVATURES = np.array([0.0, 0.05, -0.05, 0.1, -0.1, 0.15, -0.15])  # [1/m], the 
 
 
 class Choice(NamedTuple):
-    """What the loop decided with a scan: the curvature [1/m], up to where it is free [m], and the time that it took [s]."""
+    """Choice after a scan: curvature [1/m], free length of the arc [m], and the time that it took [s]."""
 
     curvature: float
     free: float
