@@ -312,13 +312,14 @@ def test_costs_are_written_as_each_format_holds_them(tmp_path: Path) -> None:
     write_grid(tmp_path / "m.npz", grid())
     numbers = ("--inflation-radius", 1.0, "--inscribed-radius", 0.25, "--cost-scaling", 3)
     costs = costmap(grid(), 0.25, 1.0, 3.0)
-    messages = {"g.mcap": "grid-map", "c.db3": "costmap"}
-    for name in ("c.yaml", "c.mcap", "g.mcap", "c.db3", "c.npz"):
+    messages = {"o.mcap": "occupancy-grid", "g.mcap": "grid-map"}
+    for name in ("c.yaml", "o.mcap", "g.mcap", "c.db3", "c.npz"):
         words = ("--message", messages[name]) if name in messages else ()
-        completed("convert", tmp_path / "m.npz", tmp_path / name, *numbers, *words)
+        result = completed("costmap", tmp_path / "m.npz", tmp_path / name, *numbers, *words)
+        assert f"obstacle {100 * (costs == 254).mean():.1f} %" in result.output
     percent = occupancy_values(occupancy_from_costs(LayeredGrid(SPEC, {"cost": costs})))
     assert 99 in percent
-    for name in ("c.yaml", "c.mcap"):
+    for name in ("c.yaml", "o.mcap"):
         np.testing.assert_array_equal(occupancy_values(read_grid(tmp_path / name)), percent)
     with open_log(tmp_path / "c.db3") as log:
         (message,) = log.messages(["/costmap_raw"])
@@ -327,13 +328,11 @@ def test_costs_are_written_as_each_format_holds_them(tmp_path: Path) -> None:
         placed = read_placed_grid(tmp_path / name)
         assert placed.grid == grid()
         np.testing.assert_array_equal(placed.layers["cost"], costs)
-    again = completed("convert", tmp_path / "c.npz", tmp_path / "d.npz", *numbers[:2], "--cost-unknown", "free")
-    assert "masses" in again.output
+    completed("costmap", tmp_path / "c.npz", tmp_path / "d.npz", *numbers[:2], "--unknown", "free")
     assert read_placed_grid(tmp_path / "d.npz").layers["cost"].max() == 254
-    refused_command("costs need --inflation-radius", "convert", tmp_path / "m.npz", tmp_path / "x.npz", *numbers[2:])
-    refused_command("needs costs", "convert", tmp_path / "m.npz", tmp_path / "x.db3", "--message", "costmap")
-    refused_command("unknown must be one of", "convert", tmp_path / "m.npz", tmp_path / "x.npz", *numbers,
-                    "--cost-unknown", "x")  # fmt: skip
-    refused_command(
-        "--message costmap is for costs", "fuse", tmp_path, "--out", tmp_path / "x.db3", "--message", "costmap"
-    )
+    given = ("costmap", tmp_path / "m.npz", tmp_path / "x.npz", *numbers)
+    refused_command("unknown must be one of", *given, "--unknown", "x")
+    refused_command("would take the place of", "costmap", tmp_path / "m.npz", tmp_path / "m.npz", *numbers)
+    log_words = (tmp_path / "x.db3", "--message", "costmap")
+    refused_command("wanted a layer cost, got free", "convert", tmp_path / "m.npz", *log_words)
+    refused_command("--message costmap is for costs", "fuse", tmp_path, "--out", *log_words)

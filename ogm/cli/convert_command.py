@@ -35,7 +35,10 @@ LayerValues = Annotated[
 ]
 Message = Annotated[
     str | None,
-    Option(help="Of .mcap, .db3, .bag: occupancy-grid, or with masses grid-map or foxglove-grid. [default: the first]"),
+    Option(
+        help="Of .mcap, .db3, .bag: occupancy-grid, grid-map or foxglove-grid, with all layers, or costmap. "
+        "[default: the first]"
+    ),
 ]
 Topic = Annotated[str | None, Option(help="Of a GRID in a log. [default: the one with grids, or /map]")]
 FreeThresh = Annotated[

@@ -177,9 +177,7 @@ def fuse(
     outputs = Outputs(out_path, picture, movie, save_poses, page)
     outputs.prepare(scans)
     if message == "costmap":
-        raise ValueError(
-            "--message costmap is for costs: fuse to a map, and `ogm convert --inflation-radius` makes them"
-        )
+        raise ValueError("--message costmap is for costs: fuse to a map, and `ogm costmap` makes them of it")
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     rule = _checked_rule(rule, dynamic, particles)

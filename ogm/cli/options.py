@@ -1,17 +1,9 @@
 """Options that several commands take."""
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from typer import Option
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from ogm.grid import EvidentialGrid
 
 
 def parsed_axes(text: str) -> str | tuple[str, ...]:
@@ -23,21 +15,6 @@ def check_first(first: int | None) -> None:
     """Refuse a number of scans below 1."""
     if first is not None and first < 1:
         raise ValueError(f"--first must be at least 1, got {first}")
-
-
-def cost_function(
-    inflation_radius: float | None, inscribed_radius: float | None, cost_scaling: float | None, unknown: str | None
-) -> "Callable[[EvidentialGrid], NDArray[np.uint8]] | None":
-    """Return the function that makes the costs of a map by the options of costs, or None where there are none."""
-    numbers = {"inscribed_radius": inscribed_radius, "cost_scaling": cost_scaling, "unknown": unknown}
-    given: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
-    if inflation_radius is None:
-        if given:
-            raise ValueError("costs need --inflation-radius [m]: obstacles cost nothing beyond it")
-        return None
-    from ogm.planning import costmap
-
-    return partial(costmap, **{"inscribed_radius": 0.0, "inflation_radius": inflation_radius, **given})
 
 
 File = Path | None
@@ -78,21 +55,7 @@ Sensor = Annotated[
 ]
 FixedFrame = Annotated[str | None, Option("--frame", help="Of a log: fixed frame. [default: map, odom, world, root]")]
 First = Annotated[int | None, Option(help="Use the first N scans only. [default: all]", metavar="N")]
-InflationRadius = Annotated[
-    float | None,
-    Option(help="Add a layer cost, as nav2's inflation layer has it: distance up to which obstacles cost [m].", min=0),
-]
-InscribedRadius = Annotated[
-    float | None, Option(help="Of costs: radius of the greatest circle in the footprint [m]. [default: 0]", min=0)
-]
-CostScaling = Annotated[float | None, Option(help="Of costs: cost_scaling_factor of nav2 [1/m]. [default: 10]", min=0)]
-CostUnknown = Annotated[
-    str | None,
-    Option(
-        "--cost-unknown",
-        help="Of costs: unknown cells are unknown, inflated, obstacle or free. [default: unknown]",
-        metavar="WHAT",
-    ),
-]
+InscribedRadius = Annotated[float, Option(help="Radius of the greatest circle in the footprint [m].")]
+CostScaling = Annotated[float, Option(help="Decrease of costs with distance, cost_scaling_factor of nav2 [1/m].")]
 Workers = Annotated[int, Option(help="Processes of this machine.", min=1)]
 Scheduler = Annotated[str | None, Option(help="Use a Dask cluster instead: tcp://host:port.")]

@@ -4,6 +4,7 @@ import logging
 import socket
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -35,6 +36,9 @@ Rate = Annotated[float | None, Option(help="Speed of the clock: 2 plays twice as
 Duration = Annotated[float | None, Option(help="Stop after this time [s]. [default: at the end, or Ctrl-C]")]
 Port = Annotated[int, Option(help="Port of the Foxglove WebSocket; 0 takes any free one.")]
 Host = Annotated[str, Option(help="Address of the server. Others than the loopback's show the map to the network.")]
+InflationRadius = Annotated[
+    float | None, Option(help="Add the field cost to /map: distance beyond which obstacles cost nothing [m].")
+]
 Every = Annotated[float, Option(help="Print counts and latencies this often [s].")]
 
 
@@ -62,10 +66,9 @@ def serve(
     time_unit: options.TimeUnit = None,
     rule: Rule = None,
     half_life: HalfLife = None,
-    inflation_radius: options.InflationRadius = None,
-    inscribed_radius: options.InscribedRadius = None,
-    cost_scaling: options.CostScaling = None,
-    cost_unknown: options.CostUnknown = None,
+    inflation_radius: InflationRadius = None,
+    inscribed_radius: options.InscribedRadius = 0.0,
+    cost_scaling: options.CostScaling = 10.0,
     length: options.Length = None,
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
@@ -89,13 +92,17 @@ def serve(
     from ogm.live import serve as served
     from ogm.live.memory import return_large_blocks
     from ogm.models.named import load_model, with_radar
+    from ogm.planning import costmap
     from ogm.scan import Mount
     from ogm.workflows.checks import gravest
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
     import_extra("foxglove", "live")  # before kernels are compiled
-    costs = options.cost_function(inflation_radius, inscribed_radius, cost_scaling, cost_unknown)
+    if inflation_radius is None and (inscribed_radius, cost_scaling) != (0.0, 10.0):
+        raise ValueError("--inscribed-radius and --cost-scaling belong to --inflation-radius [m], which is missing")
+    numbers = {"inscribed_radius": inscribed_radius, "inflation_radius": inflation_radius, "cost_scaling": cost_scaling}
+    costs = None if inflation_radius is None else partial(costmap, **numbers)
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
     ism = chosen_model(ism, spec, rule or "")
