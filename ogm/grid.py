@@ -450,7 +450,7 @@ class EvidentialGrid(SavedGrid):
         Raises
         ------
         ValueError
-            If the shape is another, a coordinate is not finite, or `method` none of the choices.
+            If the shape is another, a coordinate is not finite, or `method` is not one of the choices.
         """
 
         def masses(cell: NDArray[np.float64]) -> NDArray[np.float32]:

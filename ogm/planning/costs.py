@@ -53,7 +53,7 @@ def costmap(
     TypeError
         If `grid` holds no masses.
     ValueError
-        If a number is out of its range, or `unknown` none of the choices.
+        If a number is out of its range, or `unknown` is not one of the choices.
 
     Notes
     -----

@@ -15,7 +15,7 @@ DistanceUnknown = Literal["obstacle", "free", "only"]
 
 
 def evidential_of(grid: EvidentialGrid | DynamicGrid) -> EvidentialGrid:
-    """Return the masses of free and occupied of a grid; raise TypeError for what is none."""
+    """Return the masses of free and occupied of a grid; raise TypeError for other objects."""
     if isinstance(grid, DynamicGrid):
         return grid.to_evidential()
     if not isinstance(grid, EvidentialGrid):
@@ -49,19 +49,19 @@ def distance_to_obstacles(
         Obstacles are the cells that `ogm.state.predict_state` predicts occupied.
     unknown : {"obstacle", "free", "only"}
         Role of unknown cells. "obstacle": they are obstacles too, as are all places outside of the grid. "free": they
-        are none. "only": the distance to the nearest unknown cell, or place outside, is returned instead.
+        count as free. "only": the distance to the nearest unknown cell, or place outside, is returned instead.
 
     Returns
     -------
     (nx, ny) float32
-        [m]; 0 in obstacles, inf where the grid has none.
+        [m]; 0 in obstacles, inf in a grid without obstacles.
 
     Raises
     ------
     TypeError
         If `grid` holds no masses.
     ValueError
-        If `unknown` is none of the choices.
+        If `unknown` is not one of the choices.
     """
     if unknown not in get_args(DistanceUnknown):
         raise ValueError(f"unknown must be one of {', '.join(get_args(DistanceUnknown))}, got {unknown!r}")

@@ -30,7 +30,7 @@ class Collision(NamedTuple):
     unknown : (K,) float32
         Greatest mass of unknown in a cell, [0, 1]; 1 where the footprint reaches beyond the grid.
     first_doubtful : int or None
-        Number of the first pose whose plausibility exceeds the limit; None if there is none.
+        Number of the first pose whose plausibility exceeds the limit; None if all are below it.
     """
 
     belief: NDArray[np.float32]

@@ -112,7 +112,7 @@ def layers_from_nav2_costmap(message: Any) -> tuple[LayeredGrid, NDArray[np.floa
     Raises
     ------
     OgmError
-        If sizes contradict each other, or the pose is none.
+        If sizes contradict each other, or the pose is not rigid.
     """
     where, facts = describe_message(message, "Costmap"), message.metadata
     shape, data = (int(facts.size_x), int(facts.size_y)), as_bytes(message.data, describe_message(message, "Costmap"))
