@@ -101,8 +101,11 @@ def serve(
     import_extra("foxglove", "live")  # before kernels are compiled
     if inflation_radius is None and (inscribed_radius, cost_scaling) != (0.0, 10.0):
         raise ValueError("--inscribed-radius and --cost-scaling belong to --inflation-radius [m], which is missing")
-    radii = {"inscribed_radius": inscribed_radius, "inflation_radius": inflation_radius or 0.0}
-    costs = None if inflation_radius is None else partial(costmap, **radii, cost_scaling=cost_scaling)
+    costs = None
+    if inflation_radius is not None:
+        costs = partial(
+            costmap, inscribed_radius=inscribed_radius, inflation_radius=inflation_radius, cost_scaling=cost_scaling
+        )
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
     ism = chosen_model(ism, spec, rule or "")
