@@ -10,6 +10,7 @@ from targets import Target, check_grid
 
 from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io import PlacedGrid, read_any_grid, read_placed_grid, write_grid
+from ogm.planning import costmap
 from ogm.pose import pose
 
 SPEC = GridSpec(0.16, (8, 6), (0.0, 0.0))
@@ -60,6 +61,11 @@ def placed() -> PlacedGrid:
     return PlacedGrid(grid, pose(z=0.5), "odom", 12.5, layers=LayeredGrid(grid.spec, {"height": grid.occupied}))
 
 
+def costs() -> LayeredGrid:
+    """Return costs of 48 cells."""
+    return LayeredGrid(SPEC, {"cost": costmap(evidential(), SPEC.resolution, 4 * SPEC.resolution)})
+
+
 def turned() -> PlacedGrid:
     """Return the masses, turned."""
     return PlacedGrid(evidential(), pose(1.0, 2.0, yaw=0.5), "odom", 12.5, "EPSG:25832")
@@ -83,6 +89,7 @@ _WRITTEN: dict[str, tuple[str, Callable[[], Any], dict[str, Any]]] = {
     "grid-mcap": ("a.mcap", placed, {"message": "occupancy-grid"}),
     "grid-mcap-foxglove": ("a.mcap", placed, {"message": "foxglove-grid"}),
     "grid-mcap-map": ("a.mcap", placed, {"message": "grid-map"}),
+    "grid-mcap-costmap": ("a.mcap", costs, {"message": "costmap"}),
     "grid-db3": ("a.db3", placed, {"message": "grid-map"}),
     "grid-bag": ("a.bag", placed, {"message": "grid-map"}),
 }
