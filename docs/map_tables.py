@@ -47,6 +47,13 @@ def fusion(names: Sequence[str] = (), columns: Sequence[str] = tuple(MAP_COLUMNS
     return "\n\n".join(parts)
 
 
+def planning() -> str:
+    """Return the time of distances, costs and questions, beside a copy and peers."""
+    times = record("planning")["times"]
+    rows = [[name, f"{one['median [ms]']:.2g} ms", f"{one['x copy']:.3g}"] for name, one in times.items()]
+    return table(["512 x 352 cells, one core", "time", "x copy"], rows)
+
+
 def fusion_speed() -> str:
     """Return the cost of an update."""
     times = record("fusion_speed")["times [ms]"]

@@ -17,7 +17,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     ),
     "Evidence": ("ogm.evidence", "ogm.evidence.map_rules", "ogm.evidence.powerset"),
     "Sensor models": ("ogm.models", "ogm.geometric", "ogm.deep", "ogm.calibration", "ogm.geometric.doppler"),
-    "Maps over time": ("ogm.fusion", "ogm.workflows", "ogm.live", "ogm.world"),
+    "Maps over time": ("ogm.fusion", "ogm.planning", "ogm.workflows", "ogm.live", "ogm.world"),
     "Data": (
         *("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.transforms", "ogm.io.logs", "ogm.truth"),
         *("ogm.io.kitti", "ogm.io.semantic_kitti", "ogm.io.nuscenes", "ogm.io.argoverse2", "ogm.io.sustech"),

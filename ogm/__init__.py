@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         live,
         metrics,
         models,
+        planning,
         plot,
         simulation,
         storage,
@@ -57,7 +58,7 @@ _HOMES = {
         name: f"ogm.{name}"
         for name in (
             *("calibration", "datasets", "deep", "evaluation", "evidence", "fusion", "geometric", "io", "live"),
-            *("metrics", "models", "plot", "simulation", "storage", "truth", "workflows", "world"),
+            *("metrics", "models", "planning", "plot", "simulation", "storage", "truth", "workflows", "world"),
         )
     },
 }

@@ -10,26 +10,24 @@
 (0.6, 0.3)
 """
 
-import os
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import check_mass
 from ogm.evidence.arrays import refuse_masked
-from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid, ShownInNotebooks
-from ogm.storage.archive import open_archive, write_archive
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid, SavedGrid, spec_of_arrays
 
-__all__ = ["DYNAMIC_FORMAT", "DynamicGrid"]
+__all__ = ["DynamicGrid"]
 
-DYNAMIC_FORMAT = "ogm.DynamicGrid/1"
 _COVARIANCE = {"velocity_covariance_xx": (0, 0), "velocity_covariance_xy": (0, 1), "velocity_covariance_yy": (1, 1)}
 
 
 @dataclass(frozen=True, eq=False)
-class DynamicGrid(ShownInNotebooks):
+class DynamicGrid(SavedGrid):
     """Belief masses of free, static and dynamic, and the velocity of dynamic cells.
 
     Parameters
@@ -51,6 +49,7 @@ class DynamicGrid(ShownInNotebooks):
         If a shape does not fit `spec`, or masses are NaN, negative, or part of a sum above 1 by more than 1e-6.
     """
 
+    FORMAT: ClassVar[str] = "ogm.DynamicGrid/1"
     spec: GridSpec
     mass: NDArray[np.float32]
     velocity: NDArray[np.float32]
@@ -169,36 +168,15 @@ class DynamicGrid(ShownInNotebooks):
 
     __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the grid, lossless and in one step, to an ``.npz`` file that explains itself.
-
-        The archive holds ``mass``, ``velocity`` and ``covariance``, and else what `EvidentialGrid.save` writes; errors
-        as there.
-        """
+    def arrays(self) -> dict[str, ArrayLike]:
+        """Return the arrays of the file: ``mass``, ``velocity`` and ``covariance``, else those of `EvidentialGrid`."""
         self.check()
-        write_archive(
-            path,
-            DYNAMIC_FORMAT,
-            states=["free", "static", "dynamic"],
-            axes="[ix (x forward), iy (y left), state, or x and y]; origin is the corner of cell (0, 0)",
-            resolution=self.spec.resolution,
-            origin=self.spec.origin,
-            mass=self.mass,
-            velocity=self.velocity,
-            covariance=self.covariance,
-        )
+        axes = "[ix (x forward), iy (y left), state, or x and y]; origin is the corner of cell (0, 0)"
+        cells = {name: getattr(self, name) for name in ("mass", "velocity", "covariance")}
+        return {"states": ["free", "static", "dynamic"], "axes": axes, **self._place(), **cells}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a grid that `save` wrote. Nothing is unpickled.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        OgmError
-            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
-        """
-        with open_archive(path, DYNAMIC_FORMAT) as data:
-            spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
-            return cls(spec, data["mass"], data["velocity"], data["covariance"])
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """See `SavedGrid.of_arrays`."""
+        spec = spec_of_arrays(arrays, arrays["mass"].shape)
+        return cls(spec, arrays["mass"], arrays["velocity"], arrays["covariance"])

@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Self, overload
+from typing import Any, ClassVar, Literal, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,9 +23,10 @@ from ogm.evidence.arrays import refuse_masked
 from ogm.storage.archive import open_archive, write_archive
 from ogm.storage.limits import current_limits, too_large
 
-__all__ = ["LAYERED_FORMAT", "CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid", "PartialGrid"]
+__all__ = ["CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid", "PartialGrid"]
 
-_FORMAT, LAYERED_FORMAT = "ogm.EvidentialGrid/1", "ogm.LayeredGrid/1"
+Sampling = Literal["nearest", "bilinear"]
+
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
 _MAX_CELLS = 2**28  # 2 GiB of masses; a file that announces more is refused before it is unpacked
 _MIN_CELL, _MAX_CELL = 1e-6, 1e6  # [m] sides of cells: beyond, products of lengths leave the range of float32
@@ -195,6 +196,46 @@ class GridSpec:
         return GridSpec(self.resolution / factor, (nx * int(factor), ny * int(factor)), self.origin)
 
 
+def sampled_opinions(
+    points: ArrayLike,
+    origin: tuple[float, float],
+    resolution: float,
+    masses: Callable[[NDArray[np.float64]], NDArray[np.float32]],
+    method: Sampling,
+) -> Opinion | NDArray[np.float32]:
+    """Return the opinions at points of a map that is any function of its cells; see `EvidentialGrid.opinion_at`.
+
+    Parameters
+    ----------
+    points : (..., 2) array
+        x, y [m].
+    origin : (float, float)
+        x, y of the corner of cell (0, 0) [m].
+    resolution : float
+        Side of a cell [m].
+    masses : function
+        Takes cells, whole numbers (..., 2), to their masses of free and occupied, (..., 2): 0 beyond the map.
+    method : {"nearest", "bilinear"}
+    """
+    xy = np.asarray(points, np.float64)
+    if xy.shape[-1:] != (2,):
+        raise ValueError(f"points must have x and y on their last axis, got shape {xy.shape}")
+    if not np.isfinite(xy).all():
+        raise ValueError(f"points must be finite [m], got {xy[~np.isfinite(xy).all(axis=-1)].reshape(-1, 2)[0]}")
+    cell = (xy - origin) / resolution
+    if method == "nearest":
+        mass = masses(np.floor(cell))
+    elif method == "bilinear":
+        low = np.floor(cell - 0.5)
+        share = cell - 0.5 - low
+        corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
+        weights = (np.where(corner, share, 1 - share).prod(axis=-1, keepdims=True) for corner in corners)
+        mass = sum(w * masses(low + corner) for w, corner in zip(weights, corners, strict=True)).astype(np.float32)
+    else:
+        raise ValueError(f"method must be nearest or bilinear, got {method!r}")
+    return Opinion(*mass.tolist()) if mass.ndim == 1 else np.concatenate([mass, unknown(mass)[..., None]], axis=-1)
+
+
 class ShownInNotebooks:
     """Mixin: a notebook shows the value as a small picture and a table of facts."""
 
@@ -209,8 +250,60 @@ class ShownInNotebooks:
         return html(self)
 
 
+class SavedGrid(ShownInNotebooks):
+    """Mixin of grids: an ``.npz`` file that explains itself, lossless, and read without unpickling."""
+
+    FORMAT: ClassVar[str]
+    spec: GridSpec
+
+    def arrays(self) -> dict[str, ArrayLike]:
+        """Return the arrays of the file, checked: ``resolution`` and ``origin`` [m], ``axes``, and the cells."""
+        raise NotImplementedError
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Return the grid of the arrays of a file."""
+        raise NotImplementedError
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the grid, lossless and in one step, to an ``.npz`` file: see `docs/formats.md`.
+
+        `ogm.io.write_grid` also writes a stamp, a place in a frame, and further layers.
+
+        Raises
+        ------
+        ValueError
+            If the path has another ending, or the numbers are no masses.
+        OSError
+            If the file cannot be written; a file that is there stays whole until the new one is.
+        """
+        write_archive(path, self.FORMAT, **self.arrays())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a grid that `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        OgmError
+            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
+        """
+        with open_archive(path, cls.FORMAT) as arrays:
+            return cls.of_arrays(arrays)
+
+    def _place(self) -> dict[str, ArrayLike]:
+        return {"resolution": self.spec.resolution, "origin": self.spec.origin}
+
+
+def spec_of_arrays(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> GridSpec:
+    """Return the cells of a file by its arrays ``resolution`` and ``origin``."""
+    return GridSpec(float(arrays["resolution"]), (shape[0], shape[1]), tuple(arrays["origin"].tolist()))
+
+
 @dataclass(frozen=True, eq=False)
-class EvidentialGrid(ShownInNotebooks):
+class EvidentialGrid(SavedGrid):
     """Belief masses of free and occupied for every cell of a grid.
 
     Parameters
@@ -229,6 +322,7 @@ class EvidentialGrid(ShownInNotebooks):
         1e-6. Nothing is repaired: see `ogm.evidence.renormalize`.
     """
 
+    FORMAT: ClassVar[str] = "ogm.EvidentialGrid/1"
     spec: GridSpec
     mass: NDArray[np.float32]
 
@@ -333,6 +427,39 @@ class EvidentialGrid(ShownInNotebooks):
         mass = self.mass[self.spec.index(x, y)]
         return mass if mass.ndim > 1 else Opinion(*mass.tolist())
 
+    @overload
+    def opinion_at(self, points: tuple[float, float], method: Sampling = "nearest") -> Opinion: ...
+    @overload
+    def opinion_at(self, points: NDArray[Any], method: Sampling = "nearest") -> NDArray[np.float32]: ...
+    def opinion_at(self, points: ArrayLike, method: Sampling = "nearest") -> Opinion | NDArray[np.float32]:
+        """Return the opinion at any points: unknown outside of the grid, where `at` is an error.
+
+        Parameters
+        ----------
+        points : (..., 2) array
+            x, y [m].
+        method : {"nearest", "bilinear"}
+            "nearest": the masses of the cell that holds the point. "bilinear": the mean of those of the four cells
+            whose centres are around it, weighted by its place between them.
+
+        Returns
+        -------
+        Opinion or (..., 3) float32
+            The opinion at one point (2,), the masses of free, occupied and unknown at each point of an array.
+
+        Raises
+        ------
+        ValueError
+            If the shape is another, a coordinate is not finite, or `method` is not one of the choices.
+        """
+
+        def masses(cell: NDArray[np.float64]) -> NDArray[np.float32]:
+            inside = ((cell >= 0) & (cell < self.spec.shape)).all(axis=-1, keepdims=True)
+            i, j = np.moveaxis(np.where(inside, cell, 0).astype(np.intp), -1, 0)
+            return np.where(inside, self.mass[i, j], np.float32(0))
+
+        return sampled_opinions(points, self.spec.origin, self.spec.resolution, masses, method)
+
     def __repr__(self) -> str:
         free, occupied, unknown = (float(one.mean()) for one in (self.free, self.occupied, self.unknown))
         return f"EvidentialGrid({self.spec}: free {free:.1%}, occupied {occupied:.1%}, unknown {unknown:.1%})"
@@ -349,44 +476,16 @@ class EvidentialGrid(ShownInNotebooks):
         """Give numpy the masses, (nx, ny, 2); without a copy where none is asked for or needed."""
         return np.array(self.mass, dtype, copy=copy)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the grid, lossless and in one step, to an ``.npz`` file that explains itself.
-
-        The archive holds ``mass`` (nx, ny, 2) float32, ``resolution`` and ``origin`` [m], and the texts
-        ``format``, ``states`` and ``axes``. Whatever stood at `path` stays whole until the new file is.
-
-        Raises
-        ------
-        ValueError
-            If the path has another ending, or the masses are none (see `check`).
-        OSError
-            If the file cannot be written.
-        """
+    def arrays(self) -> dict[str, ArrayLike]:
+        """Return the arrays of the file: ``mass`` (nx, ny, 2), ``states``, ``axes``, ``resolution``, ``origin`` [m]."""
         self.check()
-        write_archive(
-            path,
-            _FORMAT,
-            states=["free", "occupied"],
-            axes="[ix (x forward), iy (y left), state]; origin is the corner of cell (0, 0)",
-            resolution=self.spec.resolution,
-            origin=self.spec.origin,
-            mass=self.mass,
-        )
+        axes = "[ix (x forward), iy (y left), state]; origin is the corner of cell (0, 0)"
+        return {"states": ["free", "occupied"], "axes": axes, **self._place(), "mass": self.mass}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a grid that `save` wrote. Nothing is unpickled.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        ValueError
-            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
-        """
-        with open_archive(path, _FORMAT) as data:
-            spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
-            return cls(spec, data["mass"])
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """See `SavedGrid.of_arrays`."""
+        return cls(spec_of_arrays(arrays, arrays["mass"].shape), arrays["mass"])
 
 
 class PartialGrid(EvidentialGrid):
@@ -472,7 +571,7 @@ class CombinedGrid(EvidentialGrid):
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredGrid(ShownInNotebooks):
+class LayeredGrid(SavedGrid):
     """Named layers of numbers on the cells of one grid: conflict, velocity, height, and whatever is no mass.
 
     Parameters
@@ -487,6 +586,7 @@ class LayeredGrid(ShownInNotebooks):
         If a layer has another shape than `spec`.
     """
 
+    FORMAT: ClassVar[str] = "ogm.LayeredGrid/1"
     spec: GridSpec
     layers: Mapping[str, NDArray[np.float32]]
 
@@ -508,27 +608,19 @@ class LayeredGrid(ShownInNotebooks):
             raise KeyError(f"there is no layer {name!r}, only {', '.join(self.layers) or 'none'}")
         return self.layers[name]
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``layers`` (L, nx, ny) and their ``names`` to an ``.npz`` file, as `EvidentialGrid.save` does."""
+    def arrays(self) -> dict[str, ArrayLike]:
+        """Return the arrays of the file: ``layers`` (L, nx, ny), ``names``, ``axes``, ``resolution`` and ``origin``."""
         layers = np.array([*self.layers.values()], np.float32).reshape(len(self.layers), *self.spec.shape)
         if layers.nbytes > current_limits().grid:  # such a file could not be read again
-            raise too_large(path, layers.nbytes, "grid")
-        write_archive(
-            path,
-            LAYERED_FORMAT,
-            names=np.array([*self.layers], np.str_),
-            axes="[layer, ix (x forward), iy (y left)]; origin is the corner of cell (0, 0)",
-            resolution=self.spec.resolution,
-            origin=self.spec.origin,
-            layers=layers,
-        )
+            raise too_large("the layers", layers.nbytes, "grid")
+        axes = "[layer, ix (x forward), iy (y left)]; origin is the corner of cell (0, 0)"
+        return {"names": np.array([*self.layers], np.str_), "axes": axes, **self._place(), "layers": layers}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read layers that `save` wrote; errors as those of `EvidentialGrid.load`."""
-        with open_archive(path, LAYERED_FORMAT) as data:
-            spec = GridSpec(float(data["resolution"]), data["layers"].shape[1:], tuple(data["origin"].tolist()))
-            return cls(spec, dict(zip(data["names"].tolist(), data["layers"], strict=True)))
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """See `SavedGrid.of_arrays`."""
+        spec = spec_of_arrays(arrays, arrays["layers"].shape[1:])
+        return cls(spec, dict(zip(arrays["names"].tolist(), arrays["layers"], strict=True)))
 
     def __eq__(self, other: object) -> bool:
         """Return whether the other has the same cells and the same layers; NaN equals NaN."""

@@ -284,5 +284,5 @@ def test_flipped_bits_of_other_maps_are_found(tmp_path: Path, name: str) -> None
         write_grid(path, PlacedGrid(grid, pose(1.0, 2.0)))
     found = Counter[str]()
     for file in sorted(one for one in (path, *path.rglob("*")) if one.is_file()):
-        found += check_flips(file, lambda: read_placed_grid(path).upright, 150 if path.is_file() else 15, name)
+        found += check_flips(file, lambda: read_placed_grid(path).upright.grid, 150 if path.is_file() else 15, name)
     assert found["refused"] > 5

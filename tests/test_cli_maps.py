@@ -16,12 +16,14 @@ from click.testing import Result
 from commands import completed, ogm, refused_command
 from wall_drive import HEIGHT, WALL, write_drive
 
+from ogm.fusion import resampled
 from ogm.geometric import RayISM
-from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.io import GridLog, PlacedGrid, occupancy_from_costs, read_grid, read_placed_grid, write_grid
 from ogm.io.logs import open_log
 from ogm.io.messages import grid_from_occupancy_grid, transforms_from_tf
 from ogm.io.messages.grids import occupancy_values
+from ogm.planning import costmap
 from ogm.pose import pose
 from ogm.state import predict_state
 
@@ -194,7 +196,9 @@ def test_ctrl_c_keeps_the_maps_so_far(drive: Path, tmp_path: Path, monkeypatch: 
     with open_log(tmp_path / "m.mcap") as log:
         assert log.topics["/map"].count == 2
         assert log.topics["/map"].type == "grid_map_msgs/msg/GridMap"
-    assert read_grid(tmp_path / "m.mcap").at(WALL + 0.25, 1.0).occupied > 0.5
+    placed = read_placed_grid(tmp_path / "m.mcap")
+    assert placed.grid.at(WALL + 0.25, 1.0).occupied > 0.5
+    assert list(placed.layers.layers) == ["free_to_occupied", "occupied_to_free"]
 
 
 def test_ctrl_c_while_the_first_map_is_logged_keeps_it(
@@ -243,7 +247,92 @@ def test_a_scan_is_mapped_to_every_format(drive: Path, tmp_path: Path, ending: s
         assert read_placed_grid(tmp_path / "m.mcap").frame_id == "vehicle"
 
 
+@each("words", [(), ("--ism", "ray", "--window", "fixed", "--half-life", "inf")])
+def test_a_drive_goes_on_with_a_saved_map(drive: Path, tmp_path: Path, words: Sequence[object]) -> None:
+    far = POSES + pose(900.0) - pose()
+    for name, poses, stamps in (("a", POSES[:2], STAMPS[:2]), ("b", POSES[2:], STAMPS[2:]), ("far", far, STAMPS)):
+        (tmp_path / name).mkdir()
+        write_drive(tmp_path / name, poses, stamps)
+    assert fused(drive, tmp_path / "whole.npz", *words).exit_code == 0
+    assert fused(tmp_path / "a", tmp_path / "a.npz", *words).exit_code == 0
+    result = fused(tmp_path / "b", tmp_path / "b.npz", "--continue", tmp_path / "a.npz", *words)
+    assert result.exit_code == 0, result.output
+    whole, found = (read_placed_grid(tmp_path / f"{name}.npz") for name in ("whole", "b"))
+    assert found.stamp == whole.stamp
+    around = resampled(found, whole.grid.spec)
+    np.testing.assert_allclose(around.grid.mass, whole.grid.mass, atol=1e-5)
+    for name in ("free_to_occupied", "occupied_to_free"):
+        np.testing.assert_allclose(around.layers[name], whole.layers[name], atol=1e-5)
+    late = fused(tmp_path / "a", tmp_path / "c.npz", "--continue", tmp_path / "b.npz", *words)
+    assert "it does not age in between" in late.output
+    assert late.exit_code == 0
+    if not words:
+        result = fused(tmp_path / "far", tmp_path / "d.npz", "--continue", tmp_path / "a.npz")
+        assert "has no cell in the window" in result.output
+    result = fused(drive, tmp_path / "d.npz", "--continue", tmp_path / "a.npz", "--dynamic")
+    assert "a saved map is continued by the rules revise, cautious" in result.output
+
+
+def test_maps_are_merged_cut_and_made_coarser(tmp_path: Path) -> None:
+    layers = LayeredGrid(SPEC, {"slope": grid().free, "occupied_to_free": grid().occupied})
+    write_grid(tmp_path / "a.npz", PlacedGrid(grid(), layers=layers))
+    words = ("--merge", tmp_path / "a.npz", "--merge-pose", 1.0, 0.0, 0.0, "--rule", "dempster")
+    assert (
+        "layers  slope, occupied_to_free" in completed("convert", tmp_path / "a.npz", tmp_path / "b.tif", *words).output
+    )
+    merged = read_placed_grid(tmp_path / "b.tif")
+    assert merged.grid.spec.shape == (13, 5)
+    np.testing.assert_array_equal(merged.grid.mass[:4], grid().mass[:4])
+    completed("convert", tmp_path / "b.tif", tmp_path / "c.npz", "--extent", -1.75, -0.75, 2.5, 9, "--side", 0.5)
+    assert read_placed_grid(tmp_path / "c.npz").grid.spec == GridSpec(0.5, (2, 3), SPEC.origin)
+    completed("convert", tmp_path / "b.tif", tmp_path / "d.yaml", "--layer", "slope", "--layer-values", 1, 0)
+    assert "mode: scale" in (tmp_path / "d.yaml").read_text()
+    values = occupancy_values(read_grid(tmp_path / "d.yaml"))[:9]
+    np.testing.assert_array_equal(values, np.rint(100 * (1 - grid().free)))
+    for message, words in (
+        ("--merge-pose and --rule belong to --merge", ("--rule", "dempster")),
+        ("there is no layer 'step'", ("--layer", "step")),
+        ("there is no rule 'bayes'", ("--merge", tmp_path / "a.npz", "--rule", "bayes")),
+        ("has no cell of the map", ("--extent", 50, 60, 0, 1)),
+    ):
+        refused_command(message, "convert", tmp_path / "b.tif", tmp_path / "e.npz", *words)
+    assert completed("info", tmp_path / "b.tif").output.count("...") == 4  # x, y, two layers
+    page = completed("view", tmp_path / "b.tif", "--out", tmp_path / "b.html")
+    assert "13 x 5 cells" in page.output
+    assert b'"slope"' in (tmp_path / "b.html").read_bytes()
+
+
 def test_convert_starts_without_the_heavy_packages() -> None:
     code = "import sys, ogm.cli; print(*{name.split('.')[0] for name in sys.modules})"
     loaded = set(subprocess.check_output([sys.executable, "-c", code], text=True).split())
     assert not loaded & {"rasterio", "xarray", "netCDF4", "zarr", "rosbags", "mcap", "foxglove", "PIL", "yaml", "scipy"}
+
+
+def test_costs_are_written_as_each_format_holds_them(tmp_path: Path) -> None:
+    write_grid(tmp_path / "m.npz", grid())
+    numbers = ("--inflation-radius", 1.0, "--inscribed-radius", 0.25, "--cost-scaling", 3)
+    costs = costmap(grid(), 0.25, 1.0, 3.0)
+    messages = {"o.mcap": "occupancy-grid", "g.mcap": "grid-map"}
+    for name in ("c.yaml", "o.mcap", "g.mcap", "c.db3", "c.npz"):
+        words = ("--message", messages[name]) if name in messages else ()
+        result = completed("costmap", tmp_path / "m.npz", tmp_path / name, *numbers, *words)
+        assert f"obstacle {100 * (costs == 254).mean():.1f} %" in result.output
+    percent = occupancy_values(occupancy_from_costs(LayeredGrid(SPEC, {"cost": costs})))
+    assert 99 in percent
+    for name in ("c.yaml", "o.mcap"):
+        np.testing.assert_array_equal(occupancy_values(read_grid(tmp_path / name)), percent)
+    with open_log(tmp_path / "c.db3") as log:
+        (message,) = log.messages(["/costmap_raw"])
+        np.testing.assert_array_equal(np.reshape(message.decode().data, SPEC.shape[::-1]).T, costs)
+    for name in ("g.mcap", "c.npz"):
+        placed = read_placed_grid(tmp_path / name)
+        assert placed.grid == grid()
+        np.testing.assert_array_equal(placed.layers["cost"], costs)
+    completed("costmap", tmp_path / "c.npz", tmp_path / "d.npz", *numbers[:2], "--unknown", "free")
+    assert read_placed_grid(tmp_path / "d.npz").layers["cost"].max() == 254
+    given = ("costmap", tmp_path / "m.npz", tmp_path / "x.npz", *numbers)
+    refused_command("unknown must be one of", *given, "--unknown", "x")
+    refused_command("would take the place of", "costmap", tmp_path / "m.npz", tmp_path / "m.npz", *numbers)
+    log_words = (tmp_path / "x.db3", "--message", "costmap")
+    refused_command("wanted a layer cost, got free", "convert", tmp_path / "m.npz", *log_words)
+    refused_command("--message costmap is for costs", "fuse", tmp_path, "--out", *log_words)

@@ -84,6 +84,7 @@ def test_a_drive_plays_to_its_end(drive: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int) -> None:
     command = [sys.executable, "-m", "ogm.cli", "serve", str(drive), "--port", "0", *map(str, SMALL)]
+    command += ["--inflation-radius", "1", "--inscribed-radius", "0.3"]
     pipes: dict = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, cwd=ROOT, env={**os.environ, "COLUMNS": "200"}, **pipes) as process:
         try:
@@ -94,6 +95,7 @@ def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int)
             fields = grid_fields(grid)
             x, y = (np.array([8.1, 1.0]) - [grid.pose.position.x, grid.pose.position.y]).tolist()
             assert fields["occupied"][int(x / 0.25), int(y / 0.25)] > 0.5  # the wall
+            assert fields["cost"][int(x / 0.25), int(y / 0.25)] == 254
             assert fields["free"][int((x - 4) / 0.25), int(y / 0.25)] > 0.5  # the way to it
             with socket.create_connection(("127.0.0.1", port)):  # a client that sends nothing
                 process.send_signal(number)

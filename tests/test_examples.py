@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 from foxglove_client import Client, grid_fields
 
-from ogm import Frame, GridSpec, Mount, Scan
+from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan
 from ogm.fusion import EvidentialMapper, fuse, rolling_window
 from ogm.geometric import RayISM
+from ogm.io import read_grid, read_placed_grid
 from ogm.io.messages import StampedTransform, occupancy_grid, point_cloud2, tf_message
+from ogm.io.messages.grids import occupancy_values
 from ogm.io.transforms import ExtrapolationError, TransformBuffer
 from ogm.pose import inverse, pose, transform_points
 
@@ -237,6 +239,41 @@ def test_the_node_publishes_a_map_for_every_cloud(monkeypatch: pytest.MonkeyPatc
     assert "cut short" in node.warnings[0]
 
 
+# Planners.
+
+
+def test_a_path_is_free_up_to_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    static, dynamic = example("path_query").main()
+    for found in (static, dynamic):
+        front = 8.0 + 0.5 * found.first_doubtful + 3.5  # the wall stands 15 m from the middle of the yard
+        assert 13.5 <= front <= 15.0
+        assert (found.plausibility[found.first_doubtful + 3 :] == 1).all()
+
+
+def test_costs_for_nav2_lie_beside_the_map(tmp_path: Path) -> None:
+    mass = np.full((*SPEC.shape, 2), (0.9, 0.0), np.float32)
+    mass[40, 40], mass[60:] = (0.0, 0.9), 0
+    EvidentialGrid(SPEC, mass).save(tmp_path / "map.npz")
+    costs = example("nav2_costmap").main(str(tmp_path / "map.npz"))["cost"]
+    assert [costs[40, 40], costs[41, 40], costs[50, 40], costs[70, 40]] == [254, 253, 0, 255]
+    exact = read_placed_grid(tmp_path / "map_costs.mcap").grid["cost"]
+    np.testing.assert_array_equal(np.where(np.isnan(exact), 255, exact), costs)
+    values = occupancy_values(read_grid(tmp_path / "map_costs.yaml"))
+    assert [values[40, 40], values[41, 40], values[50, 40], values[70, 40]] == [100, 99, 0, -1]
+
+
+def test_the_loop_drives_straight_on_until_the_car_crosses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    module = example("planner_loop")
+    choices = list(module.loop(module.frames(22)))
+    assert [one.curvature for one in choices[:8]] == [0.0] * 8
+    assert all(one.free == pytest.approx(10.0) for one in choices[:8])
+    assert any(one.free < 9 for one in choices[12:])  # it stands across the way
+    assert choices[-1].curvature < 0  # behind it, to the right
+    assert choices[-1].free == pytest.approx(10.0)
+
+
 # The bridge.
 
 
@@ -298,6 +335,7 @@ def free_port() -> int:
 def test_no_example_is_left_out_and_none_is_long() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "ego_motion", "own_driver", "ros2_node", "zenoh_bridge",
+        "nav2_costmap", "path_query", "planner_loop",
         "hall", "own_sensor_model", "read_live_map", "yard",  # tests/test_tutorials.py
     }  # fmt: skip
     for path in set(EXAMPLES.glob("*.py")) - {EXAMPLES / "ego_motion.py"}:  # a filter, its data and its comparison

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ from ogm.live import FoxglovePublisher, LiveReport, receive_frames, serve, strea
 from ogm.live.memory import return_large_blocks
 from ogm.live.playback import NewestFrames
 from ogm.live.stream import frame_bytes
+from ogm.planning import costmap
 from ogm.pose import inverse, pose
 from ogm.scan import LazyFrame
 
@@ -99,20 +101,31 @@ def _no_thread_is_left() -> Iterator[None]:
 
 def test_a_viewer_receives_the_map_the_points_and_the_poses() -> None:
     fused = mapper()
-    with FoxglovePublisher(port=0) as publisher, Client(publisher.port) as client:
-        until(lambda: publisher._map.has_sinks() and publisher._points.has_sinks() and publisher._tf.has_sinks())
+    costs = partial(costmap, inscribed_radius=0.5, inflation_radius=2.0, cost_scaling=1.0)
+    topics = ("/tf", "/points", "/map", "/layers")
+    with FoxglovePublisher(port=0, costs=costs) as publisher, Client(publisher.port, topics) as client:
+        until(
+            lambda: all(
+                one.has_sinks() for one in (publisher._map, publisher._layers, publisher._points, publisher._tf)
+            )
+        )
         report = serve(one_by_one(fused, *(frame(k, "lidar") for k in range(3))), LShape(), fused, publisher)
-        received = [client.receive() for _ in range(9)]
+        received = [client.receive() for _ in range(12)]
     assert (report.mapped, report.dropped, report.failed) == (3, 0, 0)
-    assert [one.topic for one in received] == ["/tf", "/points", "/map"] * 3
-    assert [one.time for one in received[::3]] == [0, 100_000_000, 200_000_000]
-    tf, points, grid = (one.message for one in received[-3:])
+    assert tuple(one.topic for one in received) == topics * 3
+    assert [one.time for one in received[::4]] == [0, 100_000_000, 200_000_000]
+    tf, points, grid, layers = (one.message for one in received[-4:])
+    conflict = grid_fields(layers)
+    assert list(conflict) == ["free_to_occupied", "occupied_to_free"]
+    np.testing.assert_array_equal(conflict["free_to_occupied"], fused.conflict["free_to_occupied"])
 
     # Masses and cells, as they are in Python.
     fields, spec = grid_fields(grid), fused.grid.spec
     np.testing.assert_array_equal(fields["free"], fused.grid.free)
     np.testing.assert_array_equal(fields["occupied"], fused.grid.occupied)
     np.testing.assert_array_equal(fields["unknown"], fused.grid.unknown)
+    np.testing.assert_array_equal(fields["cost"], costs(fused.grid))
+    assert {253, 254} < set(fields["cost"].ravel())
     assert grid.frame_id == "map"
     assert (grid.cell_size.x, grid.cell_size.y, grid.column_count) == (0.5, 0.5, spec.shape[0])
     assert (grid.pose.position.x, grid.pose.position.y) == spec.origin

@@ -63,7 +63,7 @@ def test_placed_grids(path: Path) -> None:
         pytest.importorskip(package)
     found = read_placed_grid(path)
     assert (found.frame_id, found.stamp) == ("utm", 12.5)
-    placed = found.upright
+    placed = found.upright.grid
     assert placed.spec.shape == (4, 3)
     assert placed.spec.origin == pytest.approx((9.0, 22.5), abs=1e-9)
     np.testing.assert_array_equal(placed.mass, GRID.mass)

@@ -10,6 +10,7 @@ from ogm.cli.calibrate_command import calibrate_command
 from ogm.cli.check_command import check
 from ogm.cli.console import out
 from ogm.cli.convert_command import convert
+from ogm.cli.costmap_command import costmap
 from ogm.cli.evaluate_command import evaluate
 from ogm.cli.fuse_command import fuse
 from ogm.cli.info_command import info
@@ -37,6 +38,7 @@ app.command(epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --
 )
 app.command(epilog="Example:  ogm serve drive.mcap --rate 1.0 --port 8765 --ism ray")(serve)
 app.command(epilog="Example:  ogm convert map.npz map.yaml")(convert)
+app.command(epilog="Example:  ogm costmap map.npz costs.mcap --inscribed-radius 0.22 --inflation-radius 0.55")(costmap)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
 app.command("train", epilog="Example:  ogm train data/ --model lite --out runs/lite")(train_command)
 app.command("calibrate", epilog="Example:  ogm calibrate data/ --ism ray --out ray.json")(calibrate_command)

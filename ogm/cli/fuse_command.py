@@ -56,6 +56,12 @@ HalfLife = Annotated[
         "lasers: inf]"
     ),
 ]
+Continue = Annotated[
+    File,
+    Option(
+        "--continue", help="Go on with a map that was saved (.npz with all that it knows; .tif, ...), of this place."
+    ),
+]
 Window = Annotated[
     str | None,
     Option(help="rolling: follows the vehicle. fixed: covers the drive. [default: rolling; planar lasers: fixed]"),
@@ -115,6 +121,7 @@ def fuse(
     particles: Particles = None,
     half_life: HalfLife = None,
     window: Window = None,
+    continue_path: Continue = None,
     length: options.Length = None,
     width: options.Width = None,
     resolution: SideOfCell = None,
@@ -146,6 +153,9 @@ def fuse(
     After three jumps in a row the map so far is saved as NAME.before-jump-1.npz and begins anew. Ctrl-C, or an error
     half-way through the mapping, writes what there is.
 
+    With --continue, the drive goes on with a map in the frame of its poses. The map ages until the first scan, if that
+    follows it in time. The result is the map of all scans if rule, half-life and models are those of before.
+
     With --each-drive, a drive is the work of one of --workers. Its folder appears when all in it is written: the same
     command goes on after Ctrl-C or a kill, and adds the drives that are new. One map of many drives is made by `ogm
     world build`.
@@ -154,7 +164,7 @@ def fuse(
 
     from ogm.datasets import open_dataset
     from ogm.grid import GridSpec
-    from ogm.io.grids.files import check_grid_output
+    from ogm.io.grids.files import check_grid_output, read_placed_grid
     from ogm.models.named import describe_model
     from ogm.workflows import FuseInto, FuseOptions, Outputs, drives_of, fuse_drive, map_defaults
     from ogm.workflows.buildings import BUILDING
@@ -166,6 +176,8 @@ def fuse(
         raise ValueError("--match and --odometry exclude each other: --match refines poses that are known")
     outputs = Outputs(out_path, picture, movie, save_poses, page)
     outputs.prepare(scans)
+    if message == "costmap":
+        raise ValueError("--message costmap is for costs: fuse to a map, and `ogm costmap` makes them of it")
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     rule = _checked_rule(rule, dynamic, particles)
@@ -176,7 +188,9 @@ def fuse(
         for paths in ([[path] for path in scans] if each_drive else [scans])
     ]
     usual = map_defaults(datasets[0], rule)
-    spec = GridSpec.centered(length, width, usual.resolution if resolution is None else resolution)
+    saved = None if continue_path is None else read_placed_grid(continue_path)
+    side = usual.resolution if saved is None else saved.grid.spec.resolution
+    spec = GridSpec.centered(length, width, side if resolution is None else resolution)
     if ism is not None or usual != BUILDING:
         ism = chosen_model(ism, spec, rule)
     options = FuseOptions(
@@ -191,9 +205,12 @@ def fuse(
         radar_reliability=radar_reliability,
         sensors=tuple(sensor or ()),
         message=message,
+        saved=saved,
     )
     options.check()
     if each_drive:
+        if saved is not None:
+            raise ValueError("--continue is of one drive: leave out --each-drive; `ogm world build` joins drives")
         _check_many(poses, sequence, outputs)
         weights = describe_model(str(options.ism))[1]
         options = replace(options, odometry=odometry, rate=rate, first=first, weights=weights)

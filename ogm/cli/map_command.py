@@ -110,6 +110,14 @@ def map_(
         ),
     ] = None,
     picture: Annotated[Path | None, Option(help="Picture (.png), or a folder. [default: ./NAME.png]")] = None,
+    layers: Annotated[
+        str | None,
+        Option(
+            help="Layers beside the masses, commas between: ground_height, distance, cost. Written as NAME_layers with "
+            "the ending of the grid, and drawn.",
+            metavar="NAME[,NAME]...",
+        ),
+    ] = None,
     length: options.Length = None,
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
@@ -133,7 +141,8 @@ def map_(
     if out_path is None and picture is None:
         out_path, picture = Path(), Path()
         _check_replaced(dataset, spec)
-    results = map_to_files(dataset, model, out_path, picture, title=ism, first_call=first_call)
+    beside = tuple(layers.split(",")) if layers is not None else ()
+    results = map_to_files(dataset, model, out_path, picture, title=ism, layers=beside, first_call=first_call)
     names = distinct([frame.name.replace("/", "_") for frame in dataset])
     table, heights, failed, done, titles = _table(), set(), Counter[str](), list[str](), dict[str, None]()
     for name, (frame, grid, seconds, error) in ticked(zip(names, results, strict=True), "mapping", len(names)):

@@ -55,5 +55,7 @@ Sensor = Annotated[
 ]
 FixedFrame = Annotated[str | None, Option("--frame", help="Of a log: fixed frame. [default: map, odom, world, root]")]
 First = Annotated[int | None, Option(help="Use the first N scans only. [default: all]", metavar="N")]
+InscribedRadius = Annotated[float, Option(help="Radius of the greatest circle in the footprint [m].")]
+CostScaling = Annotated[float, Option(help="Decrease of costs with distance, cost_scaling_factor of nav2 [1/m].")]
 Workers = Annotated[int, Option(help="Processes of this machine.", min=1)]
 Scheduler = Annotated[str | None, Option(help="Use a Dask cluster instead: tcp://host:port.")]

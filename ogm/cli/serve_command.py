@@ -4,6 +4,7 @@ import logging
 import socket
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -35,6 +36,9 @@ Rate = Annotated[float | None, Option(help="Speed of the clock: 2 plays twice as
 Duration = Annotated[float | None, Option(help="Stop after this time [s]. [default: at the end, or Ctrl-C]")]
 Port = Annotated[int, Option(help="Port of the Foxglove WebSocket; 0 takes any free one.")]
 Host = Annotated[str, Option(help="Address of the server. Others than the loopback's show the map to the network.")]
+InflationRadius = Annotated[
+    float | None, Option(help="Add the field cost to /map: distance beyond which obstacles cost nothing [m].")
+]
 Every = Annotated[float, Option(help="Print counts and latencies this often [s].")]
 
 
@@ -62,6 +66,9 @@ def serve(
     time_unit: options.TimeUnit = None,
     rule: Rule = None,
     half_life: HalfLife = None,
+    inflation_radius: InflationRadius = None,
+    inscribed_radius: options.InscribedRadius = 0.0,
+    cost_scaling: options.CostScaling = 10.0,
     length: options.Length = None,
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
@@ -85,12 +92,20 @@ def serve(
     from ogm.live import serve as served
     from ogm.live.memory import return_large_blocks
     from ogm.models.named import load_model, with_radar
+    from ogm.planning import costmap
     from ogm.scan import Mount
     from ogm.workflows.checks import gravest
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
     import_extra("foxglove", "live")  # before kernels are compiled
+    if inflation_radius is None and (inscribed_radius, cost_scaling) != (0.0, 10.0):
+        raise ValueError("--inscribed-radius and --cost-scaling belong to --inflation-radius [m], which is missing")
+    costs = None
+    if inflation_radius is not None:
+        costs = partial(
+            costmap, inscribed_radius=inscribed_radius, inflation_radius=inflation_radius, cost_scaling=cost_scaling
+        )
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
     ism = chosen_model(ism, spec, rule or "")
@@ -123,7 +138,7 @@ def serve(
         with first_call():
             warm_up(model, mapper, example)
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a viewer that goes away is no error
-        publisher = stack.enter_context(FoxglovePublisher(host, port))
+        publisher = stack.enter_context(FoxglovePublisher(host, port, costs=costs))
         out.print(f"serving /map, /points and /tf at {publisher.url}; Ctrl-C stops")
         report = served(
             frames,

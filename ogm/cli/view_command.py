@@ -41,8 +41,7 @@ def view(
     """Write one HTML page that shows a grid: zoom, layers, values under the pointer, a scale.
 
     The page needs no other file and no network, and works with 100 million cells and more. Its layers are belief, free,
-    occupied, unknown, probability and state; of a dynamic map also what moves and its velocity. Of a layered grid, they
-    are its own.
+    occupied, unknown, probability and state; of a dynamic map also motion and velocity; and all layers of the file.
 
     A world map is served to the browsers of this machine until Ctrl-C, whatever its size: its page loads the tiles that
     are shown. With --out, it is written as a page instead, at a level that fits.
@@ -50,7 +49,7 @@ def view(
     import webbrowser
 
     from ogm.grid import GridSpec
-    from ogm.io.grids.files import read_any_grid
+    from ogm.io import PlacedGrid, read_placed_grid
     from ogm.plot.viewer import write_view
 
     if (length is None) != (width is None):
@@ -62,10 +61,10 @@ def view(
         _serve(grid, title or local.name, port, open_it)
         return
     path = Path(f"{local.stem}.html") if out_path is None else out_path
-    found = _world_grid(grid, level) if is_world else read_any_grid(local, area)
+    placed = PlacedGrid(_world_grid(grid, level)) if is_world else read_placed_grid(local, area).upright
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_view(path, found, title=title or local.name)
-    print_facts({"page": str(path), "cells": str(found.spec), "size": f"{path.stat().st_size / 1e6:.1f} MB"})
+    write_view(path, placed.grid, placed.layers, title=title or local.name)
+    print_facts({"page": str(path), "cells": str(placed.grid.spec), "size": f"{path.stat().st_size / 1e6:.1f} MB"})
     if open_it and not webbrowser.open(path.resolve().as_uri()):
         raise OSError(f"no browser could be started; open {path} in one")
 

@@ -138,9 +138,8 @@ def rebuild(
     moved: dict[str, Any] = {}
     if drive is not None and poses is not None:
         found = read_poses(poses, T_camera_sensor=None if calib is None else read_calibration(calib))
-        numbers = range(len(found)) if found.numbers is None else found.numbers.tolist()
-        by_number = dict(zip(numbers, found.poses, strict=True))
-        moved[drive] = by_number if found.stamps is None else found.trajectory()
+        rows = found.poses if found.numbers is None else dict(zip(found.numbers.tolist(), found.poses, strict=True))
+        moved[drive] = rows if found.stamps is None else found.trajectory()
     with WorldMap.open(url, "r+") as world, _progress() as show:
         rebuild_world(world, moved, workers=workers, scheduler=scheduler, progress=show)
         world.build_overviews()

@@ -10,9 +10,9 @@ from ogm.datasets.dataset import Dataset
 from ogm.datasets.neighbours import truth_from_neighbours
 from ogm.datasets.opening import open_dataset
 from ogm.datasets.poses import with_matching, with_odometry, with_poses
-from ogm.datasets.scans import frame_numbers
 from ogm.datasets.sensor_setup import SensorSetup, read_setups, write_setups
 from ogm.datasets.truth import SOURCES
+from ogm.io.poses import frame_numbers
 
 __all__ = [
     "SOURCES", "Dataset", "SensorSetup", "frame_numbers", "open_dataset", "read_setups", "truth_from_neighbours",

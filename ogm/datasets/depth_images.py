@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from ogm.datasets.frames import FrameRef, RawFrame, SensorPlace
 from ogm.datasets.recording import OpenOptions, Recording
-from ogm.datasets.scans import clock_stamps, frame_numbers, in_order
+from ogm.datasets.scans import clock_stamps, in_order
 from ogm.datasets.sensor_setup import setup_of
 from ogm.io import read_poses
 from ogm.io.depth import T_OPTICAL_BODY, Intrinsics, depth_scan, is_intrinsics, read_intrinsics
 from ogm.io.images import open_image
+from ogm.io.poses import frame_numbers
 from ogm.io.scan_table import rotation_to_flu
 from ogm.storage.files import OgmError, error_context
 

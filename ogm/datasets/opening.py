@@ -11,9 +11,9 @@ from ogm.datasets.carmen import CarmenRecording
 from ogm.datasets.dataset import Dataset
 from ogm.datasets.depth_images import DepthImagesRecording
 from ogm.datasets.kitti import KittiObjectRecording, KittiOdometryRecording, KittiRawRecording, KittiTrackingRecording
-from ogm.datasets.logs import CaptureRecording, LogRecording
+from ogm.datasets.logs import CAPTURE_ENDINGS, CaptureRecording, LogRecording
 from ogm.datasets.nuscenes import NuScenesRecording
-from ogm.datasets.ouster import OusterRecording
+from ogm.datasets.ouster import OUSTER_ENDING, OusterRecording
 from ogm.datasets.radarscenes import RadarScenesRecording
 from ogm.datasets.range_images import RangeImagesRecording
 from ogm.datasets.recording import OpenOptions, Recording
@@ -81,8 +81,9 @@ def open_dataset(
         or the odometry in it. A CARMEN log, known by its content, is one drive of the laser with most scans, or of the
         `topic` (FLASER, RLASER, ROBOTLASER1), with the poses in it. A capture of a Velodyne (.pcap) is one drive
         without poses, and so is one of an Ouster (.pcap with the sensor's .json, or .osf) without a file
-        NAME_poses*.txt. A folder of depth images (PNGs of 16 bit) has the JSON of its camera beside them, and perhaps
-        poses, as of Open3D. The output of ``ogm simulate`` may also lie in an object store, ``s3://bucket/prefix``.
+        NAME_poses*.txt; a folder that holds one capture is that capture. A folder of depth images (PNGs of 16 bit) has
+        the JSON of its camera beside them, and perhaps poses, as of Open3D. The output of ``ogm simulate`` may also lie
+        in an object store, ``s3://bucket/prefix``.
     storage : mapping of str to str, optional
         Endpoint and credentials of the object store, see `ogm.storage.remote.as_path`.
     axes, intensity_max, time_unit
@@ -174,6 +175,12 @@ def _recording(paths: list[Any], options: OpenOptions) -> Recording:
         raise ValueError(f"`topic` and `frame` are for logs ({', '.join(LOG_ENDINGS)}), got {path}")
     if options.split is not None and "split" not in own:
         raise ValueError(f"`split` is for data sets that `ogm simulate` made, which {path} is not")
+    if recording is None and len(paths) == 1 and isinstance(path, Path) and path.is_dir():
+        captures = sorted(one for one in path.iterdir() if one.suffix.lower() in (*CAPTURE_ENDINGS, OUSTER_ENDING))
+        if len(captures) == 1:
+            return _recording(captures, options)
+        if captures:
+            raise OgmError(f"{path} holds captures, {', '.join(one.name for one in captures)[:200]}: give one alone")
     if recording is None:
         grids = "it holds grids: give spec, their cells, to open them"
         raise OgmError(

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.dataset import Dataset
-from ogm.datasets.scans import frame_numbers
 from ogm.io import Axes, Poses, read_calibration, read_poses
+from ogm.io.poses import frame_numbers
 from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import Trajectory, pose
 from ogm.storage.files import FilePath

@@ -18,7 +18,6 @@ SCAN_ENDINGS = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".fe
 _PACKED = (".xz", ".gz")
 _LIDAR = (".bin", ".pcd", ".ply", ".las", ".laz")  # of the scans of public datasets
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # [s] of one, by how large numbers are since 1970
-_LARGEST = 10**9  # a number in a file's name that is larger is a clock's, not a frame's
 
 
 def ending_of(path: Path) -> str:
@@ -51,17 +50,6 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
         return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
     return sorted(paths, key=key)
-
-
-def frame_numbers(names: Sequence[str]) -> NDArray[np.int64] | None:
-    """Return the last number of each name, (K,); None unless all have one, it increases, and all else is the same."""
-    found = [re.fullmatch(r"(.*?)(\d+)\D*", name) for name in names]
-    if not all(found) or len({one[1] for one in found if one}) > 1:
-        return None
-    numbers = [int(one[2]) for one in found if one]
-    if max(numbers, default=0) >= _LARGEST or any(b <= a for a, b in zip(numbers, numbers[1:], strict=False)):
-        return None
-    return np.array(numbers, np.int64)
 
 
 def clock_stamps(names: Sequence[str]) -> list[float] | None:

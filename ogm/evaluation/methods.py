@@ -52,7 +52,7 @@ class SingleScanMethod:
     def grid(self, frame: Frame, spec: GridSpec, measured: EvidentialGrid | None) -> EvidentialGrid:
         """Return the measurement grid of a frame on the evaluated cells."""
         assert measured is not None
-        return resample_to(measured, spec)
+        return resample_to(measured, spec, None)
 
     def state(self) -> str:
         """Return what the results depend on besides the description."""
@@ -289,7 +289,7 @@ class MethodRunner:
 
         Each with the cells that the scan shows as occupied: a mass of more than 1/2.
         """
-        measured = {k: resample_to(self._measured[id(one.model)], self.spec) for k, one in self.dynamic.items()}
+        measured = {k: resample_to(self._measured[id(one.model)], self.spec, None) for k, one in self.dynamic.items()}
         return {k: (one.dynamic_grid(self.spec), measured[k].occupied > DETECTION) for k, one in self.dynamic.items()}
 
     @property

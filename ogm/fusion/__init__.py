@@ -14,13 +14,15 @@ from ogm.fusion.ego.registration import odometry
 from ogm.fusion.ego.scan_matching import match_scans
 from ogm.fusion.evidential import EvidentialMapper
 from ogm.fusion.factory import covering_window, echo_window, make_mapper, rolling_window
+from ogm.fusion.map_editing import crop, merge, resampled
 from ogm.fusion.mapper import Mapper
 from ogm.fusion.pipeline import FusionStep, fuse, map_scans, update_map
-from ogm.fusion.resample import coarsen, resample_to, warp
+from ogm.fusion.resample import resample_to, warp
 from ogm.fusion.update_gate import PoseJump, StampJump
 
 __all__ = [
     "BinaryBayesMapper", "DynamicMapper", "EvidentialMapper", "FusionStep", "Mapper", "Objects", "PoseJump",
-    "StampJump", "coarsen", "covering_window", "deskew", "echo_window", "find_objects", "fuse", "make_mapper",
-    "map_scans", "match_scans", "odometry", "predict_dynamic", "resample_to", "rolling_window", "update_map", "warp",
+    "StampJump", "covering_window", "crop", "deskew", "echo_window", "find_objects", "fuse", "make_mapper", "map_scans",
+    "match_scans", "merge", "odometry", "predict_dynamic", "resample_to", "resampled", "rolling_window", "update_map",
+    "warp",
 ]  # fmt: skip

@@ -6,67 +6,43 @@ returns it in the vehicle's axes, resampled once.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, revise, yager
 from ogm.fusion.kernels import (
-    BLOCK,
     CAUTIOUS,
     CUMULATIVE,
     DEMPSTER,
     REVISION,
     YAGER,
     Aging,
-    BeliefLayers,
     Memory,
     age_blocks,
     evidential_update,
     shares_left,
 )  # fmt: skip
 from ogm.fusion.lookup import ScanLookup, gather
+from ogm.fusion.map_editing import resampled
 from ogm.fusion.mapper import Forget, Mapper, locked
+from ogm.fusion.parts import PLAIN, PLANE, PartLayers, bands_of_parts, continued_parts, parts_of_bands
 from ogm.fusion.resample import ResampleMethod, view_layers
-from ogm.fusion.update_gate import CheckedScan, UpdateGate
-from ogm.fusion.window import Window, WindowMode, check_choice
-from ogm.grid import Combine, CombinedGrid, EvidentialGrid, GridSpec
+from ogm.fusion.update_gate import TOLERANCE, CheckedScan, UpdateGate
+from ogm.fusion.window import Window, WindowMode, affine_between, check_choice, overlaps
+from ogm.grid import Combine, CombinedGrid, EvidentialGrid, GridSpec, LayeredGrid
+from ogm.io.grids.placed import PlacedGrid
+from ogm.pose import check_pose, pose
 
 Rule = Callable[[Any, Any], Any]
 DYNAMIC_DECAY_RATIO = 100.0  # how many times faster dynamic cells are forgotten by default
-PLAIN = 0  # key of the part that grids of one model are fused into; those of several models have 1, 2, ...
-PLANE = -1  # key of the part of grids whose cells are free in a plane alone
 _COMPILED: dict[Rule, int] = {
     **{dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE, normalized_cautious: CAUTIOUS, revise: REVISION}
 }
 _NOTHING = np.zeros((1, 1, 2), np.float32)
 _NOTHING.flags.writeable = False
 _NOWHERE = np.array([[1.0, 0.0, 1e9], [0.0, 1.0, 1e9]])  # affine map to cells that `_NOTHING` does not have
-
-
-class PartLayers(NamedTuple):
-    """A map by itself: masses and conflict, (nx, ny, 2), and until when blocks of cells have aged [s]."""
-
-    mass: NDArray[np.float32]
-    conflict: NDArray[np.float32]
-    aged: NDArray[np.float64]
-
-    @classmethod
-    def empty(cls, shape: tuple[int, int], now: float) -> "PartLayers":
-        """Return a map without belief."""
-        mass, conflict = np.zeros((2, *shape, 2), np.float32)
-        return cls(mass, conflict, np.full((shape[0], -(-shape[1] // BLOCK)), now))
-
-    def copy(self) -> "PartLayers":
-        """Return a copy in memory of its own."""
-        return PartLayers(self.mass.copy(), self.conflict.copy(), self.aged.copy())
-
-    @property
-    def rows(self) -> BeliefLayers:
-        """The same memory as kernels take it."""
-        nx, ny = self.mass.shape[:2]
-        return BeliefLayers(self.mass.reshape(nx, 2 * ny), self.conflict.reshape(nx, 2 * ny), self.aged)
 
 
 class EvidentialMapper(Mapper):
@@ -173,7 +149,78 @@ class EvidentialMapper(Mapper):
         super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=forgets))
         self._parts: dict[int, PartLayers] = {}
         self._combine: Combine | None = None  # of the parts beyond `PLAIN`
+        self._waiting: dict[int, PartLayers] | None = (
+            None  # of a saved map, until the first scan: the map of each model
+        )
         self._now = 0.0  # [s] sum of the times between scans
+
+    @classmethod
+    def from_grid(
+        cls,
+        saved: EvidentialGrid | PlacedGrid,
+        spec: GridSpec | None = None,
+        *,
+        window: WindowMode = "rolling",
+        T_map_vehicle: ArrayLike | None = None,  # noqa: N803
+        **settings: Any,
+    ) -> Self:
+        """Return a mapper that continues a saved map.
+
+        Parameters
+        ----------
+        saved : PlacedGrid or EvidentialGrid
+            The map, in map coordinates, as `ogm.io.read_placed_grid` reads it: with its stamp, by which it ages until
+            the first scan (without one it does not), and with `layers`. Without these there is no conflict, and scans
+            of several models, each of which has a map of its own, are joined with the saved map as with one more model.
+        spec : GridSpec, optional
+            The window, see `EvidentialMapper`; by default as many cells as the map has. Other cells than those of the
+            map take the least free and the greatest occupied (`ogm.fusion.resampled`).
+        window : {"rolling", "fixed"}
+        T_map_vehicle : (4, 4) array, optional
+            Where a rolling window begins; by default in the middle of the map.
+        **settings
+            Further parameters of `EvidentialMapper`; no file holds them.
+
+        Raises
+        ------
+        TypeError
+            If the map is dynamic.
+        ValueError
+            If it has no masses, is turned in its frame, or has no cell in the window.
+
+        Notes
+        -----
+        The map is that of the mapper that was saved, to the last bit: scans that follow change both in the same way.
+        Neither the vehicle's pose, with which jumps are found, nor the number of scans is in a file.
+        """
+        placed = PlacedGrid.of(saved).upright
+        placed.evidential  # noqa: B018  it must have masses
+        (nx, ny), side = placed.grid.spec.shape, placed.grid.spec.resolution
+        if spec is None:
+            spec = placed.grid.spec if window == "fixed" else GridSpec(side, (nx, ny), (-nx * side / 2, -ny * side / 2))
+        mapper = cls(spec, window=window, **settings)
+        x0, x1, y0, y1 = placed.grid.spec.extent
+        start = pose((x0 + x1) / 2, (y0 + y1) / 2) if T_map_vehicle is None else check_pose(T_map_vehicle)
+        mapper._window.corner = mapper._window.corner_around(start)
+        if not overlaps(affine_between(mapper.spec, placed.grid.spec, np.eye(4)), mapper.spec, placed.grid.spec):
+            raise ValueError(
+                f"the map, {placed.grid.spec}, has no cell in the window, {mapper.spec}: is it of this place?"
+            )
+        bands = resampled(placed, mapper.spec).bands
+        whole, parts = parts_of_bands(bands, mapper._window.ring)
+        mapper._parts, mapper._waiting = {PLAIN: whole}, parts
+        mapper._gate.stamp = placed.stamp
+        return mapper
+
+    @property
+    @locked
+    def layers(self) -> LayeredGrid:
+        """All that `from_grid` continues from besides `grid`: conflict, and the map of each of several models."""
+        parts = {} if self._parts.keys() <= {PLAIN} or self._parts.keys() == {PLANE} else self._parts
+        unrolled = {
+            n: (self._window.unrolled(part.mass), self._window.unrolled(part.conflict)) for n, part in parts.items()
+        }
+        return LayeredGrid(self.spec, {**self.conflict.layers, **bands_of_parts(unrolled)})
 
     def __repr__(self) -> str:
         rule = getattr(self.rule, "__name__", repr(self.rule))
@@ -210,7 +257,7 @@ class EvidentialMapper(Mapper):
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map, and may be one of another model."""
         super().reset()
-        self._parts, self._combine, self._now = {}, None, 0.0
+        self._parts, self._waiting, self._combine, self._now = {}, None, None, 0.0
 
     @property
     def _layers(self) -> Sequence[NDArray[np.float32]]:
@@ -235,6 +282,11 @@ class EvidentialMapper(Mapper):
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
         corner, measured = grid.known[0], self._measured(grid)
+        if self._waiting is not None:
+            self._parts, self._waiting = continued_parts(self._parts[PLAIN], self._waiting, measured.keys()), None
+            for layers in self._parts.values():  # of other programs, which leave nothing to unknown
+                sure = layers.mass.sum(axis=-1) > 1 - self.min_unknown + TOLERANCE
+                layers.mass[sure] = _bounded(layers.mass[sure], self.min_unknown)
         shape, now = self._window.spec0.shape, self._now + max(scan.elapsed, 0.0)
         added = {part: PartLayers.empty(shape, now) for part in measured.keys() - self._parts.keys()}
         scan = scan._replace(affine=scan.affine - [[0, 0, corner[0]], [0, 0, corner[1]]])

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,11 @@ from ogm.fusion.bayes import BinaryBayesMapper
 from ogm.fusion.dynamic.mapper import DynamicFilter, DynamicMapper
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.evidential import EvidentialMapper
+from ogm.fusion.map_editing import extended
 from ogm.fusion.mapper import Mapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec
+from ogm.io.grids.placed import PlacedGrid
 from ogm.scan import Frame
 
 _MARGIN = 1.0  # [m] around echoes
@@ -28,6 +31,8 @@ def make_mapper(
     window: WindowMode = "rolling",
     particles: int = 200_000,
     max_speed: float = 70.0,
+    saved: PlacedGrid | None = None,
+    T_map_vehicle: NDArray[np.float64] | None = None,  # noqa: N803
 ) -> Mapper:
     """Return a map that fuses by a rule, with defaults else.
 
@@ -45,12 +50,18 @@ def make_mapper(
         Of dynamic maps.
     max_speed : float
         Beyond which a pose is a jump [m/s]; infinity allows every jump.
+    saved : PlacedGrid, optional
+        A map that an evidence rule continues, see `EvidentialMapper.from_grid`.
+    T_map_vehicle : (4, 4) array, optional
+        Where a rolling window of a saved map begins.
 
     Raises
     ------
     ValueError
-        If there is no such rule.
+        If there is no such rule, or a saved map has no cell in the window.
     """
+    if saved is not None and rule not in RULES:
+        raise ValueError(f"a saved map is continued by the rules {', '.join(RULES)}, got {rule}")
     if rule == BAYES:
         return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window, max_speed=max_speed)
     if rule in (DYNAMIC, NUSS):
@@ -60,7 +71,10 @@ def make_mapper(
     if rule not in RULES:
         raise ValueError(f"there is no rule {rule!r}; there are {', '.join(MAP_RULES)}")
     half_life = 2.0 if half_life is None else half_life
-    return EvidentialMapper(spec, RULES[rule], half_life, window=window, max_speed=max_speed)
+    options: dict[str, Any] = {"half_life": half_life, "window": window, "max_speed": max_speed}
+    if saved is None:
+        return EvidentialMapper(spec, RULES[rule], **options)
+    return EvidentialMapper.from_grid(saved, spec, T_map_vehicle=T_map_vehicle, rule=RULES[rule], **options)
 
 
 def adding_rule_warning(rule: str) -> str:
@@ -123,6 +137,22 @@ def bounding_window(step: float, lowest: NDArray[np.float64], highest: NDArray[n
             f"most {_MAX_CELLS} are allowed; give `window=rolling`, or a coarser `resolution`"
         )
     return GridSpec(step, (nx, ny), (low[0] * step, low[1] * step))
+
+
+def continued_window(cells: GridSpec, saved: PlacedGrid, window: WindowMode | str) -> GridSpec:
+    """Return the window of a drive that continues a saved map: a fixed one holds both, on the cells of the map.
+
+    Parameters
+    ----------
+    cells : GridSpec
+        Window of the drive alone.
+    saved : PlacedGrid
+    window : {"rolling", "fixed"}
+    """
+    old = saved.upright.grid.spec
+    if window == "rolling":
+        return cells
+    return extended(old, cells) if math.isclose(old.resolution, cells.resolution) else extended(cells, old)
 
 
 def echo_window(frames: Iterable[Frame], spec: GridSpec) -> GridSpec:

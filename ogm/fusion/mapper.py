@@ -15,11 +15,12 @@ from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.evidence import Opinion
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window
 from ogm.geometric.doppler import RadialVelocities
-from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid, Sampling
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -241,6 +242,10 @@ class Mapper(ABC):
         """
         grid, (cells, T) = self.grid, self._around(spec, T_map_vehicle)
         return EvidentialGrid.trusted(cells, view_layers(grid.mass, grid.spec, cells, T, method))
+
+    def opinion_at(self, points: ArrayLike, method: Sampling = "nearest") -> Opinion | NDArray[np.float32]:
+        """Return the opinion of the map at any points of the map's frame; see `EvidentialGrid.opinion_at`."""
+        return self.grid.opinion_at(np.asarray(points), method)
 
     @property
     @locked

@@ -9,14 +9,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.fusion.lookup import ScanLookup, gather
+from ogm.fusion.lookup import EPS_CELL, ScanLookup, gather
 from ogm.fusion.window import affine_between, cell_transform, check_choice, planar_transform
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import kernel
 from ogm.pose import check_pose
 
-ResampleMethod = Literal["area", "nearest", "cautious"]
-Reduce = Literal["mean", "occupied", "cautious"]
+ResampleMethod = Literal["area", "nearest", "cautious", "worst"]
+_MODES = {"area": 0, "cautious": 1, "worst": 2}  # of `_overlap`
+_TOUCHED = 1e-6  # [cells] of area, below which rounding makes cells touch
+_SAME_LATTICE = 1e-3  # [cells] of shift that rounding of origins can make
 
 
 def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: ResampleMethod = "area") -> EvidentialGrid:
@@ -30,12 +32,13 @@ def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: Res
         The cells to fill, in the "to" frame.
     T_to_from : (4, 4) array
         Its x, y part counts, projected along the vertical.
-    method : {"area", "nearest", "cautious"}
+    method : {"area", "nearest", "cautious", "worst"}
         "area": the mean of the cells it covers, weighted by the exact area of overlap: a mixture, right where it is
         uncertain which cell is meant. Sums of mass times area are kept, but for tilted poses, which shrink areas.
         "nearest": the cell that holds its centre; nothing is mixed, but cells are lost where the new ones are coarser.
         "cautious": as "area", but the dissonance from mixing free cells with occupied ones becomes unknown.
-        Outside `grid` all is unknown.
+        "worst": the least free and the greatest occupied of the cells it covers in part or whole, so that free is never
+        enlarged and nothing occupied is lost. Outside `grid` all is unknown.
 
     Returns
     -------
@@ -50,53 +53,24 @@ def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: Res
     return EvidentialGrid.trusted(spec, _resampled(grid.mass, spec, affine, method))
 
 
-def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> EvidentialGrid:
-    """Merge blocks of cells into one each.
-
-    Parameters
-    ----------
-    grid : EvidentialGrid
-    factor : int
-        Cells per block along each axis; both counts must be multiples of it.
-    reduce : {"mean", "occupied", "cautious"}
-        "mean": the mixture, in which one occupied cell among free ones nearly vanishes. "occupied": the
-        greatest occupied of the block, and the mean of free as far as the sum allows. "cautious": the greatest
-        occupied and the least free.
-    """
-    check_choice("reduce", reduce, Reduce)
-    if not (math.isfinite(factor) and factor == int(factor) and factor >= 1):
-        raise ValueError(f"factor must be a positive whole number, got {factor}")
-    n = int(factor)
-    nx, ny = grid.spec.shape
-    if nx % n or ny % n:
-        raise ValueError(f"{nx} x {ny} cells are no whole blocks of {n} x {n}; choose a factor that divides both")
-    blocks = grid.mass.reshape(nx // n, n, ny // n, n, 2)
-    mass = blocks.mean(axis=(1, 3))
-    if reduce != "mean":
-        mass[..., 1] = blocks[..., 1].max(axis=(1, 3))
-        free = mass[..., 0] if reduce == "occupied" else blocks[..., 0].min(axis=(1, 3))
-        mass[..., 0] = np.minimum(free, 1 - mass[..., 1])
-    spec = GridSpec(grid.spec.resolution * n, (nx // n, ny // n), grid.spec.origin)
-    return EvidentialGrid.trusted(spec, mass)
-
-
-def resample_to(grid: EvidentialGrid, spec: GridSpec, method: ResampleMethod | None = None) -> EvidentialGrid:
+def resample_to(grid: EvidentialGrid, spec: GridSpec, method: ResampleMethod | None = "worst") -> EvidentialGrid:
     """Return a grid on the cells of `spec`, in the same frame.
 
-    Where each cell of `spec` is a cell of the grid or a whole part of one, over the same area, masses are repeated and
-    nothing is interpolated.
+    Cells that are cells of the grid, or whole parts of one, copy its masses, whichever the method. With layers:
+    `ogm.fusion.resampled`.
 
     Parameters
     ----------
     grid : EvidentialGrid
     spec : GridSpec
-    method : {"area", "nearest", "cautious"}, optional
-        For all other cells, see `warp`; by default they are refused.
+    method : {"worst", "area", "nearest", "cautious"} or None
+        For all other cells, see `warp`; by default a cell is as free as the least free cell that it covers, and as
+        occupied as the most occupied. None refuses them.
 
     Raises
     ------
     ValueError
-        If `spec` covers another area, or its cells do not divide those of the grid, and no method is given.
+        If the cells of `spec` are no whole parts of those of the grid over the same area, and `method` is None.
     """
     if grid.spec == spec:
         return grid
@@ -111,7 +85,59 @@ def resample_to(grid: EvidentialGrid, spec: GridSpec, method: ResampleMethod | N
             f"the grid has {grid.spec}, but wanted are {spec}; make the model with that spec, or with whole multiples "
             "of its cells over the same area, or give a resampling method"
         )
+    if lattice_offset(grid.spec, spec) is not None:
+        return EvidentialGrid.trusted(spec, cells_at(grid.mass, grid.spec, spec))
     return warp(grid, spec, np.eye(4), method)
+
+
+def lattice_offset(source: GridSpec, spec: GridSpec) -> tuple[int, int] | None:
+    """Return the index in `source` of the first cell of `spec`; None unless both have cells of one lattice."""
+    shift = (np.array(spec.origin) - source.origin) / source.resolution
+    if not math.isclose(spec.resolution, source.resolution) or np.abs(shift - np.rint(shift)).max() > _SAME_LATTICE:
+        return None
+    i, j = np.rint(shift).astype(int).tolist()
+    return i, j
+
+
+def cells_at(array: NDArray[Any], source: GridSpec, spec: GridSpec, outside: float = 0.0) -> NDArray[Any]:
+    """Return numbers of cells, (nx, ny, ...), at other cells of the same lattice.
+
+    Parameters
+    ----------
+    array : (mx, my, ...) array
+        Numbers of the cells of `source`.
+    source, spec : GridSpec
+        See `lattice_offset`.
+    outside : float
+        Value of cells that `source` does not have.
+    """
+    offset = lattice_offset(source, spec)
+    assert offset is not None
+    made = np.full((*spec.shape, *array.shape[2:]), outside, array.dtype)
+    low = [max(-k, 0) for k in offset]
+    high = [min(m - k, n) for k, m, n in zip(offset, source.shape, spec.shape, strict=True)]
+    if all(a < b for a, b in zip(low, high, strict=True)):
+        there = tuple(slice(a + k, b + k) for a, b, k in zip(low, high, offset, strict=True))
+        made[low[0] : high[0], low[1] : high[1]] = array[there]
+    return made
+
+
+def values_at_centres(array: NDArray[np.float32], spec: GridSpec, affine: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the numbers of the cells that hold the centres of the cells of `spec`, (nx, ny); NaN outside.
+
+    Parameters
+    ----------
+    array : (mx, my) float32
+    spec : GridSpec
+    affine : (2, 3) float64
+        See `ogm.fusion.window.affine_between`.
+    """
+    i, j = (np.arange(n) + 0.5 for n in spec.shape)
+    u, v = (np.floor(np.add.outer(row[0] * i, row[1] * j) + row[2] + EPS_CELL).astype(np.int64) for row in affine)
+    inside = (u >= 0) & (u < array.shape[0]) & (v >= 0) & (v < array.shape[1])
+    values = np.full(spec.shape, np.nan, np.float32)
+    values[inside] = array[u[inside], v[inside]]
+    return values
 
 
 def view_layers(
@@ -132,7 +158,7 @@ def view_layers(
     source, spec : GridSpec
         Cells of the map, in its frame, and of the view, in the vehicle's.
     T_map_vehicle : (4, 4) array
-    method : {"nearest", "area", "cautious"}
+    method : {"nearest", "area", "cautious", "worst"}
 
     Returns
     -------
@@ -150,13 +176,13 @@ def _resampled(
     if check_choice("method", method, ResampleMethod) == "nearest":
         gather(ScanLookup(source, affine, 1), (0, 0), out.reshape(spec.shape[0], -1))
     else:
-        _overlap(source, affine, method == "cautious", out)
+        _overlap(source, affine, _MODES[method], out)
     return out
 
 
 @kernel
-def _overlap(source: np.ndarray, affine: np.ndarray, cautious: bool, out: np.ndarray) -> None:
-    """Fill each cell with the mean of `source` over its parallelogram, weighted by exact areas."""
+def _overlap(source: np.ndarray, affine: np.ndarray, mode: int, out: np.ndarray) -> None:
+    """Fill each cell with the mean of `source` over its parallelogram, weighted by exact areas, or its extremes."""
     nx, ny = out.shape[0], out.shape[1]
     mx, my = source.shape[0], source.shape[1]
     a00, a01, a10, a11 = affine[0, 0], affine[0, 1], affine[1, 0], affine[1, 1]
@@ -169,6 +195,8 @@ def _overlap(source: np.ndarray, affine: np.ndarray, cautious: bool, out: np.nda
             u = a00 * (i + 0.5) + a01 * (j + 0.5) + affine[0, 2]
             v = a10 * (i + 0.5) + a11 * (j + 0.5) + affine[1, 2]
             free = occupied = own = 0.0
+            if mode == 2 and min(u - reach_u, v - reach_v, mx - u - reach_u, my - v - reach_v) > -EPS_CELL:
+                free = 1.0  # the least is still to be found; 0 where a part of the cell lies outside
             first, last = max(int(np.floor(u - reach_u)), 0), min(int(np.ceil(u + reach_u)), mx)
             left, right = max(int(np.floor(v - reach_v)), 0), min(int(np.ceil(v + reach_v)), my)
             for k in range(4):
@@ -179,18 +207,25 @@ def _overlap(source: np.ndarray, affine: np.ndarray, cautious: bool, out: np.nda
             for a in range(first, last):
                 for b in range(left, right):
                     f, o = source[a, b, 0], source[a, b, 1]
-                    if f == 0 and o == 0:
+                    if f == 0 and o == 0 and mode != 2:
                         continue
-                    share = _clipped_area(corners, a, b, work) / whole
+                    area = _clipped_area(corners, a, b, work)
+                    if mode == 2:
+                        if area > _TOUCHED * min(whole, 1.0):
+                            free, occupied = min(free, f), max(occupied, o)
+                        continue
+                    share = area / whole
                     free += share * f
                     occupied += share * o
                     own += share * min(f, o)
-            if cautious:
+            if mode == 1:
                 mixed = max(min(free, occupied) - own, 0.0)
                 free -= mixed
                 occupied -= mixed
             known = free + occupied
-            if known > 1:  # rounding of areas
+            if mode == 2:
+                free = min(free, 1.0 - occupied)
+            elif known > 1:  # rounding of areas
                 free, occupied = free / known, occupied / known
             out[i, j, 0], out[i, j, 1] = free, occupied
 

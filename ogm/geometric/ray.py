@@ -4,7 +4,7 @@ import logging
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakSet
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ogm.geometric.ground import GroundEstimate, flat_ground, local_ground, surface_of
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
-from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayNumbers, WorkSpace
+from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, RayNumbers, Rays, Surface, WorkSpace
 from ogm.geometric.kernels.belief import clear_sectors, ray_mass
 from ogm.geometric.kernels.evidence import ground_evidence, mark_own_cells, shown_points
 from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
@@ -26,6 +26,38 @@ _log = logging.getLogger(__name__)
 
 ALL_SHOWN = np.empty(0, np.uint8)  # see `kernels.evidence.ground_evidence`
 MAX_BINS = 2**15 - 1  # what the kernels count in int16
+
+
+class RayTrace(NamedTuple):
+    """The rays of one scan, the ground below them and their masses: `ogm.models.layers` derives layers from them.
+
+    Attributes
+    ----------
+    grid : EvidentialGrid
+    mount : Mount
+    points : Points
+        N returns in the vehicle frame; ``work.above`` begins with their heights above the ground [m].
+    ground : Surface
+    shown : (N,) or (0,) uint8
+        Returns that show the ground, see `kernels.evidence.ground_evidence`.
+    rays : Rays
+    limits : RayLimits
+    polar : PolarGrid
+    numbers : RayNumbers
+    work : WorkSpace
+        As `kernels.belief.clear_sectors` filled it.
+    """
+
+    grid: EvidentialGrid
+    mount: Mount
+    points: Points
+    ground: Surface
+    shown: NDArray[np.uint8]
+    rays: Rays
+    limits: RayLimits
+    polar: PolarGrid
+    numbers: RayNumbers
+    work: WorkSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +186,10 @@ class RayISM:
         EvidentialGrid
             Vacuous for an empty scan.
         """
+        return self.trace(scan).grid
+
+    def trace(self, scan: Scan | NDArray[np.float32]) -> RayTrace:
+        """Map one scan, and keep its rays and its ground. The parameter is that of a call."""
         log_compilation(clear_sectors)
         scan, spec = as_scan(scan), self.spec
         mount = mount_in_grid(scan, spec, self.mount)
@@ -189,7 +225,8 @@ class RayISM:
 
         # Counts become belief
         mass = ray_mass(work.free, work.hits, polar, _powers(math.sqrt(self.p_false_alarm)), numbers)
-        return EvidentialGrid.trusted(spec, mass)
+        grid = EvidentialGrid.trusted(spec, mass)
+        return RayTrace(grid, mount, points, ground, shown, rays, limits, polar, numbers, work)
 
     def _explain_unseen_ground(self, shown: int, mount: Mount) -> None:
         """Log, once for each model, that the mount's height decides what is ground."""

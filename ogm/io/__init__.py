@@ -20,6 +20,8 @@ from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import from_xarray, to_xarray
 from ogm.io.ground_plane import estimate_sensor_height
 from ogm.io.kitti import read_calibration
+from ogm.io.messages.costs import occupancy_from_costs
+from ogm.io.messages.grids import grid_from_layer
 from ogm.io.poses import Poses, read_poses, write_poses
 from ogm.io.scan import describe, read_points, read_scan, read_scan_file
 from ogm.io.scan_table import AXES, Axes, FileFacts
@@ -27,7 +29,7 @@ from ogm.io.transforms import StampedTransform, TransformBuffer
 
 __all__ = [
     "AXES", "Axes", "FileFacts", "GridLog", "Intrinsics", "PlacedGrid", "Poses", "StampedTransform", "TransformBuffer",
-    "depth_scan", "describe", "estimate_sensor_height", "from_xarray", "read_any_grid", "read_calibration", "read_grid",
-    "read_intrinsics", "read_placed_grid", "read_points", "read_poses", "read_scan", "read_scan_file", "to_xarray",
-    "write_grid", "write_poses",
+    "depth_scan", "describe", "estimate_sensor_height", "from_xarray", "grid_from_layer", "occupancy_from_costs",
+    "read_any_grid", "read_calibration", "read_grid", "read_intrinsics", "read_placed_grid", "read_points",
+    "read_poses", "read_scan", "read_scan_file", "to_xarray", "write_grid", "write_poses",
 ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 import logging
 import math
+import re
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ _WANTED = (
 _ROUNDED = 2e-3  # departure of R'R from the identity that rounding to three decimals can make
 _CAMERA_SHARE = 0.9  # of the path goes along the frame's own z axis: nothing but a camera drives so
 _CAMERA_PATH = 1.0  # [m] of path before that is an error
+_LARGEST_NUMBER = 10**9  # a number in a name that is larger is a clock's, not a frame's
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,17 @@ class Poses:
             raise ValueError(f"rate must be above 0 [1/s], got {rate}")
         counted = np.arange(len(self)) if self.numbers is None else self.numbers
         return Trajectory(counted / rate, self.poses)
+
+
+def frame_numbers(names: Sequence[str]) -> NDArray[np.int64] | None:
+    """Return the last number of each name, (K,); None unless all have one, it increases, and all else is the same."""
+    found = [re.fullmatch(r"(.*?)(\d+)\D*", name) for name in names]
+    if not all(found) or len({one[1] for one in found if one}) > 1:
+        return None
+    numbers = [int(one[2]) for one in found if one]
+    if max(numbers, default=0) >= _LARGEST_NUMBER or any(b <= a for a, b in zip(numbers, numbers[1:], strict=False)):
+        return None
+    return np.array(numbers, np.int64)
 
 
 def read_poses(path: FilePath, *, T_camera_sensor: ArrayLike | None = None) -> Poses:

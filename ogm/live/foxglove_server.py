@@ -3,14 +3,17 @@
 import socket
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ogm.fusion import FusionStep, Mapper
+from ogm.grid import EvidentialGrid, LayeredGrid
 from ogm.io.messages import foxglove_grid
+from ogm.io.messages.costs import COST
 from ogm.io.messages.plain import pose_message, ros_stamp
 from ogm.io.reading import optional
 from ogm.pose import inverse, pose
@@ -18,14 +21,16 @@ from ogm.scan import Frame
 
 MAP, VEHICLE, SENSOR = "map", "vehicle", "sensor"  # frames of coordinates
 BACKLOG = 12  # messages that wait for a slow viewer, the oldest of which is dropped: some 40 MB
+Costs = Callable[[EvidentialGrid], NDArray[np.uint8]]
 PATIENCE = 2.0  # [s] for which closing waits for viewers to go, and for the port to be free
 
 
 class FoxglovePublisher:
     """A server for viewers; each step of `ogm.fusion.fuse` that it is given goes to them, with the map as of then.
 
-    Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/points`` (foxglove.PointCloud, in the
-    sensor's frame) and ``/tf`` (foxglove.FrameTransforms: map, vehicle, sensor). What no viewer has subscribed to is
+    Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/layers`` (the same with the conflict, if the
+    map keeps it), ``/points`` (foxglove.PointCloud, in the sensor's frame) and ``/tf`` (foxglove.FrameTransforms: map,
+    vehicle, sensor). What no viewer has subscribed to is
     not even made. A viewer that is too slow misses messages, and holds up nothing.
 
     Parameters
@@ -36,7 +41,10 @@ class FoxglovePublisher:
     port : int
         0 takes any free one.
     name : str
-        Of the server, for viewers.
+        Name of the server, for viewers.
+    costs : function, optional
+        Returns the costs of a map, (nx, ny) uint8, such as ``functools.partial(ogm.planning.costmap, ...)``: they are
+        the field ``cost`` of ``/map``.
 
     Raises
     ------
@@ -52,7 +60,9 @@ class FoxglovePublisher:
     ...         publisher(step, mapper)
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 8765, *, name: str = "ogm") -> None:
+    def __init__(
+        self, host: str = "127.0.0.1", port: int = 8765, *, name: str = "ogm", costs: Costs | None = None
+    ) -> None:
         modules = "foxglove", "foxglove.channels"
         foxglove, channels = (optional(name, Path("a map"), "live", "served") for name in modules)
         if not 0 <= port < 2**16:
@@ -64,8 +74,10 @@ class FoxglovePublisher:
             )
         except RuntimeError as error:
             raise OSError(f"cannot serve at {host}:{port}: {error}; give another port, 0 for any free one") from error
+        self.costs = costs
         self.host, self.port = host, int(self._server.port)
         self._map = channels.GridChannel("/map", context=context)
+        self._layers = channels.GridChannel("/layers", context=context)
         self._points = channels.PointCloudChannel("/points", context=context)
         self._tf = channels.FrameTransformsChannel("/tf", context=context)
 
@@ -90,7 +102,7 @@ class FoxglovePublisher:
 
     def _close(self, patience: float) -> None:
         until = time.monotonic() + patience
-        for channel in (self._map, self._points, self._tf):
+        for channel in (self._map, self._layers, self._points, self._tf):
             channel.close()
         stopping = threading.Thread(target=self._server.stop, name="ogm-closing", daemon=True)
         stopping.start()  # waits for clients that never finish their handshake
@@ -115,9 +127,14 @@ class FoxglovePublisher:
             self._tf.log(_transforms(frame, sensor, stamp), log_time=when)
         if self._points.has_sinks():
             self._points.log(_cloud(frame, sensor, stamp), log_time=when)
+        T = pose(z=_ground_height(frame))
         if self._map.has_sinks():
-            T = pose(z=_ground_height(frame))
-            self._map.log(foxglove_grid(mapper.grid, frame_id=MAP, stamp=stamp, T_frame_grid=T), log_time=when)
+            grid = mapper.grid
+            costs = None if self.costs is None else LayeredGrid(grid.spec, {COST: self.costs(grid).astype(np.float32)})
+            message = foxglove_grid(grid, frame_id=MAP, stamp=stamp, T_frame_grid=T, layers=costs)
+            self._map.log(message, log_time=when)
+        if self._layers.has_sinks() and (layers := getattr(mapper, "conflict", None)) is not None:
+            self._layers.log(foxglove_grid(layers, frame_id=MAP, stamp=stamp, T_frame_grid=T), log_time=when)
 
 
 def _is_free(host: str, port: int) -> bool:

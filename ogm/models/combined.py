@@ -12,7 +12,7 @@ The models see the same scan, so they are not independent, as Dempster's rule as
 labelled frames, make up for it. ``benchmarks/combined.py`` measures how well the result is calibrated.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -205,13 +205,17 @@ class CombinedISM:
         """The grid that every model fills."""
         return self.models[0].spec
 
-    def __call__(self, scan: Scan | NDArray[np.float32]) -> CombinedGrid:
+    def __call__(
+        self, scan: Scan | NDArray[np.float32], known: Mapping[int, NDArray[np.float32]] | None = None
+    ) -> CombinedGrid:
         """Map one scan by every model, and combine their grids.
 
         Parameters
         ----------
         scan : Scan or (N, 4) float32
             As the models take it.
+        known : mapping of int to (nx, ny, 2) float32, optional
+            Masses of the scan by models, by their place in `models`, that are computed already.
 
         Returns
         -------
@@ -221,7 +225,10 @@ class CombinedISM:
         """
         scan = as_scan(scan)
         masses: list[NDArray[np.float32]] = []
-        for model, shared in zip(self.models, self._shared, strict=True):
+        for place, (model, shared) in enumerate(zip(self.models, self._shared, strict=True)):
+            if known and place in known:
+                masses.append(known[place])
+                continue
             grid = model(scan) if shared is None else model(scan, masses[shared])  # type: ignore[call-arg]
             masses.append(grid.mass)
         return CombinedGrid.of_parts(self.spec, masses, self.combination)

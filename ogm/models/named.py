@@ -208,10 +208,14 @@ class ModelsByKind:
         """The grid that the first model fills."""
         return self.first.spec
 
+    def part(self, scan: Scan) -> InverseSensorModel:
+        """Return the model for a scan's kind of sensor."""
+        return self.others.get(_kind(scan), self.first)
+
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan by the model for its kind of sensor."""
         scan = as_scan(scan)
-        return self.others.get(_kind(scan), self.first)(scan)
+        return self.part(scan)(scan)
 
 
 class ReleasedISM:

@@ -14,6 +14,7 @@ from ogm.extras import lazy_names
 if TYPE_CHECKING:
     from ogm.workflows.buildings import MapDefaults, map_defaults
     from ogm.workflows.checks import DriveCheck, check_drive, check_log
+    from ogm.workflows.costmaps import write_costmap
     from ogm.workflows.describe import describe_path
     from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
     from ogm.workflows.findings import Finding
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DriveCheck", "Finding", "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "MapDefaults", "Outputs", "ScanMap",
     "check_drive", "check_log", "describe_path", "drives_of", "fuse_drive", "fuse_drives", "map_defaults",
-    "map_to_files", "posed",
+    "map_to_files", "posed", "write_costmap",
 ]  # fmt: skip
 
 __getattr__ = lazy_names(__name__, {
@@ -38,4 +39,5 @@ __getattr__ = lazy_names(__name__, {
     **dict.fromkeys(("ScanMap", "map_to_files"), "ogm.workflows.scan_maps"),
     "FusionRun": "ogm.workflows.fusion_run",
     "describe_path": "ogm.workflows.describe",
+    "write_costmap": "ogm.workflows.costmaps",
 })  # fmt: skip

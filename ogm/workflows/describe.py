@@ -67,22 +67,23 @@ def describe_path(
 
 def _grid(path: Path) -> dict[str, str]:
     """Return kind, cells and mean masses of a grid, or the range of its layers."""
-    from ogm.io import read_any_grid
+    from ogm.io import read_placed_grid
     from ogm.plot.overview import Steps
 
-    grid = read_any_grid(path)
-    kind = type(grid).__name__.removesuffix("Grid").lower()
-    x0, x1, y0, y1 = grid.spec.extent
+    placed = read_placed_grid(path)
+    grid, (x, y, yaw) = placed.grid, placed.corner
+    (nx, ny), side = grid.spec.shape, grid.spec.resolution
     facts = {
-        "format": f"{kind} grid",
-        "cells": f"{grid.spec.shape[0]} x {grid.spec.shape[1]} of {grid.spec.resolution:g} m",
-        "x": f"{x0:g} ... {x1:g} m",
-        "y": f"{y0:g} ... {y1:g} m",
+        "format": f"{type(grid).__name__.removesuffix('Grid').lower()} grid",
+        "cells": f"{nx} x {ny} of {side:g} m",
+        **({"corner": f"x {x:.10g} m, y {y:.10g} m, turned by {yaw:.6g} rad"} if yaw else {}),
+        **({} if yaw else {"x": f"{x:g} ... {x + nx * side:g} m", "y": f"{y:g} ... {y + ny * side:g} m"}),
     }
-    if isinstance(grid, LayeredGrid):
-        ranges = {name: Steps.of(layer) for name, layer in grid.layers.items()}
-        return facts | {name: f"{low:.4g} ... {high:.4g}" for name, (low, high) in ranges.items()}
-    return facts | _masses(grid)
+    facts |= {} if placed.stamp is None else {"stamp": f"{placed.stamp:.6f} s"}
+    layers = grid if isinstance(grid, LayeredGrid) else placed.layers
+    masses = {} if isinstance(grid, LayeredGrid) else _masses(grid)
+    ranges = {name: Steps.of(layer) for name, layer in layers.layers.items()} if layers else {}
+    return facts | masses | {name: f"{low:.4g} ... {high:.4g}" for name, (low, high) in ranges.items()}
 
 
 def _masses(grid: EvidentialGrid | DynamicGrid) -> dict[str, str]:
@@ -105,7 +106,7 @@ def _zarr(path: Path) -> dict[str, str]:
     stated = str(attributes.get("format", "")) if isinstance(attributes, dict) else ""
     if stated.startswith("ogm.world/"):
         return _world(path)
-    if is_simulated(path) and not stated.startswith("ogm.EvidentialGrid/"):
+    if is_simulated(path) and not stated.startswith(("ogm.EvidentialGrid/", "ogm.LayeredGrid/")):
         from ogm.simulation.store import Store
 
         return Store.open(path).describe()

@@ -5,11 +5,12 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
+from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE, RULES
 from ogm.extras import import_extra
 from ogm.fusion import make_mapper
 from ogm.grid import GridSpec
 from ogm.io.grids.files import MAP_ENDINGS, check_grid_output
+from ogm.io.grids.placed import PlacedGrid
 from ogm.models.named import default_model, for_all_kinds, load_model, with_radar
 from ogm.scan import InverseSensorModel
 from ogm.storage.files import check_writable
@@ -131,6 +132,8 @@ class FuseOptions:
         Number of scans that are fused; by default all.
     weights : dict, optional
         Facts of the model's weights: results of others are not reused.
+    saved : PlacedGrid, optional
+        A map that is continued, in the frame of the poses: `ogm.fusion.EvidentialMapper.from_grid`.
     """
 
     ism: str | None = None
@@ -148,6 +151,7 @@ class FuseOptions:
     rate: float = 10.0
     first: int | None = None
     weights: Mapping[str, str] | None = None
+    saved: PlacedGrid | None = None
 
     def __post_init__(self) -> None:
         if self.ism is None:
@@ -161,6 +165,8 @@ class FuseOptions:
         """Raise what makes fusing impossible, before any work: unknown names, missing packages, bad numbers."""
         self.load_model()
         make_mapper(self.rule, self.spec, self.half_life, self.window, self.particles)  # type: ignore[arg-type]
+        if self.saved is not None and self.rule not in RULES:
+            raise ValueError(f"a saved map is continued by the rules {', '.join(RULES)}, got {self.rule}")
         if self.rule in (DYNAMIC, NUSS):
             import_extra("filterpy", "track")
 

@@ -17,7 +17,7 @@ from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion import BinaryBayesMapper, DynamicMapper, FusionStep, Mapper
 from ogm.fusion.pipeline import MAX_TURN, turn_within_scan
 from ogm.geometric.inputs import explain_nothing, shows_nothing
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io import GridLog, PlacedGrid, write_poses
 from ogm.io.messages import StampedTransform
 from ogm.models.named import part_for, title_of
@@ -193,13 +193,22 @@ class FusionRun:
         return self.mapper.dynamic_grid if isinstance(self.mapper, DynamicMapper) else self.mapper.grid
 
     @property
-    def placed(self) -> PlacedGrid:
-        """The map, in the frame of the poses, at the height of the ground under the vehicle."""
+    def conflict(self) -> LayeredGrid | None:
+        """The conflict of map and scans, if the mapper keeps it."""
+        return getattr(self.mapper, "conflict", None)
+
+    @property
+    def layers(self) -> LayeredGrid | None:
+        """All that the map is continued from besides its masses."""
+        return getattr(self.mapper, "layers", self.conflict)
+
+    def placed(self, layers: LayeredGrid | None = None) -> PlacedGrid:
+        """Return the map, in the frame of the poses, at the height of the ground under the vehicle, and layers."""
         assert self.last is not None
         T, mount = self.T_map_vehicle, self.last.frame.mount
         ground_z = float((T @ (*mount.ground_point, 1.0))[2])
         frame = self.dataset.facts.get("frame") or "map"  # that of a log's poses
-        return PlacedGrid(self.map, pose(z=ground_z), frame, self.mapper.stamp)
+        return PlacedGrid(self.map, pose(z=ground_z), frame, self.mapper.stamp, layers=layers)
 
     @property
     def T_map_vehicle(self) -> NDArray[np.float64]:  # noqa: N802
@@ -211,7 +220,8 @@ class FusionRun:
     def record(self, maps: GridLog) -> None:
         """Write the map after the last scan to a log, and the pose of the vehicle."""
         assert self.last is not None
-        placed, stamp = self.placed, self.last.frame.stamp or 0.0
+        layers = None if maps.message == "occupancy-grid" else self.conflict  # which holds none
+        placed, stamp = self.placed(layers), self.last.frame.stamp or 0.0
         maps.write(placed, [StampedTransform(placed.frame_id, "vehicle", stamp, self.T_map_vehicle)])
         self.recorded += 1
 

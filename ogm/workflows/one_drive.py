@@ -12,10 +12,13 @@ import numpy as np
 
 from ogm.datasets import Dataset, with_matching, with_odometry
 from ogm.fusion import DynamicMapper, FusionStep, covering_window, echo_window, fuse, make_mapper, rolling_window
-from ogm.fusion.factory import adding_rule_warning
+from ogm.fusion.factory import adding_rule_warning, continued_window
+from ogm.fusion.pipeline import grid_pose
+from ogm.fusion.update_gate import MAX_GAP
 from ogm.grid import GridSpec
 from ogm.io.grids.files import write_grid
 from ogm.io.grids.logged import GridLog
+from ogm.io.grids.placed import PlacedGrid
 from ogm.io.logs import LOG_ENDINGS
 from ogm.models.compilation import compiled_ahead
 from ogm.plot.movie import open_movie
@@ -82,8 +85,13 @@ def fuse_drive(
         cells = echo_window(dataset, o.spec)
     else:
         cells = covering_window(o.spec, np.array(known))
+    saved = _followed(o.saved, dataset, tell)
+    start = None
+    if saved is not None:
+        first = next(k for k, ref in enumerate(dataset.refs) if ref.T_map_sensor is not None)
+        cells, start = continued_window(cells, saved, o.window), grid_pose(dataset[first])
     speed = math.inf if is_planar(dataset) and has_doubtful_clock(dataset) else 70.0  # [m/s] beyond which a pose jumps
-    mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles, speed)  # type: ignore[arg-type]
+    mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles, speed, saved, start)  # type: ignore[arg-type]
     run = FusionRun(dataset, mapper, o.spec, (Path(str(o.ism)).stem, o.rule), outputs.base, tell)
     times = (dataset.trajectory or True) if o.deskew else False
     radars = dataset.facts.get("radars", {})
@@ -109,16 +117,26 @@ def fuse_drive(
                 "and seem to move; give `deskew`"
             )
         if outputs.map is not None and not is_log:
-            write_grid(outputs.map, run.placed)
+            layers = run.layers if outputs.map.suffix.lower() == ".npz" else run.conflict
+            write_grid(outputs.map, run.placed(layers))
         if outputs.poses is not None:
             run.save_poses(outputs.poses)
         if outputs.picture is not None:
             run.save_picture(outputs.picture)
         if outputs.page is not None:
             title, place = f"map of {dataset.name}", run.T_map_vehicle
-            conflict = getattr(mapper, "conflict", None)
-            write_view(outputs.page, run.map, conflict, title=title, T_grid_vehicle=place, track=run.track)
+            write_view(outputs.page, run.map, run.conflict, title=title, T_grid_vehicle=place, track=run.track)
     return run
+
+
+def _followed(saved: PlacedGrid | None, dataset: Dataset, tell: Callable[[str], object]) -> PlacedGrid | None:
+    """Return a map to continue, without its stamp where the scans do not follow it in time."""
+    stamps = [ref.stamp for ref in dataset.refs if ref.stamp is not None]
+    if saved is None or saved.stamp is None or (stamps and 0 <= min(stamps) - saved.stamp <= MAX_GAP):
+        return saved
+    first = f"the first scan is of {min(stamps):.3f} s" if stamps else "the scans have no stamps"
+    tell(f"the map to continue is of {saved.stamp:.3f} s, {first}: it does not age in between")
+    return replace(saved, stamp=None)
 
 
 def _default_options(dataset: Dataset) -> FuseOptions:

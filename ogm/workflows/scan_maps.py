@@ -11,8 +11,9 @@ from ogm.geometric.inputs import explain_nothing, shows_nothing
 from ogm.grid import EvidentialGrid
 from ogm.io.grids.files import MAP_ENDINGS, check_grid_output, write_grid
 from ogm.io.grids.placed import PlacedGrid
+from ogm.models.layers import check_layers, map_layers
 from ogm.models.named import title_of
-from ogm.plot import points_panel, save_picture
+from ogm.plot import layer_panel, points_panel, save_picture
 from ogm.scan import Frame, InverseSensorModel, run_model
 from ogm.storage.files import check_writable, error_text
 
@@ -33,6 +34,7 @@ def map_to_files(
     pictures: Path | None = None,
     *,
     title: str = "",
+    layers: Sequence[str] = (),
     first_call: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> Iterator[ScanMap]:
     """Map each scan by itself and write its grid and its picture.
@@ -48,6 +50,8 @@ def map_to_files(
         ``.png`` file, or folder.
     title : str
         Name of the model, for the titles of grids in pictures.
+    layers : sequence of str
+        Names in `ogm.models.layers.LAYERS`: written beside each grid, as NAME_layers with its ending, and drawn.
     first_call : function
         Returns a context manager around the first call of the model, which may compile kernels and is not timed.
 
@@ -64,6 +68,7 @@ def map_to_files(
     OSError
         Before any scan is mapped: if an output cannot be written.
     """
+    check_layers(layers)
     names = [frame.name.replace("/", "_") for frame in dataset]
     if len(set(names)) < len(names):
         raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
@@ -83,15 +88,22 @@ def map_to_files(
                         run_model(model, frame)
                     warm = True
                 start = time.perf_counter()
-                grid = run_model(model, frame)
+                if layers:
+                    grid, more = map_layers(model, frame.scan, layers)
+                else:
+                    grid, more = run_model(model, frame), None
                 seconds = time.perf_counter() - start
                 if shows_nothing(frame.scan, grid):
                     raise ValueError(explain_nothing(frame.scan, grid.spec, frame.mount))
                 if grid_file is not None:
                     write_grid(grid_file, PlacedGrid(grid, frame_id="vehicle", stamp=frame.stamp))
+                    if more is not None:
+                        write_grid(layers_path(grid_file), more)
                 if picture is not None:
                     cloud = points_panel(frame.scan.points, grid.spec, frame.name)
-                    save_picture(picture, cloud, grid, titles=["", title_of(title, frame.scan, frame.mount)])
+                    panels = [layer_panel(more, name) for name in layers] if more is not None else []
+                    titles = ["", title_of(title, frame.scan, frame.mount), *layers]
+                    save_picture(picture, cloud, grid, *panels, titles=titles)
                 yield ScanMap(frame, grid, seconds)
             except (ValueError, TypeError, OSError) as error:
                 if len(names) == 1:
@@ -99,6 +111,11 @@ def map_to_files(
                 yield ScanMap(frame, None, 0.0, error_text(error))
 
     return mapped()
+
+
+def layers_path(path: Path) -> Path:
+    """Return the file of the layers beside that of a grid."""
+    return path.with_stem(f"{path.stem}_layers")
 
 
 def _outputs(path: Path | None, names: Sequence[str], endings: tuple[str, ...], option: str) -> list[Path | None]:

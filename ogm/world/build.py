@@ -124,7 +124,7 @@ def build_world(
 
 def rebuild_world(
     world: WorldMap,
-    trajectories: Mapping[str, Trajectory | Mapping[int, Any]] | None = None,
+    trajectories: Mapping[str, Trajectory | Mapping[int, Any] | Sequence[Any]] | None = None,
     *,
     workers: int = 1,
     scheduler: str | None = None,
@@ -138,10 +138,11 @@ def rebuild_world(
     ----------
     world : WorldMap
         Open for writing, built by `build_world`.
-    trajectories : mapping of str to Trajectory, or to a mapping of int to (4, 4) array
-        By name of the drive: poses ``T_map_sensor`` by stamp, or by frame number. Drives that are not named stay. None
-        reads all tiles, and makes those anew that are damaged; missing ones, and those of drives that were removed, are
-        made in any case.
+    trajectories : mapping of str to Trajectory, to a mapping of int to (4, 4) array, or to a (K, 4, 4) array
+        By name of the drive: poses ``T_map_sensor`` by stamp, by frame number (the last number in a frame's name; where
+        names have none, the place in the drive), or of each frame. Drives that are not named stay. None reads all
+        tiles, and makes those anew that are damaged; missing ones, and those of drives that were removed, are made in
+        any case.
     workers, scheduler, progress
         As for `build_world`.
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.io.poses import frame_numbers
 from ogm.pose import Trajectory, check_pose
 from ogm.scan import Frame
 from ogm.storage.archive import attributes_checksum
@@ -32,7 +33,7 @@ class SubMap:
     frames : (int, int)
         Numbers of the first one in the drive, and of the last one + 1.
     anchor : int
-        Number of the frame that the sub-map moves with.
+        Place in the drive of the frame that the sub-map moves with.
     stamp : float or None
         Its time [s].
     made, pose : (4, 4) float64
@@ -41,6 +42,9 @@ class SubMap:
         What it has cells in; None until it is made.
     mapped : int
         Frames that are in it; the others were damaged.
+    number : int
+        Frame number of the anchor, the last number in its name (`ogm.io.poses.frame_numbers`); `anchor` where names
+        have none.
     """
 
     frames: tuple[int, int]
@@ -50,6 +54,7 @@ class SubMap:
     pose: NDArray[np.float64]
     tiles: tuple[TileIndex, ...] | None = None
     mapped: int = 0
+    number: int = -1
 
     @property
     def correction(self) -> NDArray[np.float64] | None:
@@ -107,19 +112,22 @@ class Drive:
 
         return self.moved(place)
 
-    def by_number(self, poses: Mapping[int, NDArray[np.float64]]) -> "Drive":
-        """Return the drive with the anchors at poses of the sensor by frame number, as pose graphs have them.
+    def by_number(self, poses: Mapping[int, NDArray[np.float64]] | Sequence[NDArray[np.float64]]) -> "Drive":
+        """Return the drive with the anchors at poses of the sensor, by frame number, as of pose graphs, or by row.
 
         Raises
         ------
         ValueError
             If an anchor's frame has no pose.
         """
+        by_row = not isinstance(poses, Mapping)
+        found: Mapping[int, Any] = poses if isinstance(poses, Mapping) else dict(enumerate(poses))
 
         def place(one: SubMap) -> NDArray[np.float64]:
-            if one.anchor not in poses:
-                raise ValueError(f"frame {one.anchor} of drive {self.name} has no pose, and is an anchor")
-            return poses[one.anchor]
+            number = one.anchor if by_row else one.number
+            if number not in found:
+                raise ValueError(f"frame {number} of drive {self.name} has no pose, and is an anchor")
+            return np.asarray(found[number], np.float64)
 
         return self.moved(place)
 
@@ -149,6 +157,7 @@ def split_drive(name: str, frames: Sequence[Frame], model: str, length: float) -
         raise ValueError(f"the length of sub-maps must be above 0 m, got {length}")
     sums = hashlib.sha256(f"{model} {length!r}".encode())
     posed: list[tuple[int, float | None, NDArray[np.float64]]] = []
+    numbers = frame_numbers([frame.name for frame in frames])
     for k, frame in enumerate(frames):
         sums.update(f"{frame.name} {frame.stamp!r}".encode())
         if frame.T_map_sensor is not None:
@@ -169,7 +178,9 @@ def split_drive(name: str, frames: Sequence[Frame], model: str, length: float) -
     submaps = []
     for group in groups:
         anchor, stamp, T = posed[group[len(group) // 2]]
-        submaps.append(SubMap((posed[group[0]][0], posed[group[-1]][0] + 1), anchor, stamp, T.copy(), T.copy()))
+        number = anchor if numbers is None else int(numbers[anchor])
+        span = posed[group[0]][0], posed[group[-1]][0] + 1
+        submaps.append(SubMap(span, anchor, stamp, T.copy(), T.copy(), number=number))
     return Drive(name, sums.hexdigest(), submaps)
 
 
@@ -274,6 +285,7 @@ def _attributes(drive: Drive) -> dict[str, Any]:
             "pose": one.pose.ravel().tolist(),
             "tiles": None if one.tiles is None else [list(index) for index in one.tiles],
             "mapped": one.mapped,
+            "number": one.number,
         }
         for one in drive.submaps
     ]
@@ -287,4 +299,5 @@ def _submap(found: Mapping[str, Any], store: TileStore) -> SubMap:
     for index in tiles or ():
         store.layout.check_box(store.layout.box_of(index))
     first, last = found["frames"]
-    return SubMap((first, last), found["anchor"], found["stamp"], made, now, tiles, found["mapped"])
+    number = operator.index(found.get("number", found["anchor"]))  # older maps have positions alone
+    return SubMap((first, last), found["anchor"], found["stamp"], made, now, tiles, found["mapped"], number)

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.evidence import Opinion
 from ogm.fusion.mapper import MapLock, locked
 from ogm.fusion.resample import ResampleMethod, view_layers
-from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid, Sampling, sampled_opinions
 from ogm.pose import check_pose
 from ogm.storage.files import OgmError
 from ogm.world.cache import TileCache
@@ -78,6 +79,32 @@ class MapReader:
         around = self.layout.around(corners(spec, T), level, margin=2)
         source = self.layout.spec(around, level)
         return EvidentialGrid.trusted(spec, view_layers(self._masses(around, level), source, spec, T, method))
+
+    @locked
+    def opinion_at(self, points: ArrayLike, method: Sampling = "nearest") -> Opinion | NDArray[np.float32]:
+        """Return the opinion of the map at any points, however far apart; see `EvidentialGrid.opinion_at`.
+
+        Only tiles that hold points are read. Places that were never seen are unknown, as are those beyond the lattice.
+
+        Raises
+        ------
+        OgmError
+            If a tile is damaged.
+        """
+        most, side = self.layout.cells >> 1, self.layout.tile
+
+        def masses(cell: NDArray[np.float64]) -> NDArray[np.float32]:
+            found = np.zeros(cell.shape, np.float32)
+            inside = ((cell >= -most) & (cell < most)).all(axis=-1)
+            tiles = np.floor(cell / side)
+            for tile in np.unique(tiles[inside].reshape(-1, 2), axis=0):
+                there = inside & (tiles == tile).all(axis=-1)
+                i, j = cell[there].astype(np.int64).T
+                box = int(i.min()), int(i.max()) + 1, int(j.min()), int(j.max()) + 1
+                found[there] = self._masses(box, 0)[i - box[0], j - box[2]]
+            return found
+
+        return sampled_opinions(points, (0.0, 0.0), self.layout.resolution, masses, method)
 
     @locked
     def layers(self, spec: GridSpec) -> LayeredGrid:

@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.extras import import_extra
-from ogm.fusion.resample import coarsen
-from ogm.grid import EvidentialGrid, GridSpec
 from ogm.storage.archive import attributes_checksum
 from ogm.storage.files import OgmError, update_hint
 from ogm.storage.remote import is_remote
@@ -220,9 +218,10 @@ def make_overviews(store: TileStore) -> int:
 
 def _halved(stored: NDArray[Any], layout: WorldLayout) -> NDArray[Any]:
     """Return stored masses (2, n, n) at half the resolution, stored again."""
-    n = stored.shape[1]
-    grid = EvidentialGrid.trusted(GridSpec(1.0, (n, n), (0.0, 0.0)), mass_of(stored, layout))
-    half: NDArray[Any] = coarsen(grid, 2, "occupied").mass
+    blocks = mass_of(stored, layout).reshape(stored.shape[1] // 2, 2, stored.shape[2] // 2, 2, 2)
+    half: NDArray[Any] = blocks.mean(axis=(1, 3))
+    half[..., 1] = blocks[..., 1].max(axis=(1, 3))
+    half[..., 0] = np.minimum(half[..., 0], 1 - half[..., 1])
     if layout.dtype == "float32":
         return half.transpose(2, 0, 1)
     steps: NDArray[Any] = np.rint(half * np.float32(MASS_STEPS)).astype(np.uint16)

@@ -230,8 +230,8 @@ class WorldMap(MapReader):
     def build_overviews(self) -> int:
         """Make the levels of half the resolution each, anew, until four tiles hold all; return their number.
 
-        A cell of a level has the greatest occupied of its four cells, and the mean of free as far as the sum allows
-        (`ogm.fusion.coarsen`, "occupied"): walls and poles stay visible. Overviews do not follow later changes.
+        A cell of a level has the greatest occupied of its four cells, and the mean of free as far as the sum allows:
+        walls and poles stay visible. Overviews do not follow later changes.
         """
         self.check_writable()
         self.flush()

@@ -527,7 +527,18 @@ def test_packets_decode_to_the_clouds_of_the_driver(real: Callable[[str], Path])
     assert [frame.name for frame in whole] == [frame.name for frame in dataset]
 
 
-def test_captures_are_data_sets(real: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_with_one_capture_is_that_capture(tmp_path: Path) -> None:
+    pytest.importorskip("velodyne_decoder")
+    (tmp_path / "a.pcap").write_bytes(b"no capture")
+    text = refused(r"a\.pcap", open_dataset, tmp_path / "a.pcap")
+    assert refused(r"a\.pcap", open_dataset, tmp_path) == text
+    (tmp_path / "b.osf").touch()
+    refused(r"holds captures, a\.pcap, b\.osf: give one alone", open_dataset, tmp_path)
+
+
+def test_captures_are_data_sets(
+    real: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("velodyne_decoder")
     path = real("velodyne_pcap/sample_velodyne_hdl32.pcap")
     dataset = open_dataset(path)
@@ -540,4 +551,6 @@ def test_captures_are_data_sets(real: Callable[[str], Path], capsys: pytest.Capt
     turned = open_dataset(path, axes=("+y", "-x", "+z"))[0].scan
     assert np.array_equal(turned.points[:, 1], -first.points[:, 0])
     assert "network capture" in run(capsys, "info", path)[0]
+    (tmp_path / path.name).symlink_to(path)
+    assert "network capture" in run(capsys, "info", tmp_path)[0]
     refused("known units", open_dataset, path, time_unit=1e-9)

@@ -8,13 +8,13 @@ from cases import each, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ogm.fusion import coarsen, resample_to, warp
+from ogm.fusion import resample_to, warp
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import inverse, pose
 
 SPEC = GridSpec.centered(length=8, width=6, resolution=0.25)  # 32 x 24
 WIDE = GridSpec.centered(length=16, width=16, resolution=0.25)
-METHODS = ("area", "nearest", "cautious")
+METHODS = ("area", "nearest", "cautious", "worst")
 
 
 def noise(spec: GridSpec = SPEC, seed: int = 0) -> EvidentialGrid:
@@ -126,43 +126,57 @@ def test_cautious_turns_mixed_beliefs_into_unknown_and_nothing_else():
     np.testing.assert_allclose(warp(torn, SPEC, half, "cautious").mass[1:], 0.4, atol=1e-5)
 
 
-def test_coarsening_keeps_means_or_the_worst_case():
-    mass = np.zeros((4, 4, 2), np.float32)
-    mass[..., 0] = 0.8
-    mass[0, 1] = 0.1, 0.7
-    grid = EvidentialGrid(GridSpec(0.5, (4, 4), (1.0, 2.0)), mass)
-    mean, occupied, cautious = (coarsen(grid, 2, reduce) for reduce in ("mean", "occupied", "cautious"))
-    assert mean.spec == GridSpec(1.0, (2, 2), (1.0, 2.0))
-    np.testing.assert_allclose(mean.mass[0, 0], (0.625, 0.175), atol=1e-6)
-    np.testing.assert_allclose(occupied.mass[0, 0], (0.3, 0.7), atol=1e-6)
-    np.testing.assert_allclose(cautious.mass[0, 0], (0.1, 0.7), atol=1e-6)
-    for grid_ in (mean, occupied, cautious):
-        EvidentialGrid(grid_.spec, grid_.mass)
-        np.testing.assert_allclose(grid_.mass[1, 1], (0.8, 0.0), atol=1e-6)
+@settings(max_examples=20, deadline=None)
+@given(poses, st.sampled_from([0.1, 0.25, 0.4, 0.9]), st.integers(0, 2**31))
+def test_the_worst_never_enlarges_free_nor_loses_occupied(T, resolution, seed):
+    """At any point, also beyond the grid."""
+    n = round(9 / resolution)
+    spec = GridSpec(resolution, (n, n), (-4.5, -4.5))
+    found = warp(noise(), spec, T, "worst")
+    points = np.random.default_rng(seed).uniform(-4.5, 4.2, (2000, 2))
+    back = (points - T[:2, 3]) @ T[:2, :2]
+    known, new = SPEC.contains(*back.T), found.at(*points.T)
+    old = np.zeros_like(new)
+    old[known] = noise().at(*back[known].T)
+    assert (new[:, 0] <= old[:, 0]).all()
+    assert (new[:, 1] >= old[:, 1]).all()
 
 
-def test_finer_cells_repeat_the_masses_and_coarsening_gives_back_the_grid():
+@each("resolution, shift", [(0.5, 0.0), (0.4, 0.05), (0.25, 0.1), (0.1, 0.02), (1.7, -0.3)])
+def test_the_worst_is_of_the_cells_that_are_covered(resolution, shift):
+    spec = GridSpec(resolution, (3, 2), (-1.0 + shift, -1.5))
+    found, grid = resample_to(noise(), spec), noise()
+    for i, j in np.ndindex(spec.shape):
+        low, high = (np.array(spec.origin) + resolution * (np.array((i, j)) + k) - SPEC.origin for k in (0, 1))
+        a, b = np.floor(low / 0.25 + 1e-9).astype(int), np.ceil(high / 0.25 - 1e-9).astype(int)
+        cells = grid.mass[a[0] : b[0], a[1] : b[1]]
+        occupied = cells[..., 1].max()
+        assert found.mass[i, j] == pytest.approx((min(cells[..., 0].min(), 1 - occupied), occupied), abs=1e-6)
+
+
+def test_cells_of_one_lattice_and_parts_of_cells_copy():
     fine = resample_to(noise(), SPEC.refined(3))
     assert fine.spec.shape == (96, 72)
     np.testing.assert_array_equal(fine.mass[::3, 1::3], noise().mass)
-    np.testing.assert_allclose(coarsen(fine, 3).mass, noise().mass, atol=1e-6)
+    np.testing.assert_array_equal(resample_to(fine, SPEC).mass, noise().mass)
+    around = resample_to(noise(), WIDE)
+    np.testing.assert_array_equal(around.mass[16:48, 20:44], noise().mass)
+    assert not around.mass[:16].any()
     same = noise()
     assert resample_to(same, SPEC) is same
 
 
-def test_other_cells_are_refused_unless_a_method_is_given():
-    for length, width, resolution in ((8, 6, 0.5), (16, 16, 0.25), (8, 6, 0.1)):
-        spec = GridSpec.centered(length, width, resolution)
-        refused("give a resampling method", resample_to, noise(), spec)
-        expected = warp(noise(), spec, np.eye(4), "area").mass
-        np.testing.assert_array_equal(resample_to(noise(), spec, "area").mass, expected)
+def test_other_cells_are_refused_where_none_may_be_made():
+    for spec in (SPEC.refined(2), WIDE, GridSpec(0.4, (20, 15), SPEC.origin)):
+        if spec != SPEC.refined(2):
+            refused("give a resampling method", resample_to, noise(), spec, None)
+    spec = GridSpec(0.4, (20, 15), SPEC.origin)
+    expected = warp(noise(), spec, np.eye(4), "area").mass
+    np.testing.assert_array_equal(resample_to(noise(), spec, "area").mass, expected)
 
 
 def test_bad_arguments_are_named():
     grid, same = noise(), np.eye(4)
-    refused("method must be one of area, nearest, cautious, got 'bilinear'", warp, grid, SPEC, same, "bilinear")
-    refused("reduce must be one of", coarsen, grid, 2, "max")
-    refused("32 x 24 cells are no whole blocks of 5 x 5", coarsen, grid, 5)
-    refused("factor must be a positive whole number", coarsen, grid, 0)
+    refused("method must be one of area, nearest, cautious, worst, got 'bilinear'", warp, grid, SPEC, same, "bilinear")
     refused("T_to_from must be rigid", warp, grid, SPEC, np.diag([2.0, 2.0, 2.0, 1.0]))
     refused("leans by 90 degrees", warp, grid, SPEC, pose(roll=math.pi / 2))

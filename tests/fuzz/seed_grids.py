@@ -10,6 +10,7 @@ from targets import Target, check_grid
 
 from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io import PlacedGrid, read_any_grid, read_placed_grid, write_grid
+from ogm.planning import costmap
 from ogm.pose import pose
 
 SPEC = GridSpec(0.16, (8, 6), (0.0, 0.0))
@@ -39,9 +40,7 @@ def _files(folder: Path) -> dict[str, bytes]:
 
 
 def _written(name: str, make: Callable[[], Any], options: dict[str, Any], folder: Path) -> Target:
-    if name.endswith(".npz"):
-        make().save(folder / name)
-    elif name.endswith(".npy"):
+    if name.endswith(".npy"):
         np.save(folder / name, make().mass)
     else:
         write_grid(folder / name, make(), **options)
@@ -57,8 +56,14 @@ def _written(name: str, make: Callable[[], Any], options: dict[str, Any], folder
 
 
 def placed() -> PlacedGrid:
-    """Return the masses with a place in a frame."""
-    return PlacedGrid(evidential(), pose(z=0.5), "odom", 12.5)
+    """Return the masses with a place in a frame, and a layer."""
+    grid = evidential()
+    return PlacedGrid(grid, pose(z=0.5), "odom", 12.5, layers=LayeredGrid(grid.spec, {"height": grid.occupied}))
+
+
+def costs() -> LayeredGrid:
+    """Return costs of 48 cells."""
+    return LayeredGrid(SPEC, {"cost": costmap(evidential(), SPEC.resolution, 4 * SPEC.resolution)})
 
 
 def turned() -> PlacedGrid:
@@ -68,6 +73,7 @@ def turned() -> PlacedGrid:
 
 _WRITTEN: dict[str, tuple[str, Callable[[], Any], dict[str, Any]]] = {
     "grid-npz": ("a.npz", evidential, {}),
+    "grid-npz-placed": ("p.npz", placed, {}),
     "grid-npz-dynamic": ("a.npz", dynamic, {}),
     "grid-npz-layered": ("a.npz", layered, {}),
     "grid-npy": ("a.npy", evidential, {}),
@@ -83,6 +89,7 @@ _WRITTEN: dict[str, tuple[str, Callable[[], Any], dict[str, Any]]] = {
     "grid-mcap": ("a.mcap", placed, {"message": "occupancy-grid"}),
     "grid-mcap-foxglove": ("a.mcap", placed, {"message": "foxglove-grid"}),
     "grid-mcap-map": ("a.mcap", placed, {"message": "grid-map"}),
+    "grid-mcap-costmap": ("a.mcap", costs, {"message": "costmap"}),
     "grid-db3": ("a.db3", placed, {"message": "grid-map"}),
     "grid-bag": ("a.bag", placed, {"message": "grid-map"}),
 }

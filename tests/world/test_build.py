@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ from world_frames import RandomGrids, StraightDrive, grid_of
 from ogm.evidence import cumulative, dempster, discount, normalized_cautious
 from ogm.grid import GridSpec
 from ogm.pose import Trajectory, inverse, pose
+from ogm.scan import Frame, Mount, Scan
 from ogm.storage.files import OgmError
 from ogm.world import Progress, WorldMap, build_world, rebuild_world
-from ogm.world.drives import drive_names, load_drive
+from ogm.world.drives import drive_names, load_drive, split_drive
 from ogm.world.stores import erase, keys
 from ogm.world.tasks import contradictions
 
@@ -215,6 +217,20 @@ def test_a_moved_drive_lies_where_its_scans_would(built_map: WorldMap, tmp_path:
                 if k not in one.damaged and k not in one.lost:
                     expected.integrate(grid_of(1000 * one.seed + k), T, stamp=100.0 * one.seed + 0.5 * k)
         np.testing.assert_array_equal(built_map.layers(AROUND)["count"], expected.layers(AROUND)["count"])
+
+
+def test_frames_are_found_by_the_number_in_their_names_or_by_row() -> None:
+    scan, mount = Scan(np.zeros((1, 4), np.float32)), Mount(1.9)
+    named = [Frame(scan, mount, T_map_sensor=pose(10.0 * k), name=f"scan {k + 60:04d}") for k in range(6)]
+    plain = [replace(frame, name="scan") for frame in named]
+    numbers = {k + 60: pose(0.0, float(k)) for k in range(6)}
+    rows = np.array([*numbers.values()])
+    for frames, poses in ((named, numbers), (named, rows), (plain, rows), (plain, dict(enumerate(rows)))):
+        drive = split_drive("a", frames, "", 20.0)
+        moved = drive.by_number(poses)
+        assert [one.pose[1, 3] for one in moved.submaps] == [float(one.anchor) for one in drive.submaps]
+    refused("frame 61 of drive a has no pose", split_drive("a", named, "", 20.0).by_number, dict(enumerate(rows)))
+    assert len(moved.submaps) > 1
 
 
 def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:

@@ -337,3 +337,18 @@ def test_far_from_the_origin_cells_are_as_exact(place: Place, make_grid: MakeGri
         there = far.window(GridSpec(0.5, AROUND.shape, (AROUND.origin[0] + x, AROUND.origin[1] + y)))
         same = (there.mass == near.window(AROUND).mass).all(axis=-1)
         assert same.mean() > 0.999  # centres on edges of cells may round the other way
+
+
+def test_opinions_are_those_of_the_cells_however_far_apart_points_are(tmp_path: Path, make_grid: MakeGrid) -> None:
+    points = np.random.default_rng(0).uniform(-35, 30, (100, 2))
+    with made({"url": tmp_path / "w"}, make_grid) as world:
+        grid = world.window(AROUND)
+        for method in ("nearest", "bilinear"):
+            inside = AROUND.contains(*points.T)
+            np.testing.assert_array_equal(
+                world.opinion_at(points, method)[inside], grid.opinion_at(points[inside], method)
+            )
+            far = np.append(points, [[3e6, 2e6], [1e9, 0.0]], axis=0)  # the last one lies beyond the lattice
+            np.testing.assert_array_equal(world.opinion_at(far, method)[-2:], [[0, 0, 1]] * 2)
+        assert (grid.opinion_at(points)[:, 2] < 1).sum() > 5
+        assert world.opinion_at((3.1, -2.2)) == grid.opinion_at((3.1, -2.2))

@@ -6,8 +6,8 @@ from typing import get_args
 
 import numpy as np
 
-from ogm.dynamic_grid import DYNAMIC_FORMAT, DynamicGrid
-from ogm.grid import LAYERED_FORMAT, EvidentialGrid, GridSpec, LayeredGrid
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.grids.archived import read_archived, write_archived
 from ogm.io.grids.geotiff import check_crs, read_geotiff, write_geotiff
 from ogm.io.grids.logged import GridLog, GridMessage, check_logged, read_logged
 from ogm.io.grids.map_server import MapMode, check_map_server, read_map_server, write_map_server
@@ -15,9 +15,8 @@ from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import check_scientific, read_scientific, write_scientific
 from ogm.io.images import open_image
 from ogm.io.logs import LOG_ENDINGS, log_ending
-from ogm.io.messages.grids import AnyGrid, evidential
+from ogm.io.messages.grids import AnyGrid
 from ogm.io.reading import optional, parse_array, read_bytes
-from ogm.storage.archive import stated_format
 from ogm.storage.files import FilePath, OgmError, atomic_write, error_context
 
 GRID_ENDINGS = (".npz", ".npy", ".png")  # of files that hold the grid of one frame
@@ -26,11 +25,7 @@ MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # of
 
 
 def write_grid(
-    path: FilePath,
-    grid: AnyGrid | LayeredGrid | PlacedGrid,
-    *,
-    mode: MapMode | None = None,
-    message: GridMessage | None = None,
+    path: FilePath, grid: AnyGrid | PlacedGrid, *, mode: MapMode | None = None, message: GridMessage | None = None
 ) -> None:
     """Write a grid in the format that the ending of the path names. Files are whole or not there.
 
@@ -42,14 +37,15 @@ def write_grid(
         times the mass of occupied, green that of free), ``.mcap``, ``.db3``, ``.bag`` (a log with this one grid on
         ``/map``; of a drive: `GridLog`).
     grid : EvidentialGrid, DynamicGrid, LayeredGrid or PlacedGrid
-        A `LayeredGrid` is written as ``.npz`` alone. Of a `DynamicGrid`, ``.npz``, ``.tif``, ``.nc``, ``.zarr`` and the
-        messages grid-map and foxglove-grid hold all layers, the others free and occupied alone. With its place in a
-        frame, a stamp and a coordinate reference system, as far as the format holds them.
+        ``.npz``, ``.tif``, ``.nc``, ``.zarr`` and the messages grid-map and foxglove-grid hold all bands: masses, those
+        of a `DynamicGrid`, and layers. The others hold free and occupied alone: of a `LayeredGrid`, `grid_from_layer`
+        chooses one. With its place in a frame, a stamp and a coordinate reference system, as far as the format holds
+        them; ``.npz`` and ``.png`` hold no turn.
     mode : {"trinary", "scale", "raw"}, optional
         Of ``.yaml``: the state of each cell (default), or its value of 0 ... 100, which is occupied + unknown / 2, by
         grey levels and transparency, or as it is.
-    message : {"occupancy-grid", "grid-map", "foxglove-grid"}, optional
-        Of logs, see `GridLog`; by default the first.
+    message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}, optional
+        Of logs, see `GridLog`; by default the first. A costmap is on ``/costmap_raw``.
 
     Raises
     ------
@@ -68,13 +64,7 @@ def write_grid(
     >>> write_grid("map.tif", PlacedGrid(mapper.grid, pose(x, y, yaw=yaw), crs="EPSG:25832"))  # doctest: +SKIP
     """
     path = Path(path)
-    if isinstance(grid, LayeredGrid):
-        if path.suffix.lower() != ".npz" or mode is not None or message is not None:
-            names = ", ".join(grid.layers) or "none"
-            raise ValueError(f"{path} would hold masses of free and occupied, got layers ({names}): write them as .npz")
-        grid.save(path)
-        return
-    placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
+    placed = PlacedGrid.of(grid)
     check_grid_output(path, mode=mode, message=message, crs=placed.crs)
     ending = path.suffix.lower()
     if ending in _YAML:
@@ -84,12 +74,13 @@ def write_grid(
     elif ending in _SCIENTIFIC:
         write_scientific(path, placed)
     elif ending in LOG_ENDINGS:
-        with GridLog(path, message or "occupancy-grid") as log:
+        topic = "/costmap_raw" if message == "costmap" else "/map"
+        with GridLog(path, message or "occupancy-grid", topic) as log:
             log.write(placed)
     elif ending == ".png":
-        write_picture(path, evidential(placed.upright))
+        write_picture(path, placed.upright.evidential)
     else:
-        placed.upright.save(path)
+        write_archived(path, placed)
 
 
 def check_grid_output(
@@ -101,7 +92,7 @@ def check_grid_output(
     ----------
     path : path
     mode : {"trinary", "scale", "raw"}, optional
-    message : {"occupancy-grid", "grid-map", "foxglove-grid"}, optional
+    message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}, optional
     crs : str, optional
         Of the `PlacedGrid`.
     """
@@ -158,29 +149,28 @@ def read_grid(
     """
     placed = read_placed_grid(path, area, topic=topic, free_thresh=free_thresh)
     with error_context(path):
-        return evidential(placed.upright)
+        return placed.upright.evidential
 
 
 def read_any_grid(
     path: FilePath, area: GridSpec | None = None, *, topic: str | None = None, free_thresh: float | None = None
-) -> AnyGrid | LayeredGrid:
-    """Read all that a file holds of a grid: a `DynamicGrid` with its velocities, a `LayeredGrid`, else the masses.
+) -> AnyGrid:
+    """Read a grid of any kind: a `DynamicGrid`, the masses, or, where there are none, a `LayeredGrid`.
 
-    Parameters and errors as for `read_grid`.
+    Layers beside masses are read by `read_placed_grid`. Parameters and errors as for `read_grid`.
     """
-    if Path(path).suffix.lower() == ".npz" and Path(path).is_file() and stated_format(path) == LAYERED_FORMAT:
-        return LayeredGrid.load(path)
     placed = read_placed_grid(path, area, topic=topic, free_thresh=free_thresh)
     with error_context(path):
-        return placed.upright
+        return placed.upright.grid
 
 
 def read_placed_grid(
     path: FilePath, area: GridSpec | None = None, *, topic: str | None = None, free_thresh: float | None = None
 ) -> PlacedGrid:
-    """Read a grid with its place in a frame, which may be turned. Parameters and errors as for `read_grid`.
+    """Read all that a file holds: a grid with its place in a frame, which may be turned, and further layers.
 
-    Where a file holds all of a `DynamicGrid`, that is its grid.
+    Where a file holds all of a `DynamicGrid`, that is its grid; where it has no masses, a `LayeredGrid`. Parameters and
+    errors as for `read_grid`.
     """
     path = Path(path)
     ending = log_ending(path) or path.suffix.lower()
@@ -216,10 +206,7 @@ def _read(path: Path, area: GridSpec | None, topic: str | None, free_thresh: flo
     if ending in _SCIENTIFIC:
         return read_scientific(path)
     if area is None or ending == ".npz":
-        if (found := stated_format(path)) == LAYERED_FORMAT:
-            names = ", ".join(LayeredGrid.load(path).layers) or "none"
-            raise OgmError(f"{path} holds layers, {names}, and no masses: `ogm view` and LayeredGrid.load show them")
-        return PlacedGrid(DynamicGrid.load(path) if found == DYNAMIC_FORMAT else EvidentialGrid.load(path))
+        return read_archived(path)
     return PlacedGrid(read_array(path, area) if ending == ".npy" else read_picture(path, area))
 
 

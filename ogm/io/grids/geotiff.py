@@ -1,16 +1,15 @@
 """GeoTIFF: a cloud-optimised file with a band for each layer, row 0 the top; turned by its GeoTransform."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.grid import GridSpec
+from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
-from ogm.io.messages.grids import layers_of, needed_layers
+from ogm.io.messages.grids import MASSES
 from ogm.io.reading import optional, reason
 from ogm.storage.files import OgmError, atomic_write
 from ogm.storage.limits import current_limits, too_large
@@ -40,18 +39,19 @@ def check_crs(crs: str, path: Path) -> Any:
 
 
 def write_geotiff(path: Path, placed: PlacedGrid) -> None:
-    """Write a GeoTIFF: bands of float32, exact. Nodata is NaN, which no mass is: unknown is a mass, too."""
+    """Write a GeoTIFF: named bands of float32, exact. Nodata is NaN, which no mass is: unknown is a mass, too."""
     rasterio = optional("rasterio", path, "geo", "written")
     from rasterio.enums import ColorInterp
 
-    (x, y, yaw), spec, layers = placed.corner, placed.grid.spec, layers_of(placed.grid)
+    (x, y, yaw), spec, layers = placed.corner, placed.grid.spec, placed.bands.layers
     (nx, ny), step_x, step_y = spec.shape, spec.resolution * math.cos(yaw), spec.resolution * math.sin(yaw)
-    top = x - ny * step_y, y + ny * step_x
+    top, masses = (x - ny * step_y, y + ny * step_x), "free" in layers
     profile = {
         "driver": "COG", "width": nx, "height": ny, "count": len(layers), "dtype": "float32", "nodata": math.nan,
         "crs": None if placed.crs is None else check_crs(placed.crs, path),
         "transform": rasterio.Affine(step_x, step_y, top[0], step_y, -step_x, top[1]),
-        "compress": "DEFLATE", "predictor": "YES", "overview_resampling": "AVERAGE", "bigtiff": "IF_SAFER",
+        "compress": "DEFLATE", "predictor": "YES", "overview_resampling": "AVERAGE" if masses else "NEAREST",
+        "bigtiff": "IF_SAFER",
     }  # fmt: skip
     tags = {"frame_id": placed.frame_id} | ({} if placed.stamp is None else {"stamp": repr(placed.stamp)})
     with rasterio.MemoryFile(ext=".tif") as memory:  # GDAL does not report a disk that is full when it closes a file
@@ -60,8 +60,9 @@ def write_geotiff(path: Path, placed: PlacedGrid) -> None:
                 for band, (name, layer) in enumerate(layers.items(), start=1):
                     image.write(layer.T[::-1], band)
                     image.set_band_description(band, name)
-                others = [ColorInterp.undefined] * (len(layers) - len(_COLOURS))
-                image.colorinterp = [ColorInterp[name] for name in _COLOURS] + others
+                if masses:
+                    others = [ColorInterp.undefined] * (len(layers) - len(_COLOURS))
+                    image.colorinterp = [ColorInterp[name] for name in _COLOURS] + others
                 image.update_tags(**tags)
         except Exception as error:  # rasterio lets GDAL's own errors through
             raise OSError(f"{path} cannot be written: {error}") from error
@@ -70,26 +71,26 @@ def write_geotiff(path: Path, placed: PlacedGrid) -> None:
 
 
 def read_geotiff(path: Path) -> PlacedGrid:
-    """Read a GeoTIFF whose bands have the names free and occupied, or those of `layers_of`; nodata is unknown."""
+    """Read a GeoTIFF: masses of bands with the names free and occupied, other bands as layers; nodata is NaN."""
     rasterio = optional("rasterio", path, "geo")
     try:
         # not one of GDAL's formats that name other files
         with rasterio.Env(GDAL_CACHEMAX=_CACHE), rasterio.open(path, driver="GTiff") as image:
             GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
-            names = list(image.descriptions)
-            if not {"free", "occupied"} <= set(names):
-                got = ", ".join(map(str, names))[:80]
-                raise OgmError(f"{path} must have bands with the names free and occupied, got {got or 'none'}")
-            wanted = needed_layers([name for name in names if name])
-            bands = [names.index(name) + 1 for name in wanted]
-            size = 4 * len(bands) * image.width * image.height
+            names = [name or f"band{number}" for number, name in enumerate(image.descriptions, start=1)]
+            size = 4 * len(names) * image.width * image.height
             blocks = [a * b for a, b in image.block_shapes]
             if max(size, 8 * max(blocks)) > current_limits().grid:
                 raise too_large(path, max(size, 8 * max(blocks)), "grid")
-            if any(image.dtypes[band - 1] not in ("float32", "float64") for band in bands):
-                raise OgmError(f"{path} must have bands of float, masses in [0, 1], got {image.dtypes[bands[0] - 1]}")
-            resolution, corner, down = _place(image.transform, image.height, path)
-            rows = _bands(image, bands, wanted)
+            kinds = dict(zip(names, image.dtypes, strict=True))
+            for name, kind in kinds.items():
+                if np.dtype(kind).kind not in ("f" if name in MASSES else "fiu"):
+                    raise OgmError(f"{path} must have bands of float, masses in [0, 1], got {kind} of {name}")
+            if len(kinds) < len(names):
+                raise OgmError(f"{path} has two bands of one name: {', '.join(names)[:80]}")
+            resolution, (x, y, yaw), down = _place(image.transform, image.height, path)
+            spec = GridSpec(resolution, (image.width, image.height), (x, y))
+            bands = {name: _band(image, number)[:: -1 if down else 1].T for number, name in enumerate(names, start=1)}
             tags, crs = image.tags(), None if image.crs is None else image.crs.to_string()
     except OgmError:
         raise
@@ -97,20 +98,15 @@ def read_geotiff(path: Path) -> PlacedGrid:
         raise OgmError(f"{path} is damaged or no GeoTIFF: {reason(error, path)}") from error
     if crs is not None:
         check_crs(crs, path)
-    layers = {name: (rows[k, ::-1] if down else rows[k]).T for k, name in enumerate(wanted)}
-    return placed_at(
-        layers, resolution, corner, frame_id=tags.get("frame_id", "map"), stamp=_stamp(tags.get("stamp")), crs=crs
-    )
+    facts = {"frame_id": tags.get("frame_id", "map"), "stamp": _stamp(tags.get("stamp")), "crs": crs}
+    return placed_at(LayeredGrid(spec, bands), yaw, **facts)
 
 
-def _bands(image: Any, bands: list[int], names: Sequence[str]) -> NDArray[np.float32]:
-    """Read bands one by one, with what stands for nodata: unknown is a mass, too."""
-    rows = np.empty((len(bands), image.height, image.width), np.float32)
-    for row, band, name in zip(rows, bands, names, strict=True):
-        read = image.read(band, out_dtype="float32", masked=True)
-        row[:] = read.data
-        row[read.mask] = np.nan if name.startswith("velocity") else 0.0
-    return rows
+def _band(image: Any, number: int) -> NDArray[np.float32]:
+    """Read a band, (height, width); NaN for nodata."""
+    read = image.read(number, out_dtype="float32", masked=True)
+    values: NDArray[np.float32] = read.filled(np.nan)
+    return values
 
 
 def _place(transform: Any, rows: int, path: Path) -> tuple[float, Corner, bool]:

@@ -11,8 +11,9 @@ from typing import Any, Literal, Self, get_args
 from ogm.grid import EvidentialGrid
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.logs import LogMessage, LogReader, LogWriter, open_log
+from ogm.io.messages.costs import layers_from_nav2_costmap, nav2_costmap
 from ogm.io.messages.grids import cells_from_update, grid_from_occupancy_grid, occupancy_grid
-from ogm.io.messages.layers import foxglove_grid, grid_from_foxglove_grid, grid_from_grid_map, grid_map
+from ogm.io.messages.layers import foxglove_grid, grid_map, layers_from_foxglove_grid, layers_from_grid_map
 from ogm.io.messages.plain import stamp_seconds, tf_message
 from ogm.io.reading import optional
 from ogm.io.transforms import StampedTransform, frame_name
@@ -20,18 +21,20 @@ from ogm.storage.files import FilePath, OgmError, error_context
 
 _log = logging.getLogger(__name__)
 
-GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid"]
+GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid", "costmap"]
 # Type of each message, and the function that makes it.
 _MESSAGES: dict[str, tuple[str, Callable[..., Any]]] = {
     "occupancy-grid": ("nav_msgs/msg/OccupancyGrid", occupancy_grid),
     "grid-map": ("grid_map_msgs/msg/GridMap", grid_map),
     "foxglove-grid": ("foxglove.Grid", foxglove_grid),
+    "costmap": ("nav2_msgs/msg/Costmap", nav2_costmap),
 }
-_READERS = {
+_READERS: dict[str, Callable[[Any], Any]] = {
     "nav_msgs/msg/OccupancyGrid": grid_from_occupancy_grid,
-    "grid_map_msgs/msg/GridMap": grid_from_grid_map,
-    "foxglove.Grid": grid_from_foxglove_grid,
-    "foxglove_msgs/msg/Grid": grid_from_foxglove_grid,
+    "grid_map_msgs/msg/GridMap": layers_from_grid_map,
+    "nav2_msgs/msg/Costmap": layers_from_nav2_costmap,
+    "foxglove.Grid": layers_from_foxglove_grid,
+    "foxglove_msgs/msg/Grid": layers_from_foxglove_grid,
 }
 _UPDATE, _UPDATES = "map_msgs/msg/OccupancyGridUpdate", "_updates"  # type, and end of the topic's name
 
@@ -45,10 +48,10 @@ class GridLog:
     ----------
     path : path
         ``.mcap``, ``.db3`` or ``.bag``. Its folder must exist.
-    message : {"occupancy-grid", "grid-map", "foxglove-grid"}
+    message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}
         ``nav_msgs/OccupancyGrid``, which every viewer and planner reads, has one number per cell.
-        ``grid_map_msgs/GridMap`` has the masses, for RViz with grid_map's plug-in. ``foxglove.Grid`` has the masses and
-        colours, in MCAP alone.
+        ``grid_map_msgs/GridMap`` has all bands, for RViz with grid_map's plug-in. ``foxglove.Grid`` has all bands and
+        colours, in MCAP alone. ``nav2_msgs/Costmap`` has the layer ``cost``, see `ogm.planning.costmap`.
     topic : str
         Of the grids; transforms go to ``/tf``.
 
@@ -92,8 +95,9 @@ class GridLog:
         if transforms:
             self._log.write("/tf", "tf2_msgs/msg/TFMessage", tf_message(transforms), stamp)
         kind, make = _MESSAGES[self.message]
-        grid = placed.evidential if self.message == "occupancy-grid" else placed.grid
-        made = make(grid, frame_id=placed.frame_id, stamp=stamp, T_frame_grid=placed.T_frame_grid)
+        place = {"frame_id": placed.frame_id, "stamp": stamp, "T_frame_grid": placed.T_frame_grid}
+        one_value = self.message == "occupancy-grid"
+        made = make(placed.evidential, **place) if one_value else make(placed.grid, **place, layers=placed.layers)
         self._log.write(self.topic, kind, made, stamp)
 
 
@@ -185,7 +189,11 @@ def _placed(message: LogMessage) -> PlacedGrid:
     else:
         header = made.header if hasattr(made, "header") else made.info.header
         frame, stamp = str(header.frame_id), stamp_seconds(header.stamp)
-    return PlacedGrid(grid, T, frame_name(frame), stamp or None)
+    place = T, frame_name(frame), stamp or None
+    if isinstance(grid, EvidentialGrid):
+        return PlacedGrid(grid, *place)
+    with error_context(f"{message.type} of {frame} has masses that are none"):
+        return PlacedGrid.of_bands(grid, *place)
 
 
 _SIZES = {1: 8, 5: 4}  # [byte] of the wire types of fixed length

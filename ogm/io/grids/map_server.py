@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.grid import GridSpec
+from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
 from ogm.io.images import open_image
 from ogm.io.messages.grids import mass_from_occupancy, occupancy_values
@@ -142,7 +142,8 @@ def read_map_server(path: Path, free_thresh: float | None = None) -> PlacedGrid:
             raise ValueError(f"free_thresh must be from 0 to occupied_thresh, {header.occupied:g}, got {free_thresh}")
         header = header._replace(free=free_thresh)
     mass = mass_from_occupancy(np.ascontiguousarray(_values(header)[::-1].T))
-    return placed_at({"free": mass[..., 0], "occupied": mass[..., 1]}, header.resolution, header.corner)
+    spec = GridSpec(header.resolution, mass.shape[:2], header.corner[:2])
+    return placed_at(LayeredGrid(spec, {"free": mass[..., 0], "occupied": mass[..., 1]}), header.corner.yaw)
 
 
 def _header(path: Path) -> _Header:

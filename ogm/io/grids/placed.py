@@ -1,20 +1,20 @@
 """A grid and its place in the frame of a file: what map files hold besides the cells."""
 
 import math
-from collections.abc import Mapping
+import re
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.dynamic_grid import DynamicGrid
-from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
-from ogm.io.messages.grids import AnyGrid, check_grid, evidential, grid_from_layers, split_corner
+from ogm.grid import EvidentialGrid, LayeredGrid
+from ogm.io.messages.grids import AnyGrid, bands_of, check_grid, check_names, evidential, grid_from_bands, split_corner
 from ogm.pose import check_pose, check_stamp, pose
 
 _MAX_TILT = 1e-3  # [rad] within which a frame counts as level: at 100 m the projected cells are off by 0.05 mm
 _NO_TURN = 1e-9  # [rad]
+MODEL_LAYER = re.compile(r"(model[0-9]+|plane|rest)_\w+")  # of `ogm.fusion.EvidentialMapper.layers`: one of its maps
 
 
 class Corner(NamedTuple):
@@ -39,7 +39,7 @@ class PlacedGrid:
 
     Parameters
     ----------
-    grid : EvidentialGrid or DynamicGrid
+    grid : EvidentialGrid, DynamicGrid or LayeredGrid
         Velocities are along the grid's own axes, also where it is turned in the frame.
     T_frame_grid : (4, 4) array
         Takes the coordinates of ``grid.spec`` to the frame [m]. By default they are those of the frame.
@@ -50,13 +50,16 @@ class PlacedGrid:
     crs : str, optional
         Coordinate reference system of the frame, for GeoTIFF, NetCDF and Zarr: ``"EPSG:25832"``, or WKT. Projected, in
         metres.
+    layers : LayeredGrid, optional
+        Further layers on the cells of `grid`, such as conflict.
 
     Raises
     ------
     TypeError
-        If the grid holds no masses.
+        If `grid` is no grid.
     ValueError
-        If its numbers are no masses, the transform is not rigid, or the stamp not finite.
+        If its numbers are no masses, the transform is not rigid, the stamp not finite, or the layers have other cells
+        or names of the grid's own.
     """
 
     grid: AnyGrid
@@ -64,9 +67,11 @@ class PlacedGrid:
     frame_id: str = "map"
     stamp: float | None = None
     crs: str | None = None
+    layers: LayeredGrid | None = None
 
     def __post_init__(self) -> None:
         check_grid(self.grid)
+        check_names(self.grid, self.layers)
         object.__setattr__(self, "T_frame_grid", check_pose(self.T_frame_grid, "T_frame_grid"))
         if self.stamp is not None:
             object.__setattr__(self, "stamp", check_stamp(self.stamp))
@@ -91,14 +96,36 @@ class PlacedGrid:
         corner = T[:2, :2] @ (x, y) + T[:2, 3]
         return Corner(float(corner[0]), float(corner[1]), 0.0 if abs(yaw) < _NO_TURN else yaw)
 
+    @classmethod
+    def of(cls, grid: "AnyGrid | PlacedGrid") -> "PlacedGrid":
+        """Return a placed grid as it is, another one with its coordinates as the frame."""
+        return grid if isinstance(grid, PlacedGrid) else cls(grid)
+
+    @classmethod
+    def of_bands(cls, bands: LayeredGrid, *place: Any, **facts: Any) -> Self:
+        """Return the grid of named bands and the layers beside it (`grid_from_bands`), with further attributes."""
+        grid, layers = grid_from_bands(bands)
+        return cls(grid, *place, **facts | {"layers": layers})
+
+    def without_models(self) -> "PlacedGrid":
+        """Return the same without the layers that hold the map of each of several models."""
+        named = {} if self.layers is None else self.layers.layers
+        rest = {name: layer for name, layer in named.items() if not MODEL_LAYER.fullmatch(name)}
+        return replace(self, layers=LayeredGrid(self.grid.spec, rest) if rest else None)
+
+    @property
+    def bands(self) -> LayeredGrid:
+        """All that the cells hold, as named bands: `ogm.io.messages.grids.bands_of`."""
+        return bands_of(self.grid, self.layers)
+
     @property
     def evidential(self) -> EvidentialGrid:
-        """The masses of free and occupied alone, in the grid's own coordinates."""
+        """The masses of free and occupied alone, in the grid's own coordinates; ValueError where there are none."""
         return evidential(self.grid)
 
     @property
-    def upright(self) -> AnyGrid:
-        """The grid with the frame's own coordinates: its origin is moved.
+    def upright(self) -> "PlacedGrid":
+        """The same in the frame's own coordinates: the origins are moved, `T_frame_grid` keeps the height alone.
 
         Raises
         ------
@@ -113,32 +140,31 @@ class PlacedGrid:
                 "resample it (ogm.fusion.warp)"
             )
         if not self.T_frame_grid[:2, 3].any():
-            return self.grid
+            return self
         spec = replace(self.grid.spec, origin=(corner.x, corner.y))
-        if isinstance(self.grid, DynamicGrid):
-            return replace(self.grid, spec=spec)
-        return EvidentialGrid.trusted(spec, self.grid.mass)
+        grid, layers = self.grid, self.layers and replace(self.layers, spec=spec)
+        moved = (
+            EvidentialGrid.trusted(spec, grid.mass) if isinstance(grid, EvidentialGrid) else replace(grid, spec=spec)
+        )
+        return replace(self, grid=moved, layers=layers, T_frame_grid=pose(z=float(self.T_frame_grid[2, 3])))
 
 
-def placed_at(layers: Mapping[str, NDArray[np.float32]], resolution: float, corner: Corner, **facts: Any) -> PlacedGrid:
-    """Return the grid of a file.
+def placed_at(bands: LayeredGrid, yaw: float, **facts: Any) -> PlacedGrid:
+    """Return the grid of a file whose cells are turned around their corner.
 
     Parameters
     ----------
-    layers : mapping of str to (nx, ny) float array
-        See `ogm.io.messages.grids.grid_from_layers`.
-    resolution : float
-        [m]
-    corner : Corner
-        Its place becomes the origin of the grid, its yaw `T_frame_grid`.
+    bands : LayeredGrid
+        Its origin is the place of the corner in the frame [m].
+    yaw : float
+        Direction of x in the frame [rad].
     **facts
         Further attributes of `PlacedGrid`.
     """
-    if not np.isfinite(corner).all():
-        raise ValueError(f"origin must be finite numbers (x, y, yaw) [m, rad], got {tuple(corner)}")
-    origin, T = split_corner(pose(corner.x, corner.y, yaw=corner.yaw))
-    spec = GridSpec(resolution, next(iter(layers.values())).shape, origin)
-    return PlacedGrid(grid_from_layers(LayeredGrid(spec, layers)), T, **facts)
+    if not math.isfinite(yaw):
+        raise ValueError(f"origin must be finite numbers (x, y, yaw) [m, rad], got {yaw}")
+    origin, T = split_corner(pose(*bands.spec.origin, yaw=yaw))
+    return PlacedGrid.of_bands(replace(bands, spec=replace(bands.spec, origin=origin)), T, **facts)
 
 
 def nanometres(metres: float) -> float:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.extras import install_line
-from ogm.grid import GridSpec, LayeredGrid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.placed import PlacedGrid, nanometres
-from ogm.io.messages.grids import AnyGrid, grid_from_layers, layers_of, needed_layers
+from ogm.io.messages.grids import AnyGrid
 from ogm.io.reading import optional, reason
 from ogm.pose import pose
 from ogm.storage.files import OgmError, update_hint
@@ -26,19 +26,30 @@ from ogm.storage.whole_path import whole_path
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
-_FORMAT = "ogm.EvidentialGrid/1"
-_LAYERS = {
-    "free": "belief mass of free",
-    "occupied": "belief mass of occupied",
-    "unknown": "belief mass of unknown, 1 - free - occupied",
-    "static": "belief mass of occupied by something static",
-    "dynamic": "belief mass of occupied by something dynamic",
-    "velocity_x": "mean velocity over ground of what is dynamic, along x of the grid",
-    "velocity_y": "mean velocity over ground of what is dynamic, along y of the grid",
-    "velocity_covariance_xx": "variance of velocity_x",
-    "velocity_covariance_xy": "covariance of velocity_x and velocity_y",
-    "velocity_covariance_yy": "variance of velocity_y",
+_TITLES = {EvidentialGrid.FORMAT: "Evidential occupancy grid", LayeredGrid.FORMAT: "Layers of a grid"}
+_BANDS = {  # unit and meaning
+    "free": ("1", "belief mass of free"),
+    "occupied": ("1", "belief mass of occupied"),
+    "unknown": ("1", "belief mass of unknown, 1 - free - occupied"),
+    "static": ("1", "belief mass of occupied by something static"),
+    "dynamic": ("1", "belief mass of occupied by something dynamic"),
+    "velocity_x": ("m s-1", "mean velocity over ground of what is dynamic, along x of the grid"),
+    "velocity_y": ("m s-1", "mean velocity over ground of what is dynamic, along y of the grid"),
+    "velocity_covariance_xx": ("m2 s-2", "variance of velocity_x"),
+    "velocity_covariance_xy": ("m2 s-2", "covariance of velocity_x and velocity_y"),
+    "velocity_covariance_yy": ("m2 s-2", "variance of velocity_y"),
+    "free_to_occupied": ("1", "greatest conflict of a free map with a scan that shows occupied"),
+    "occupied_to_free": ("1", "greatest conflict of an occupied map with a scan that shows free"),
+    "ground_height": ("m", "height of the ground"),
+    "ground_variance": ("m2", "variance of ground_height"),
+    "slope": ("rad", "slope of the ground"),
+    "step": ("m", "step of the ground"),
+    "roughness": ("m", "roughness of the ground"),
+    "highest_obstacle": ("m", "height of the highest obstacle"),
+    "clearance": ("m", "clearance below what hangs above the ground"),
+    "traversability": ("1", "traversability"),
 }
+_MASSES = ("free", "occupied", "unknown", "static", "dynamic")
 _CHUNK = 1024  # [cells] side of a chunk
 _STRIP = 2**18  # cells that are read at once, at least
 _SAME_STEP = 1e-6  # departure of a step from the others, in cells, that rounding can make
@@ -53,13 +64,13 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
 
     Parameters
     ----------
-    grid : EvidentialGrid, DynamicGrid or PlacedGrid
+    grid : EvidentialGrid, DynamicGrid, LayeredGrid or PlacedGrid
 
     Returns
     -------
     xarray.Dataset
-        Variables ``free``, ``occupied`` and ``unknown`` of dims (y, x), float32 in [0, 1], not copied, and of a
-        `DynamicGrid` its further layers; coordinates ``x`` and ``y`` of the cells' centres [m], increasing. Attributes
+        Variables ``free``, ``occupied`` and ``unknown`` of dims (y, x), float32 in [0, 1], not copied, and all further
+        layers; coordinates ``x`` and ``y`` of the cells' centres [m], increasing. Attributes
         ``resolution`` [m], ``frame_id`` and, if known, ``stamp`` [s] and ``height`` in the frame [m]. The coordinates
         are those of the frame; where the grid is turned or tilted in it, they are the grid's own, and the attribute
         ``T_frame_grid`` has the 16 numbers of the transform, row by row. With a `crs`, ``spatial_ref`` is the grid
@@ -71,11 +82,12 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
         If xarray is missing, or for a `crs` rasterio.
     """
     xarray = optional("xarray", Path("an xarray.Dataset"), "geo", "made")
-    placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
+    placed = PlacedGrid.of(grid)
     T = placed.T_frame_grid
     level = np.allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-9)
-    cells = placed.upright if level else placed.grid
-    facts: dict[str, Any] = {"Conventions": "CF-1.11", "title": "Evidential occupancy grid", "format": _FORMAT}
+    cells = (placed.upright if level else placed).bands
+    stated = EvidentialGrid.FORMAT if "free" in cells.layers else LayeredGrid.FORMAT
+    facts: dict[str, Any] = {"Conventions": "CF-1.11", "title": _TITLES[stated], "format": stated}
     facts |= {"resolution": cells.spec.resolution, "frame_id": placed.frame_id}
     if placed.stamp is not None:
         facts["stamp"] = placed.stamp
@@ -98,16 +110,16 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
             of_layers["grid_mapping"] = "spatial_ref"
         else:
             facts["crs_wkt"] = wkt
-    layers = {name: (("y", "x"), layer.T, of_layers | _described(name)) for name, layer in layers_of(cells).items()}
+    layers = {name: (("y", "x"), layer.T, of_layers | _described(name)) for name, layer in cells.layers.items()}
     dataset: Dataset = xarray.Dataset(layers, coordinates, facts)
     return dataset
 
 
 def _described(name: str) -> dict[str, Any]:
-    """Return the attributes of a layer."""
-    if name.startswith("velocity"):
-        return {"units": "m2 s-2" if "covariance" in name else "m s-1", "long_name": _LAYERS[name]}
-    return {"units": "1", "valid_min": np.float32(0), "valid_max": np.float32(1), "long_name": _LAYERS[name]}
+    """Return the attributes of a layer; the unit of other layers than those of `ogm` is not known."""
+    unit, text = _BANDS.get(name, ("", name.replace("_", " ")))
+    masses = {"valid_min": np.float32(0), "valid_max": np.float32(1)} if name in _MASSES else {}
+    return {"long_name": text} | ({"units": unit} if unit else {}) | masses
 
 
 def from_xarray(dataset: "Dataset") -> PlacedGrid:
@@ -116,8 +128,8 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
     Parameters
     ----------
     dataset : xarray.Dataset
-        With variables ``free`` and ``occupied`` of dims y and x in any order, masses in [0, 1], NaN is unknown; for a
-        `DynamicGrid`, with all variables that `to_xarray` makes of one but unknown. And with
+        With variables of numbers of dims y and x in any order: ``free`` and ``occupied``, masses in [0, 1], NaN is
+        unknown; for a `DynamicGrid` all that `to_xarray` makes of one but unknown; any others are layers. And with
         coordinates ``x`` and ``y`` of the cells' centres in equal steps [m], one number of metres for both.
 
     Raises
@@ -125,17 +137,17 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
     OgmError
         If something is missing, of another shape, or no mass.
     """
-    if hint := update_hint(found := dataset.attrs.get("format"), _FORMAT):
-        raise OgmError(f"the dataset has the format {found}, this version of ogm reads {_FORMAT}{hint}")
-    layers = _needed(dataset)
+    if hint := update_hint(found := dataset.attrs.get("format"), *_TITLES):
+        raise OgmError(f"the dataset has the format {found}, this version of ogm reads {', '.join(_TITLES)}{hint}")
+    layers = _layers(dataset)
     try:
         _check_sizes(layers)
         spec, order = _spec(dataset, (int(layers.sizes["x"]), int(layers.sizes["y"])))
         read = {str(name): _values(layer)[order] for name, layer in layers.data_vars.items()}
         T = np.asarray(dataset.attrs.get("T_frame_grid", pose(z=float(dataset.attrs.get("height", 0.0)))), np.float64)
         stamp = dataset.attrs.get("stamp")
-        return PlacedGrid(
-            grid_from_layers(LayeredGrid(spec, read), nan_is_unknown=True),
+        return PlacedGrid.of_bands(
+            LayeredGrid(spec, read),
             T.reshape(4, 4) if T.size == 16 else T,
             str(dataset.attrs.get("frame_id", "map"))[:256],
             None if stamp is None else float(stamp),
@@ -145,19 +157,18 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
         raise error if isinstance(error, OgmError) else OgmError(str(error)) from error
 
 
-def _needed(dataset: "Dataset") -> "Dataset":
-    """Return the variables that make a grid, or raise OgmError where one is missing or of another kind."""
-    try:
-        names = needed_layers([str(name) for name in dataset.data_vars])
-    except KeyError as error:
-        got = ", ".join(map(str, dataset.data_vars))[:80]
-        raise OgmError(f"the dataset must have variables free and occupied, got {got or 'none'}") from error
-    layers = dataset[list(names)]
-    for name in names:
-        layer = layers[name]
-        if set(layer.dims) != {"x", "y"} or layer.dtype.kind != "f":
+def _layers(dataset: "Dataset") -> "Dataset":
+    """Return the variables over y and x, or raise OgmError where there is none, or masses are none."""
+    names = []
+    for name, layer in dataset.data_vars.items():
+        fits = set(layer.dims) == {"x", "y"} and layer.dtype.kind in "fiu"
+        if name in _MASSES[:2] and not (fits and layer.dtype.kind == "f"):
             raise OgmError(f"{name} must be float of dims (y, x), got {layer.dtype} of {layer.dims}")
-    return layers
+        names += [name] if fits else []
+    if not names:
+        got = ", ".join(map(str, dataset.data_vars))[:80]
+        raise OgmError(f"the dataset must have variables of numbers over y and x, got {got or 'none'}")
+    return dataset[names]
 
 
 def _check_sizes(layers: "Dataset") -> None:
@@ -186,7 +197,7 @@ def _spec(dataset: "Dataset", shape: tuple[int, int]) -> tuple[GridSpec, tuple[s
     return GridSpec(resolution, shape, origin), order
 
 
-def _values(layer: "DataArray") -> NDArray[np.floating[Any]]:
+def _values(layer: "DataArray") -> NDArray[Any]:
     """Read a layer, (nx, ny), in strips along its first axis: Zarr takes a multiple of the memory of what it reads."""
     along, across = layer.dims
     chunks = layer.encoding.get("chunks") or layer.encoding.get("chunksizes") or (1, 1)
@@ -294,7 +305,7 @@ def check_scientific(path: Path) -> None:
     if path.suffix.lower() != ".zarr" or not path.exists():
         return
     try:
-        ours = json.loads((path / "zarr.json").read_bytes())["attributes"]["format"] == _FORMAT
+        ours = json.loads((path / "zarr.json").read_bytes())["attributes"]["format"] in _TITLES
     except (OSError, ValueError, KeyError, TypeError):
         ours = False
     if not ours:

@@ -128,6 +128,9 @@ _BOTH = {
     "radar_msgs/msg/RadarScan": "std_msgs/Header header\nRadarReturn[] returns",
     "map_msgs/msg/OccupancyGridUpdate": "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\n"
     "int8[] data",
+    "nav2_msgs/msg/CostmapMetaData": "builtin_interfaces/Time map_load_time\nbuiltin_interfaces/Time update_time\n"
+    "string layer\nfloat32 resolution\nuint32 size_x\nuint32 size_y\ngeometry_msgs/Pose origin",
+    "nav2_msgs/msg/Costmap": "std_msgs/Header header\nCostmapMetaData metadata\nuint8[] data",
     **{f"{package}/msg/{name}": text for package in ("livox_ros_driver", "livox_ros_driver2")
        for name, text in _LIVOX.items()},
 }  # fmt: skip
@@ -160,7 +163,7 @@ def message_types(ros: int) -> Any:
     ----------
     ros : {1, 2}
         Those of Noetic, or of the latest ROS 2, with those of velodyne_msgs, livox_ros_driver, livox_ros_driver2,
-        radar_msgs, map_msgs, grid_map_msgs, and of ROS 1 tf2_msgs and tf.
+        radar_msgs, map_msgs, nav2_msgs, grid_map_msgs, and of ROS 1 tf2_msgs and tf.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -201,7 +201,7 @@ def _close(writer: Any) -> None:
 
 def _is_latched(topic: str, name: str) -> bool:
     """Tell whether late subscribers get what was sent before, as those of static transforms and maps expect."""
-    return topic == "/tf_static" or name == "nav_msgs/msg/OccupancyGrid"
+    return topic == "/tf_static" or name in ("nav_msgs/msg/OccupancyGrid", "nav2_msgs/msg/Costmap")
 
 
 def _for_ros1(message: Any, name: str, store: Any, header: Any = None) -> Any:

@@ -13,6 +13,7 @@ messages as trees of `types.SimpleNamespace` with numpy arrays: rosbags serialis
 """
 
 from ogm.io.messages.clouds import point_cloud2, scan_from_continental, scan_from_point_cloud2, scan_from_radar_scan
+from ogm.io.messages.costs import layers_from_nav2_costmap, nav2_costmap
 from ogm.io.messages.grids import grid_from_occupancy_grid, occupancy_grid
 from ogm.io.messages.images import intrinsics_from_camera_info, scan_from_depth_image
 from ogm.io.messages.lasers import scan_from_laser_scan, scan_from_range
@@ -21,6 +22,7 @@ from ogm.io.messages.layers import (
     grid_from_foxglove_grid,
     grid_from_grid_map,
     grid_map,
+    layers_from_foxglove_grid,
     layers_from_grid_map,
 )
 from ogm.io.messages.livox import scan_from_livox
@@ -30,8 +32,9 @@ from ogm.io.transforms import StampedTransform
 
 __all__ = [
     "StampedTransform", "fill_message", "foxglove_grid", "grid_from_foxglove_grid", "grid_from_grid_map",
-    "grid_from_occupancy_grid", "grid_map", "intrinsics_from_camera_info", "layers_from_grid_map", "occupancy_grid",
-    "point_cloud2", "scan_from_continental", "scan_from_depth_image", "scan_from_laser_scan", "scan_from_livox",
+    "grid_from_occupancy_grid", "grid_map", "intrinsics_from_camera_info", "layers_from_foxglove_grid",
+    "layers_from_grid_map", "layers_from_nav2_costmap", "nav2_costmap", "occupancy_grid", "point_cloud2",
+    "scan_from_continental", "scan_from_depth_image", "scan_from_laser_scan", "scan_from_livox",
     "scan_from_point_cloud2", "scan_from_radar_scan", "scan_from_range", "scan_from_velodyne_scan", "scans_from_pcap",
     "tf_message", "transform_from_odometry", "transforms_from_tf",
 ]  # fmt: skip

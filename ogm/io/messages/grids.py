@@ -22,85 +22,151 @@ from ogm.pose import check_pose, inverse, pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError, error_context
 
-AnyGrid = EvidentialGrid | DynamicGrid
-_MASSES = ("free", "occupied")
+AnyGrid = EvidentialGrid | DynamicGrid | LayeredGrid
+MASSES = ("free", "occupied", "unknown")
 _VELOCITY = ("x", "y", "covariance_xx", "covariance_xy", "covariance_yy")
 _MOVING = ("static", "dynamic", *(f"velocity_{name}" for name in _VELOCITY))
 
 
 def check_grid(grid: AnyGrid) -> None:
-    """Raise unless a grid can be written: TypeError for what holds no masses, ValueError for what are none."""
+    """Raise unless a grid can be written: TypeError for other objects, ValueError for numbers that are no masses."""
     if not isinstance(grid, AnyGrid):
-        way_out = "LayeredGrid.save writes it" if isinstance(grid, LayeredGrid) else "make an EvidentialGrid of it"
-        raise TypeError(f"wanted an EvidentialGrid or a DynamicGrid to write, got {type(grid).__name__}: {way_out}")
-    grid.check()
+        raise TypeError(
+            f"wanted an EvidentialGrid, DynamicGrid or LayeredGrid, got {type(grid).__name__}: make one of them"
+        )
+    if not isinstance(grid, LayeredGrid):
+        grid.check()
 
 
 def evidential(grid: AnyGrid) -> EvidentialGrid:
-    """Return the masses of free and occupied of a grid; errors as those of `check_grid`."""
+    """Return the masses of free and occupied of a grid; errors as those of `check_grid`, ValueError without masses."""
+    if isinstance(grid, LayeredGrid):
+        grid = grid_from_bands(grid)[0]
+        if isinstance(grid, LayeredGrid):
+            raise ValueError(
+                f"wanted masses of free and occupied, got layers ({', '.join(grid.layers) or 'none'}): "
+                "grid_from_layer, `--layer NAME`, makes occupancy of one; read_any_grid reads them"
+            )
     check_grid(grid)
     return grid.to_evidential() if isinstance(grid, DynamicGrid) else grid
 
 
-def layers_of(grid: AnyGrid) -> dict[str, NDArray[np.float32]]:
-    """Return free, occupied and unknown, and of a `DynamicGrid` also what else `DynamicGrid.to_layers` has.
-
-    Errors as those of `check_grid`.
-    """
-    check_grid(grid)
-    layers = {"free": grid.free, "occupied": grid.occupied, "unknown": grid.unknown}
-    return layers | (dict(grid.to_layers().layers) if isinstance(grid, DynamicGrid) else {})
+def band_names(grid: AnyGrid) -> tuple[str, ...]:
+    """Return the names of the bands of a grid."""
+    if isinstance(grid, LayeredGrid):
+        return tuple(grid.layers)
+    return MASSES + (_MOVING if isinstance(grid, DynamicGrid) else ())
 
 
-def needed_layers(names: Collection[str]) -> tuple[str, ...]:
-    """Return the layers to read of those that there are: of a `DynamicGrid` if all are there, else the masses.
-
-    Raises
-    ------
-    KeyError
-        If free or occupied is missing, with the names of those.
-    """
-    if missing := [name for name in _MASSES if name not in names]:
-        raise KeyError(" and ".join(missing))
-    return _MASSES + (_MOVING if set(_MOVING) <= set(names) else ())
+def check_names(grid: AnyGrid, layers: LayeredGrid | None, taken: Collection[str] = ()) -> None:
+    """Raise ValueError unless further layers have the cells of a grid, and names that neither it nor `taken` has."""
+    if layers is None:
+        return
+    if layers.spec != grid.spec:
+        raise ValueError(f"layers must have the cells of the grid, {grid.spec}, got {layers.spec}")
+    if twice := {*band_names(grid), *taken} & layers.layers.keys():
+        raise ValueError(f"{', '.join(map(repr, sorted(twice)))} is the grid's own: give the layer another name")
 
 
-def check_layers(names: Collection[str], where: str, word: str, way_out: str = "") -> tuple[str, ...]:
-    """Return the `needed_layers` of a message, or raise OgmError where it lacks one."""
-    try:
-        return needed_layers(names)
-    except KeyError as error:
-        lack = f"{where} has no {word} {error.args[0]}, only {', '.join(names) or 'none'}"
-        raise OgmError(f"{lack}: it holds no masses of free and occupied{way_out}") from error
-
-
-def grid_from_layers(layers: LayeredGrid, *, nan_is_unknown: bool = False) -> AnyGrid:
-    """Return the grid of the `needed_layers`.
+def bands_of(grid: AnyGrid, layers: LayeredGrid | None = None) -> LayeredGrid:
+    """Return a grid and further layers as named bands, as all files and messages of several bands hold them.
 
     Parameters
     ----------
-    layers : LayeredGrid
-    nan_is_unknown : bool
-        Whether nothing is known where a mass has no value (NaN); else it is an error.
+    grid : EvidentialGrid, DynamicGrid or LayeredGrid
+        Its masses of free, occupied and unknown, also what else `DynamicGrid.to_layers` has, or its layers.
+    layers : LayeredGrid, optional
+        Further layers on the same cells, such as conflict.
+
+    Raises
+    ------
+    TypeError, ValueError
+        See `check_grid` and `check_names`.
+    """
+    check_grid(grid)
+    check_names(grid, layers)
+    own = grid.to_layers().layers if isinstance(grid, DynamicGrid) else getattr(grid, "layers", {})
+    masses = {} if isinstance(grid, LayeredGrid) else {name: getattr(grid, name) for name in MASSES}
+    return LayeredGrid(grid.spec, {**masses, **own, **(layers.layers if layers else {})})
+
+
+def grid_from_bands(bands: LayeredGrid) -> tuple[AnyGrid, LayeredGrid | None]:
+    """Return the grid that named bands hold, and the layers that are beside it.
+
+    Parameters
+    ----------
+    bands : LayeredGrid
+        Masses that have no value (NaN) are unknown.
+
+    Returns
+    -------
+    grid : DynamicGrid, EvidentialGrid or LayeredGrid
+        The first if all of its bands are there, the second if free and occupied are, else `bands`.
+    layers : LayeredGrid or None
+        Bands that are not in `grid`.
 
     Raises
     ------
     ValueError
-        If the numbers are no masses.
+        If the numbers of masses are none.
     """
-    names = needed_layers(layers.layers)
-    masses = [name for name in names if not name.startswith("velocity")]
-    unknown = np.zeros(layers.spec.shape, np.bool_)
-    for name in masses if nan_is_unknown else ():
-        unknown |= np.isnan(layers[name])
-    if len(names) > len(_MASSES):
-        taken = {name: layers[name] for name in names}
-        if unknown.any():
-            taken |= {name: np.where(unknown, np.float32(0), taken[name]) for name in masses}
-        return DynamicGrid.from_layers(LayeredGrid(layers.spec, taken))
-    mass = np.stack([layers[name] for name in _MASSES], axis=-1)
-    mass[unknown] = 0
-    return EvidentialGrid(layers.spec, mass)
+    names = bands.layers.keys()
+    if not set(MASSES[:2]) <= names:
+        return bands, None
+    moving = set(_MOVING) <= names
+    taken = {name: bands[name] for name in MASSES[:2] + (_MOVING if moving else ())}
+    masses = [name for name in taken if not name.startswith("velocity")]
+    unknown = np.any([np.isnan(taken[name]) for name in masses], axis=0)
+    if unknown.any():
+        taken |= {name: np.where(unknown, np.float32(0), taken[name]) for name in masses}
+    rest = {name: layer for name, layer in bands.layers.items() if name not in {*taken, "unknown"}}
+    grid: AnyGrid = EvidentialGrid(bands.spec, np.stack([taken[name] for name in MASSES[:2]], axis=-1))
+    if moving:
+        grid = DynamicGrid.from_layers(LayeredGrid(bands.spec, taken))
+    return grid, LayeredGrid(bands.spec, rest) if rest else None
+
+
+def masses_of_bands(bands: LayeredGrid, where: str, word: str) -> AnyGrid:
+    """Return the grid of a message's bands, or raise OgmError where it has no masses."""
+    if missing := [name for name in MASSES[:2] if name not in bands.layers]:
+        lack = f"{where} has no {word} {' and '.join(missing)}, only {', '.join(bands.layers) or 'none'}"
+        reader = {"layer": "layers_from_grid_map", "field": "layers_from_foxglove_grid"}[word]
+        raise OgmError(f"{lack}: it holds no masses of free and occupied; {reader} returns what it holds")
+    with error_context(f"{where} has {word}s that are no masses"):
+        return grid_from_bands(bands)[0]
+
+
+def grid_from_layer(layers: LayeredGrid, name: str, values: tuple[float, float] = (0.0, 100.0)) -> EvidentialGrid:
+    """Return one layer as occupancy, for formats that hold one value per cell (map_server, OccupancyGrid, .png).
+
+    Parameters
+    ----------
+    layers : LayeredGrid
+    name : str
+        The layer.
+    values : (float, float)
+        The value of free cells and that of occupied ones, as (1, 0) of a traversability; values between give
+        probabilities in proportion, values beyond count as the nearer one.
+
+    Returns
+    -------
+    EvidentialGrid
+        With all mass on free and occupied, none on unknown, but where the layer has no value (NaN). Mode ``scale``
+        of map_server keeps its values in steps of a hundredth.
+
+    Raises
+    ------
+    ValueError
+        If there is no such layer, or both values are the same or not finite.
+    """
+    low, high = values
+    if name not in layers.layers:
+        raise ValueError(f"there is no layer {name!r}, only {', '.join(layers.layers) or 'none'}")
+    if not (np.isfinite([low, high]).all() and low != high):
+        raise ValueError(f"values must be two different numbers, of free and of occupied cells, got {low:g}, {high:g}")
+    share = np.clip((layers[name] - np.float32(low)) / np.float32(high - low), 0, 1)
+    mass = np.stack([1 - share, share], axis=-1)
+    return EvidentialGrid(layers.spec, np.where(np.isnan(share)[..., None], np.float32(0), mass))
 
 
 def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
@@ -117,7 +183,7 @@ def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
     TypeError, ValueError
         See `check_grid`.
     """
-    check_grid(grid)
+    grid = evidential(grid)
     percent = np.rint(100 * np.asarray(grid.probability, np.float64)).astype(np.int8)
     return np.where(predict_state(grid.mass) == CellState.UNKNOWN, np.int8(-1), percent)
 
@@ -138,7 +204,7 @@ def mass_from_occupancy(values: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def occupancy_grid(
-    grid: EvidentialGrid, *, frame_id: str, stamp: float | None = None, T_frame_grid: ArrayLike | None = None
+    grid: EvidentialGrid, *, frame_id: str = "map", stamp: float | None = None, T_frame_grid: ArrayLike | None = None
 ) -> SimpleNamespace:
     """Return a grid as a ``nav_msgs/OccupancyGrid``.
 

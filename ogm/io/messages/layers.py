@@ -1,7 +1,6 @@
-"""Grids with all their masses as ``grid_map_msgs/GridMap`` and ``foxglove.Grid``, and back."""
+"""Grids with all their bands as ``grid_map_msgs/GridMap`` and ``foxglove.Grid``, and back."""
 
 import logging
-from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,12 +9,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import LayeredGrid
-from ogm.io.messages.grids import AnyGrid, check_layers, corner_pose, grid_from_layers, layers_of, spec_of, split_corner
+from ogm.io.messages.grids import (
+    MASSES,
+    AnyGrid,
+    bands_of,
+    check_names,
+    corner_pose,
+    masses_of_bands,
+    spec_of,
+    split_corner,
+)
 from ogm.io.messages.plain import as_bytes, describe_message, header, pose_message, reads_message, transform_of_pose
 from ogm.io.reading import optional
 from ogm.plot.colours import colours
 from ogm.pose import pose
-from ogm.storage.files import OgmError, error_context
+from ogm.storage.files import OgmError
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -25,21 +33,21 @@ _LABELS = ("column_index", "row_index")  # of an Eigen matrix in the order of it
 def grid_map(
     grid: AnyGrid,
     *,
-    frame_id: str,
+    frame_id: str = "map",
     stamp: float | None = None,
     T_frame_grid: ArrayLike | None = None,
-    layers: Mapping[str, NDArray[Any]] | None = None,
+    layers: LayeredGrid | None = None,
 ) -> SimpleNamespace:
-    """Return a grid as a ``grid_map_msgs/GridMap`` with the layers free, occupied and unknown.
+    """Return a grid as a ``grid_map_msgs/GridMap`` with the layers free, occupied and unknown, or its own.
 
     Parameters
     ----------
-    grid : EvidentialGrid or DynamicGrid
-        The latter with all its layers; velocities are along the grid's axes.
+    grid : EvidentialGrid, DynamicGrid or LayeredGrid
+        The latter two with all their layers; velocities are along the grid's axes.
     frame_id, stamp, T_frame_grid
         See `ogm.io.messages.occupancy_grid`.
-    layers : mapping of str to (nx, ny) array, optional
-        Further layers, such as conflict; those of a `LayeredGrid` are its ``layers``. NaN where there is no value.
+    layers : LayeredGrid, optional
+        Further layers on the same cells, such as `ogm.fusion.EvidentialMapper.conflict`. NaN where there is no value.
 
     Returns
     -------
@@ -53,7 +61,7 @@ def grid_map(
     grid_map has no rotation: its converter drops that of ``info.pose``, which other readers may use. Where the grid is
     turned in `frame_id`, give it a frame of its own, joined by tf.
     """
-    (nx, ny), named = grid.spec.shape, _named(grid, layers, "layer")
+    (nx, ny), named = grid.spec.shape, bands_of(grid, layers).layers
     middle = corner_pose(grid.spec, T_frame_grid) @ pose(grid.spec.length / 2, grid.spec.width / 2)
     if not np.allclose(middle[:3, :3], np.eye(3), atol=1e-9):
         log.warning("grid_map's own code drops the rotation of a map: give the grid a frame of its own, joined by tf")
@@ -72,7 +80,7 @@ def grid_map(
             pose=pose_message(middle),
         ),
         layers=list(named),
-        basic_layers=["free", "occupied"],
+        basic_layers=[name for name in MASSES[:2] if name in named],
         data=[
             SimpleNamespace(
                 layout=SimpleNamespace(dim=dimensions, data_offset=0),
@@ -101,11 +109,8 @@ def grid_from_grid_map(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
     OgmError
         If a layer is missing, sizes contradict each other, or numbers are no masses.
     """
-    where = _describe(message)
-    check_layers(message.layers, where, "layer", "; layers_from_grid_map returns what it holds")
-    layered, T = layers_from_grid_map(message)
-    with error_context(f"{where} has layers that are no masses"):
-        return grid_from_layers(layered, nan_is_unknown=True), T
+    bands, T = layers_from_grid_map(message)
+    return masses_of_bands(bands, _describe(message), "layer"), T
 
 
 @reads_message
@@ -165,26 +170,27 @@ _TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"
 def foxglove_grid(
     grid: AnyGrid,
     *,
-    frame_id: str,
+    frame_id: str = "map",
     stamp: float | None = None,
     T_frame_grid: ArrayLike | None = None,
-    layers: Mapping[str, NDArray[Any]] | None = None,
+    layers: LayeredGrid | None = None,
 ) -> Any:
-    """Return a grid as a ``foxglove.Grid``, with fields free, occupied and unknown, and a colour.
+    """Return a grid as a ``foxglove.Grid``, with fields free, occupied and unknown, and a colour, or its own layers.
 
-    The colours are those of `ogm.plot.colours`, mixed by the masses; unknown is transparent.
+    The colours are those of `ogm.plot.colours`, mixed by the masses; unknown is transparent. Layers without masses
+    have none: the viewer colours one.
 
     Parameters
     ----------
-    grid : EvidentialGrid or DynamicGrid
-        The latter with all its layers; velocities are along the grid's axes.
+    grid : EvidentialGrid, DynamicGrid or LayeredGrid
+        The latter two with all their layers; velocities are along the grid's axes.
     frame_id : str
     stamp : float, optional
         [s]; 0 by default.
     T_frame_grid : (4, 4) array, optional
         Takes the grid's coordinates to that frame; identity by default.
-    layers : mapping of str to (nx, ny) array, optional
-        Further fields, such as conflict; those of a `LayeredGrid` are its ``layers``.
+    layers : LayeredGrid, optional
+        Further fields on the same cells, such as `ogm.fusion.EvidentialMapper.conflict`.
 
     Returns
     -------
@@ -198,9 +204,11 @@ def foxglove_grid(
         If foxglove-sdk is missing.
     """
     library = optional("foxglove.messages", Path("foxglove.Grid"), "live", "made")
-    (nx, ny), named = grid.spec.shape, _named(grid, layers, "field", _COLOURS)
-    shown = (*np.moveaxis(colours().mix(np.stack([grid.free, grid.occupied], axis=-1)), -1, 0), 1 - grid.unknown)
-    named |= {name: np.rint(255 * one).astype(np.uint8) for name, one in zip(_COLOURS, shown, strict=True)}
+    (nx, ny), named = grid.spec.shape, dict[str, NDArray[Any]](bands_of(grid, layers).layers)
+    if not isinstance(grid, LayeredGrid):
+        check_names(grid, layers, _COLOURS)
+        shown = (*np.moveaxis(colours().mix(np.stack([grid.free, grid.occupied], axis=-1)), -1, 0), 1 - grid.unknown)
+        named |= {name: np.rint(255 * one).astype(np.uint8) for name, one in zip(_COLOURS, shown, strict=True)}
     kind = np.dtype([(name, layer.dtype.newbyteorder("<")) for name, layer in named.items()])
     cells = np.empty((ny, nx), kind)
     for name, layer in named.items():
@@ -249,9 +257,18 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
     OgmError
         If a field is missing, sizes contradict each other, cells are no squares or numbers are no masses.
     """
-    where = f"Grid of {message.frame_id or 'no frame'}"
+    bands, T = layers_from_foxglove_grid(message)
+    return masses_of_bands(bands, _describe_foxglove(message), "field"), T
+
+
+@reads_message
+def layers_from_foxglove_grid(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]]:
+    """Return all fields of a decoded ``foxglove.Grid`` but its colours, and where they lie in the frame of the message.
+
+    Parameters, results and errors: see `grid_from_foxglove_grid` and `layers_from_grid_map`.
+    """
+    where = _describe_foxglove(message)
     fields = {field.name: field for field in message.fields}
-    names = check_layers(fields, where, "field")
     data, side = as_bytes(message.data, where), message.cell_size.x
     nx, row, cell = int(message.column_count), int(message.row_stride), int(message.cell_stride)
     if side != message.cell_size.y:
@@ -260,26 +277,18 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
     if min(nx, ny, cell) < 1 or nx * cell > row or ny * row != len(data):
         raise OgmError(f"{where} has {len(data)} bytes, wanted rows of {row} bytes with {nx} cells of {cell}")
     layers = {}
-    for name in names:
+    for name, field in fields.items():
         try:
-            kind, offset = np.dtype("<" + _TYPES[int(fields[name].type)]), int(fields[name].offset)
+            kind, offset = np.dtype("<" + _TYPES[int(field.type)]), int(field.offset)
         except (KeyError, ValueError, TypeError) as error:
             raise OgmError(f"{where} has a field {name} of no type that is known: it is damaged") from error
-        if kind.kind != "f" or not 0 <= offset <= cell - kind.itemsize:
+        if not 0 <= offset <= cell - kind.itemsize or (kind.kind != "f" and name in MASSES):
             raise OgmError(f"{where} has a field {name} that is no float of its cells: it is damaged")
-        layers[name] = np.ndarray((ny, nx), kind, data, offset, (row, cell)).T
+        if name not in _COLOURS:
+            layers[name] = np.ndarray((ny, nx), kind, data, offset, (row, cell)).T
     origin, T = split_corner(transform_of_pose(message.pose, where))
-    with error_context(f"{where} has fields that are no masses"):
-        return grid_from_layers(LayeredGrid(spec_of(side, (nx, ny), origin, where), layers)), T
+    return LayeredGrid(spec_of(side, (nx, ny), origin, where), layers), T
 
 
-def _named(
-    grid: AnyGrid, others: Mapping[str, NDArray[Any]] | None, word: str, taken: Collection[str] = ()
-) -> dict[str, NDArray[Any]]:
-    """Return the layers of a grid and others by their names, which must differ."""
-    named: dict[str, NDArray[Any]] = {**layers_of(grid)}
-    for name, layer in LayeredGrid(grid.spec, others or {}).layers.items():
-        if name in named or name in taken:
-            raise ValueError(f"the {word} {name!r} is the grid's own: give another name")
-        named[name] = layer
-    return named
+def _describe_foxglove(message: Any) -> str:
+    return f"Grid of {message.frame_id or 'no frame'}"

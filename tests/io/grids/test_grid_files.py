@@ -11,11 +11,13 @@ from cases import each, needs
 from moving import street
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.files import MAP_ENDINGS, check_grid_output, read_grid, read_placed_grid, write_grid
 from ogm.io.grids.logged import GridMessage
+from ogm.io.grids.map_server import MapMode
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import from_xarray, to_xarray
+from ogm.io.messages.grids import grid_from_layer, occupancy_values
 from ogm.pose import pose
 from ogm.state import predict_state
 from ogm.storage.files import OgmError
@@ -210,6 +212,90 @@ def test_a_dynamic_grid_is_an_occupancy_grid_where_a_format_has_no_layers(tmp_pa
     a, b = (read_grid(tmp_path / f"{name}{ending}", dynamic.spec) for name in "ab")
     assert a == b
     assert isinstance(read_placed_grid(tmp_path / f"a{ending}", dynamic.spec).grid, EvidentialGrid)
+
+
+LAYERS = {
+    "slope": np.linspace(-1, 1, 28, dtype=np.float32).reshape(SPEC.shape),
+    "höhe": np.where(np.eye(*SPEC.shape), np.float32(np.nan), np.float32(7.25)),
+}
+
+
+@each("ending, message", [*HOLDS_LAYERS, (".db3", "grid-map"), (".bag", "grid-map")])
+def test_layers_come_back_alone_and_beside_masses(tmp_path: Path, ending: str, message: GridMessage | None) -> None:
+    layers = LayeredGrid(SPEC, LAYERS)
+    for k, placed in enumerate((PlacedGrid(layers, stamp=12.5), PlacedGrid(grid(), stamp=12.5, layers=layers))):
+        path = tmp_path / f"m{k}{ending}"
+        write_grid(path, placed, message=message)
+        again = read_placed_grid(path)
+        assert (type(again.grid), again.frame_id, again.stamp) == (type(placed.grid), "map", 12.5)
+        assert again.grid.spec.origin == pytest.approx(SPEC.origin, abs=1e-12)
+        assert replace(again.bands, spec=SPEC) == placed.bands
+    assert np.array_equal(read_grid(path).mass, grid().mass)
+    with pytest.raises(OgmError, match=r"wanted masses of free and occupied, got layers \(slope, höhe\)"):
+        read_grid(tmp_path / f"m0{ending}")
+
+
+def test_layers_are_read_by_other_libraries(tmp_path: Path) -> None:
+    import rasterio
+    import xarray
+    import zarr
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    placed, bands = PlacedGrid(grid(), layers=LayeredGrid(SPEC, LAYERS)), ["free", "occupied", "unknown", *LAYERS]
+    for name in ("m.tif", "m.nc", "m.zarr", "m.db3"):
+        write_grid(tmp_path / name, placed, message="grid-map" if name == "m.db3" else None)
+    with rasterio.open(tmp_path / "m.tif") as image:
+        assert list(image.descriptions) == bands
+        found = {name: image.read(k)[::-1].T for k, name in enumerate(bands, start=1)}
+    with xarray.open_dataset(tmp_path / "m.nc") as dataset:
+        assert dataset["slope"].units == "rad"
+        assert "units" not in dataset["höhe"].attrs
+        by_xarray = {name: dataset[name].transpose("x", "y").to_numpy() for name in bands}
+    group = zarr.open_group(tmp_path / "m.zarr", mode="r")
+    by_zarr = {name: group[name][:].T for name in bands}
+    with AnyReader([tmp_path / "m.db3"], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        ((connection, _, raw),) = reader.messages()
+        grid_map = reader.deserialize(raw, connection.msgtype)
+    assert grid_map.basic_layers == bands[:2]
+    columns = [one.data.reshape(SPEC.shape, order="F")[::-1, ::-1] for one in grid_map.data]
+    for read in (found, by_xarray, by_zarr, dict(zip(grid_map.layers, columns, strict=True))):
+        for name, band in placed.bands.layers.items():
+            np.testing.assert_array_equal(read[name], band, err_msg=name)
+
+
+def test_bands_of_others_are_layers(tmp_path: Path) -> None:
+    import rasterio
+
+    profile = {"driver": "GTiff", "width": 4, "height": 3, "count": 1, "dtype": "int16", "nodata": -1}
+    heights = np.arange(-1, 11, dtype=np.int16).reshape(3, 4)
+    with rasterio.open(tmp_path / "m.tif", "w", transform=rasterio.Affine(2, 0, 5, 0, -2, 6), **profile) as image:
+        image.write(heights, 1)
+    layers = read_placed_grid(tmp_path / "m.tif").grid
+    assert layers.spec == GridSpec(2.0, (4, 3), (5.0, 0.0))
+    np.testing.assert_array_equal(layers["band1"], np.where(heights < 0, np.nan, heights)[::-1].T)
+
+
+@each("mode", ["scale", "raw"])
+def test_a_layer_by_choice_is_a_map_of_map_server(tmp_path: Path, mode: MapMode) -> None:
+    layers = LayeredGrid(SPEC, {"slope": LAYERS["slope"], "cost": np.round(50 * LAYERS["slope"] + 50)})
+    layers["cost"][3] = np.nan
+    write_grid(tmp_path / "m.yaml", grid_from_layer(layers, "cost"), mode=mode)
+    values = occupancy_values(read_grid(tmp_path / "m.yaml"))
+    np.testing.assert_array_equal(values, np.where(np.isnan(layers["cost"]), -1, layers["cost"]))
+    flat = grid_from_layer(layers, "slope", (0.5, -0.5))  # of free and of occupied: the steepest downwards
+    np.testing.assert_allclose(flat.occupied, np.clip(0.5 - layers["slope"], 0, 1), atol=1e-6)
+    with pytest.raises(KeyError, match="there is no layer 'step', only slope, cost"):
+        grid_from_layer(layers, "step")
+    with pytest.raises(ValueError, match="two different numbers"):
+        grid_from_layer(layers, "cost", (1, 1))
+
+
+def test_layers_of_other_cells_or_of_the_grids_names_are_refused() -> None:
+    with pytest.raises(ValueError, match="layers must have the cells of the grid"):
+        PlacedGrid(grid(), layers=LayeredGrid(SPEC.refined(2), {}))
+    with pytest.raises(ValueError, match="'unknown' is the grid's own"):
+        PlacedGrid(grid(), layers=LayeredGrid(SPEC, {"unknown": grid().unknown}))
 
 
 def test_velocities_of_a_turned_grid_stay_along_its_axes(tmp_path: Path) -> None:

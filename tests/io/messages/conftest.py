@@ -32,6 +32,9 @@ OF_RELEASE = {
     2: {
         "grid_map_msgs/msg/GridMapInfo": SIZES,
         "grid_map_msgs/msg/GridMap": f"std_msgs/Header header\nGridMapInfo info\n{GRID_MAP}",
+        "nav2_msgs/msg/CostmapMetaData": "builtin_interfaces/Time map_load_time\nbuiltin_interfaces/Time update_time\n"
+        "string layer\nfloat32 resolution\nuint32 size_x\nuint32 size_y\ngeometry_msgs/Pose origin",
+        "nav2_msgs/msg/Costmap": "std_msgs/Header header\nnav2_msgs/CostmapMetaData metadata\nuint8[] data",
     },
 }
 

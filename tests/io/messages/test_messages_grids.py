@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io import PlacedGrid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.io import PlacedGrid, occupancy_from_costs
 from ogm.io.messages import (
     foxglove_grid,
     grid_from_foxglove_grid,
@@ -19,15 +19,19 @@ from ogm.io.messages import (
     grid_from_occupancy_grid,
     grid_map,
     layers_from_grid_map,
+    layers_from_nav2_costmap,
+    nav2_costmap,
     occupancy_grid,
 )
 from ogm.io.messages.grids import mass_from_occupancy, occupancy_values
+from ogm.planning import costmap
 from ogm.plot.colours import colours
 from ogm.pose import pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError
 
 OCCUPANCY, GRID_MAP = "nav_msgs/msg/OccupancyGrid", "grid_map_msgs/msg/GridMap"
+COSTMAP = "nav2_msgs/msg/Costmap"
 SPEC = GridSpec(0.16, (9, 6), (-0.5, 2.25))
 TURNED = pose(10.0, -20.0, 0.5, yaw=0.6)
 
@@ -113,7 +117,7 @@ def test_grid_map_by_every_reader(sent, by_mcap, ros1_class, stores):
     grid = ell()
     conflict = np.full(SPEC.shape, np.nan)
     conflict[3, 1] = 0.25
-    plain = grid_map(grid, frame_id="odom", stamp=3.5, layers={"conflict": conflict})
+    plain = grid_map(grid, frame_id="odom", stamp=3.5, layers=LayeredGrid(SPEC, {"conflict": conflict}))
     ros1 = ros1_class(GRID_MAP)().deserialize(bytes(stores[1].serialize_ros1(plain, GRID_MAP)))
     for arrived in (sent(plain, GRID_MAP, 1), sent(plain, GRID_MAP, 2), by_mcap(plain, GRID_MAP), ros1):
         assert list(arrived.layers) == ["free", "occupied", "unknown", "conflict"]
@@ -187,7 +191,7 @@ def test_foxglove_grid(T):
     grid = ell()
     conflict = np.arange(54).reshape(9, 6) / 64
     message = decoded_by_protobuf(
-        foxglove_grid(grid, frame_id="map", stamp=3.5, T_frame_grid=T, layers={"conflict": conflict})
+        foxglove_grid(grid, stamp=3.5, T_frame_grid=T, layers=LayeredGrid(SPEC, {"conflict": conflict}))
     )
     assert message.frame_id == "map"
     assert (message.timestamp.seconds, message.timestamp.nanos) == (3, 500_000_000)
@@ -219,10 +223,12 @@ def test_foxglove_grid(T):
 
 
 def test_names_of_layers_are_not_taken_twice():
-    refused("'free' is the grid's own", grid_map, ell(), frame_id="map", layers={"free": ell().free})
-    refused("shape", grid_map, ell(), frame_id="map", layers={"height": np.zeros((6, 9))})
+    free = ell().free
+    refused("'free' is the grid's own", grid_map, ell(), layers=LayeredGrid(SPEC, {"free": free}))
+    others = LayeredGrid(SPEC.refined(2), {"height": np.zeros((18, 12))})
+    refused("layers must have the cells of the grid", grid_map, ell(), layers=others)
     pytest.importorskip("foxglove")
-    refused("'alpha' is the grid's own", foxglove_grid, ell(), frame_id="map", layers={"alpha": ell().free})
+    refused("'alpha' is the grid's own", foxglove_grid, ell(), layers=LayeredGrid(SPEC, {"alpha": free}))
 
 
 def broken_occupancy(**changes):
@@ -290,3 +296,39 @@ def test_foxglove_grids_of_others():
         ({"data": np.full(108, 0.9, "f4").tobytes()}, "no masses"),
     ):
         refused(error, grid_from_foxglove_grid, plain_foxglove(**changes), error=OgmError)
+
+
+# Costs.
+
+
+@each("T", [np.eye(4), TURNED])
+def test_costs_by_every_reader(T, sent, by_mcap):
+    costs = costmap(ell(), 0.16, 0.5, 3.0)
+    assert len(np.unique(costs)) > 4
+    plain = nav2_costmap(LayeredGrid(SPEC, {"cost": costs}), frame_id="odom", stamp=3.5, T_frame_grid=T)
+    for arrived in (sent(plain, COSTMAP, 2), by_mcap(plain, COSTMAP)):
+        facts, data = arrived.metadata, np.frombuffer(bytes(arrived.data), np.uint8)
+        assert (facts.size_x, facts.size_y, facts.layer, arrived.header.frame_id) == (9, 6, "master", "odom")
+        assert facts.update_time.sec == 3
+        np.testing.assert_array_equal(data.reshape(6, 9).T, costs)  # row by row, x fastest, as nav2's getIndex
+        position = facts.origin.position
+        np.testing.assert_allclose([position.x, position.y], (T @ (*SPEC.origin, 0, 1))[:2], atol=1e-9)
+        layers, T_found = layers_from_nav2_costmap(arrived)
+        np.testing.assert_array_equal(layers["cost"], np.where(costs == 255, np.nan, costs))
+        np.testing.assert_allclose(T_found @ pose(*layers.spec.origin), T @ pose(*SPEC.origin), atol=1e-9)
+        assert layers.spec.resolution == 0.16
+
+
+def test_costs_as_occupancy_are_the_values_that_nav2_publishes():
+    spec = GridSpec(1.0, (16, 16), (0, 0))
+    costs = np.arange(256).reshape(16, 16)
+    wanted = [0, *(1 + (97 * (cost - 1)) // 251 for cost in range(1, 253)), 99, 100, -1]
+    for layer in (costs, np.where(costs == 255, np.nan, costs)):
+        grid = occupancy_from_costs(LayeredGrid(spec, {"cost": layer}))
+        np.testing.assert_array_equal(occupancy_values(grid).ravel(), wanted)
+    refused("wanted a layer cost, got height", occupancy_from_costs, LayeredGrid(spec, {"height": costs}))
+    for wrong in (costs + 0.5, costs + 1.0, costs - 1.0):
+        refused("costs must be whole numbers from 0 to 255", nav2_costmap, LayeredGrid(spec, {"cost": wrong}))
+    message = nav2_costmap(LayeredGrid(spec, {"cost": costs}))
+    message.metadata.size_x = 15
+    refused("has 256 values, wanted those of 15 x 16 cells", layers_from_nav2_costmap, message, error=OgmError)

@@ -1,0 +1,99 @@
+"""Layers of one scan beside its masses, by name: heights of the ground and of what stands or hangs over it.
+
+>>> import numpy as np
+>>> from ogm import GridSpec, Mount, Scan, load_model
+>>> from ogm.models.layers import map_layers
+>>> x, y = np.mgrid[3:12:0.1, -4:4:0.1].reshape(2, -1)
+>>> scan = Scan(np.column_stack([x, y, 0.05 * x - 1.8]).astype(np.float32))   # a road that climbs by 5 %
+>>> ism = load_model("ray", GridSpec.centered(24.0, 16.0, 0.5), Mount(sensor_height=1.8))
+>>> grid, layers = map_layers(ism, scan, ["ground_height"])
+>>> float(layers["ground_height"][*layers.spec.index(8.0, 1.0)].round(2))
+0.41
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.heights import height_layers
+from ogm.geometric.ray import RayISM, RayTrace
+from ogm.grid import EvidentialGrid, LayeredGrid
+from ogm.models.combined import CombinedISM
+from ogm.models.named import ModelsByKind
+from ogm.planning import costmap, distance_to_obstacles
+from ogm.scan import InverseSensorModel, Scan
+
+LayerFunction = Callable[[RayTrace], Mapping[str, NDArray[np.float32]]]
+"""Returns layers of one scan, (nx, ny) each, NaN where unknown; `RayTrace.grid` holds the masses of the whole model."""
+
+COST_REACH = 2.0  # [m] beyond the inscribed radius, within which obstacles cost
+COST_SCALING = 2.0  # [1/m] costs halve every 0.35 m
+
+
+def planning_layers(trace: RayTrace) -> dict[str, NDArray[np.float32]]:
+    """Return the distance to the nearest obstacle [m], and costs for the ego footprint, NaN where unknown."""
+    inscribed = min(map(abs, trace.mount.ego_footprint))
+    costs = costmap(trace.grid, inscribed, inscribed + COST_REACH, COST_SCALING).astype(np.float32)
+    return {"distance": distance_to_obstacles(trace.grid, "free"), "cost": np.where(costs > 254, np.nan, costs)}
+
+
+LAYERS: Mapping[str, LayerFunction] = {
+    "ground_height": height_layers,
+    **dict.fromkeys(("distance", "cost"), planning_layers),
+}
+"""Name of each layer of `map_layers`, and the function that makes it; one function may make several."""
+
+
+def map_layers(model: InverseSensorModel, scan: Scan, names: Sequence[str]) -> tuple[EvidentialGrid, LayeredGrid]:
+    """Map one scan to masses, and to layers by their names.
+
+    Parameters
+    ----------
+    model : InverseSensorModel
+        `RayISM`, or a combination that holds one.
+    scan : Scan
+    names : sequence of str
+        Names in `LAYERS`.
+
+    Returns
+    -------
+    grid : EvidentialGrid
+        The grid that the model alone returns.
+    layers : LayeredGrid
+        On its cells.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown, or the model has no rays.
+    """
+    check_layers(names)
+    trace = _trace(model, scan)
+    made: dict[LayerFunction, Mapping[str, NDArray[np.float32]]] = {}
+    for name in names:
+        if LAYERS[name] not in made:
+            made[LAYERS[name]] = LAYERS[name](trace)
+    return trace.grid, LayeredGrid(trace.grid.spec, {name: made[LAYERS[name]][name] for name in names})
+
+
+def check_layers(names: Sequence[str]) -> None:
+    """Raise ValueError if a name is not in `LAYERS`."""
+    unknown = [name for name in names if name not in LAYERS]
+    if unknown:
+        raise ValueError(f"there is no layer {unknown[0]!r}: give some of {', '.join(LAYERS)}")
+
+
+def _trace(model: InverseSensorModel, scan: Scan) -> RayTrace:
+    """Return the rays of a scan with the masses of the whole model."""
+    if isinstance(model, ModelsByKind):
+        model = model.part(scan)
+    if isinstance(model, RayISM):
+        return model.trace(scan)
+    if isinstance(model, CombinedISM):
+        for place, part in enumerate(model.models):
+            if isinstance(part, RayISM):
+                trace = part.trace(scan)
+                return trace._replace(grid=model(scan, {place: trace.grid.mass}))
+    name = type(model).__name__
+    raise ValueError(f"layers are derived from the rays of RayISM, got {name}: use the model ray or combined")
