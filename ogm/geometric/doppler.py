@@ -332,5 +332,5 @@ def _refined(
         agreeing = int(agree.sum())
         if agreeing < max(LEAST, len(rate) / 2):
             return None, 0
-        velocity = np.linalg.lstsq(unit[agree], -(expected + residual)[agree], rcond=1e-3)[0]
+        velocity = np.asarray(np.linalg.lstsq(unit[agree], -(expected + residual)[agree], rcond=1e-3)[0], np.float64)
     return velocity, agreeing
