@@ -285,7 +285,7 @@ def test_a_layer_by_choice_is_a_map_of_map_server(tmp_path: Path, mode: MapMode)
     np.testing.assert_array_equal(values, np.where(np.isnan(layers["cost"]), -1, layers["cost"]))
     flat = grid_from_layer(layers, "slope", (0.5, -0.5))  # of free and of occupied: the steepest downwards
     np.testing.assert_allclose(flat.occupied, np.clip(0.5 - layers["slope"], 0, 1), atol=1e-6)
-    with pytest.raises(KeyError, match="there is no layer 'step', only slope, cost"):
+    with pytest.raises(ValueError, match="there is no layer 'step', only slope, cost"):
         grid_from_layer(layers, "step")
     with pytest.raises(ValueError, match="two different numbers"):
         grid_from_layer(layers, "cost", (1, 1))
