@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.dynamic_grid import DynamicGrid
 from ogm.evidence import normalized_cautious
 from ogm.fusion.mapper import CONFLICT_LAYERS
-from ogm.fusion.resample import ResampleMethod, lattice_offset, resample_to, values_at_centres, warp
+from ogm.fusion.resample import ResampleMethod, cells_at, lattice_offset, resample_to, values_at_centres, warp
 from ogm.fusion.window import affine_between, planar_transform
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.placed import PlacedGrid
@@ -188,7 +188,11 @@ def _moved(placed: PlacedGrid, spec: GridSpec, T: NDArray[np.float64], method: R
         raise TypeError("wanted a map of masses or layers, got a DynamicGrid: use its to_evidential()")
     affine = affine_between(spec, grid.spec, T)
 
+    one_lattice = still and lattice_offset(grid.spec, spec) is not None
+
     def layer_at(name: str, layer: NDArray[np.float32]) -> NDArray[np.float32]:
+        if one_lattice:
+            return cells_at(layer, grid.spec, spec, 0.0 if name in CONFLICT_LAYERS else np.nan)
         if name not in CONFLICT_LAYERS:
             return values_at_centres(layer, spec, affine)
         conflict = np.stack([np.zeros_like(layer), np.nan_to_num(layer)], axis=-1)
@@ -197,7 +201,7 @@ def _moved(placed: PlacedGrid, spec: GridSpec, T: NDArray[np.float64], method: R
     def layers_at(layers: LayeredGrid) -> LayeredGrid:
         return LayeredGrid(spec, {name: layer_at(name, layer) for name, layer in layers.layers.items()})
 
-    if not still or lattice_offset(grid.spec, spec) is None:
+    if not one_lattice:
         placed = placed.without_models()
 
     made: AnyGrid

@@ -207,8 +207,8 @@ def _overlap(source: np.ndarray, affine: np.ndarray, mode: int, out: np.ndarray)
             for a in range(first, last):
                 for b in range(left, right):
                     f, o = source[a, b, 0], source[a, b, 1]
-                    if f == 0 and o == 0 and mode != 2:
-                        continue
+                    if (f >= free and o <= occupied) if mode == 2 else (f == 0 and o == 0):
+                        continue  # it changes nothing
                     area = _clipped_area(corners, a, b, work)
                     if mode == 2:
                         if area > _TOUCHED * min(whole, 1.0):

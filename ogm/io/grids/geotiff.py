@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
-from ogm.io.messages.grids import MASSES
+from ogm.io.messages.grids import MASSES, is_derived
 from ogm.io.reading import optional, reason
 from ogm.storage.files import OgmError, atomic_write
 from ogm.storage.limits import current_limits, too_large
@@ -78,7 +78,8 @@ def read_geotiff(path: Path) -> PlacedGrid:
         with rasterio.Env(GDAL_CACHEMAX=_CACHE), rasterio.open(path, driver="GTiff") as image:
             GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
             names = [name or f"band{number}" for number, name in enumerate(image.descriptions, start=1)]
-            size = 4 * len(names) * image.width * image.height
+            read = {name: k for k, name in enumerate(names, start=1) if not is_derived(name, names)}
+            size = 4 * len(read) * image.width * image.height
             blocks = [a * b for a, b in image.block_shapes]
             if max(size, 8 * max(blocks)) > current_limits().grid:
                 raise too_large(path, max(size, 8 * max(blocks)), "grid")
@@ -90,7 +91,7 @@ def read_geotiff(path: Path) -> PlacedGrid:
                 raise OgmError(f"{path} has two bands of one name: {', '.join(names)[:80]}")
             resolution, (x, y, yaw), down = _place(image.transform, image.height, path)
             spec = GridSpec(resolution, (image.width, image.height), (x, y))
-            bands = {name: _band(image, number)[:: -1 if down else 1].T for number, name in enumerate(names, start=1)}
+            bands = {name: _band(image, number)[:: -1 if down else 1].T for name, number in read.items()}
             tags, crs = image.tags(), None if image.crs is None else image.crs.to_string()
     except OgmError:
         raise

@@ -16,7 +16,7 @@ from ogm.extras import install_line
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.placed import PlacedGrid, nanometres
-from ogm.io.messages.grids import AnyGrid
+from ogm.io.messages.grids import AnyGrid, is_derived
 from ogm.io.reading import optional, reason
 from ogm.pose import pose
 from ogm.storage.files import OgmError, update_hint
@@ -164,7 +164,7 @@ def _layers(dataset: "Dataset") -> "Dataset":
         fits = set(layer.dims) == {"x", "y"} and layer.dtype.kind in "fiu"
         if name in _MASSES[:2] and not (fits and layer.dtype.kind == "f"):
             raise OgmError(f"{name} must be float of dims (y, x), got {layer.dtype} of {layer.dims}")
-        names += [name] if fits else []
+        names += [name] if fits and not is_derived(str(name), dataset.data_vars.keys()) else []  # type: ignore[arg-type]
     if not names:
         got = ", ".join(map(str, dataset.data_vars))[:80]
         raise OgmError(f"the dataset must have variables of numbers over y and x, got {got or 'none'}")

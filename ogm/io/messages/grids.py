@@ -126,6 +126,11 @@ def grid_from_bands(bands: LayeredGrid) -> tuple[AnyGrid, LayeredGrid | None]:
     return grid, LayeredGrid(bands.spec, rest) if rest else None
 
 
+def is_derived(name: str, names: Collection[str]) -> bool:
+    """Return whether a band need not be read: unknown, where the masses that it is made of are there."""
+    return name == "unknown" and set(MASSES) <= set(names)
+
+
 def masses_of_bands(bands: LayeredGrid, where: str, word: str) -> AnyGrid:
     """Return the grid of a message's bands, or raise OgmError where it has no masses."""
     if missing := [name for name in MASSES[:2] if name not in bands.layers]:

@@ -231,7 +231,7 @@ def test_layers_come_back_alone_and_beside_masses(tmp_path: Path, ending: str, m
         assert again.grid.spec.origin == pytest.approx(SPEC.origin, abs=1e-12)
         assert replace(again.bands, spec=SPEC) == placed.bands
     assert np.array_equal(read_grid(path).mass, grid().mass)
-    with pytest.raises(OgmError, match=r"wanted masses of free and occupied, got layers \(slope, höhe\)"):
+    with pytest.raises(OgmError, match=r"wanted masses of free and occupied, got layers \((slope, höhe|höhe, slope)\)"):
         read_grid(tmp_path / f"m0{ending}")
 
 
@@ -285,7 +285,7 @@ def test_a_layer_by_choice_is_a_map_of_map_server(tmp_path: Path, mode: MapMode)
     np.testing.assert_array_equal(values, np.where(np.isnan(layers["cost"]), -1, layers["cost"]))
     flat = grid_from_layer(layers, "slope", (0.5, -0.5))  # of free and of occupied: the steepest downwards
     np.testing.assert_allclose(flat.occupied, np.clip(0.5 - layers["slope"], 0, 1), atol=1e-6)
-    with pytest.raises(KeyError, match="there is no layer 'step', only slope, cost"):
+    with pytest.raises(ValueError, match="there is no layer 'step', only slope, cost"):
         grid_from_layer(layers, "step")
     with pytest.raises(ValueError, match="two different numbers"):
         grid_from_layer(layers, "cost", (1, 1))
