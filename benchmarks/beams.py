@@ -21,17 +21,17 @@ from _beam_maps import LogOddsGrid, OctoMapPlane
 from ogm import GridSpec
 from ogm.datasets import open_dataset
 from ogm.evaluation import BEAM_METRICS, compare_paired, evaluate_beams, named_maps
-from ogm.evidence.map_rules import REVISE
+from ogm.evidence.map_rules import REVISE, SMOOTH
 
 RESOLUTION = 0.05  # [m]
-OURS, LOG_ODDS, OCTOMAP = f"planar, {REVISE}", "log-odds grid", "OctoMap"
+OURS, LOG_ODDS, OCTOMAP = f"planar, {SMOOTH}", "log-odds grid", "OctoMap"
 MAX_ECE = 0.05
 
 
 def evaluate_log(path: Path, first: int | None) -> dict[str, Any]:
     """Return the metrics of all maps of a log, and ogm's log likelihood against that of the others, scan by scan."""
     dataset = open_dataset(path)[:first]
-    methods = named_maps(["planar"], [REVISE], GridSpec.centered(resolution=RESOLUTION))
+    methods = named_maps(["planar"], [SMOOTH, REVISE], GridSpec.centered(resolution=RESOLUTION))
     result = evaluate_beams(dataset, {**methods, LOG_ODDS: LogOddsGrid(RESOLUTION), OCTOMAP: OctoMapPlane(RESOLUTION)})
     mean = {name: result.sums[name]["log_likelihood"] / np.maximum(result.echoes, 1) for name in result.methods}
     paired = {name: compare_paired(mean[OURS], mean[name], "higher", result.drives) for name in (LOG_ODDS, OCTOMAP)}
@@ -62,7 +62,7 @@ def main() -> None:
     paths = [path for path in sorted(options.logs.glob("*.log.gz")) if (options.only or "") in path.name]
     if not paths:
         raise SystemExit(f"no *.log.gz in {options.logs}: give --logs FOLDER")
-    record = run.environment("planar", REVISE)
+    record = run.environment("planar", SMOOTH)
     record["resolution [m]"] = RESOLUTION
     record["logs"] = {path.name.split(".")[0]: evaluate_log(path, 60 if options.quick else None) for path in paths}
     record["verdicts"] = verdicts(record["logs"])

@@ -12,7 +12,7 @@ from ogm.cli.console import chosen_model, complain, out, print_facts, report_err
 from ogm.cli.drive import check_pose_options, pick_drive, print_sensor, with_known_poses
 from ogm.cli.options import File
 from ogm.cli.sensor_options import SensorOptions, sensor_options
-from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS, REVISE
+from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS, REVISE, SMOOTH
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -46,7 +46,9 @@ RadarReliability = Annotated[
         help="Of radars beside a lidar, 0 to 1: their masses are discounted by it, their Doppler is not.", min=0, max=1
     ),
 ]
-Rule = Annotated[str | None, Option(help=f"Combine by: {', '.join(MAP_RULES)}. [default: {REVISE}]")]
+Rule = Annotated[
+    str | None, Option(help=f"Combine by: {', '.join(MAP_RULES)}. [default: {REVISE}, and {SMOOTH} for planar lasers]")
+]
 Dynamic = Annotated[bool, Option("--dynamic", help="Separate moving from static, with velocities: --rule dynamic.")]
 Particles = Annotated[int | None, Option(help="Of a dynamic map: how many carry what moves. [default: 200000]")]
 HalfLife = Annotated[
@@ -188,10 +190,11 @@ def fuse(
         for paths in ([[path] for path in scans] if each_drive else [scans])
     ]
     usual = map_defaults(datasets[0], rule)
+    rule = usual.rule
     saved = None if continue_path is None else read_placed_grid(continue_path)
     side = usual.resolution if saved is None else saved.grid.spec.resolution
     spec = GridSpec.centered(length, width, side if resolution is None else resolution)
-    if ism is not None or usual != BUILDING:
+    if ism is not None or usual.window != BUILDING.window:
         ism = chosen_model(ism, spec, rule)
     options = FuseOptions(
         ism=ism,
@@ -235,9 +238,9 @@ def fuse(
         raise typer.Exit(run.code)
 
 
-def _checked_rule(rule: str | None, dynamic: bool, particles: int | None) -> str:
-    """Return the rule by the options; refuse options that exclude each other."""
-    chosen = rule or (DYNAMIC if dynamic else REVISE)
+def _checked_rule(rule: str | None, dynamic: bool, particles: int | None) -> str | None:
+    """Return the rule by the options, None for that of the sensor; refuse options that exclude each other."""
+    chosen = rule or (DYNAMIC if dynamic else None)
     if dynamic and chosen not in (DYNAMIC, NUSS):
         raise ValueError(f"--dynamic has a filter of its own, {DYNAMIC} or {NUSS}: leave out --rule {rule}")
     if particles is not None and chosen not in (DYNAMIC, NUSS):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ogm.evaluation.statistics import Interval, ratio_interval
 from ogm.evaluation.text import as_json, clean
-from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
+from ogm.evidence.map_rules import DYNAMIC, NUSS, SMOOTH
 from ogm.fusion import BinaryBayesMapper, echo_window, make_mapper, map_scans
 from ogm.fusion.pipeline import OnError, grid_pose, log_error
 from ogm.grid import EvidentialGrid, GridSpec
@@ -23,7 +23,7 @@ from ogm.pose import inverse, tilt_of
 from ogm.scan import Frame, SensorModels
 from ogm.storage.files import atomic_write
 
-_SUMMED = ("log_likelihood", "ends_at", "passes_through", "no_echo_blocked")
+_SUMMED = ("log_likelihood", "ends_at", "passes_through", "ends_in_free", "no_echo_blocked")
 
 MapMaker = Callable[[Sequence[Frame]], EvidentialGrid]
 
@@ -35,6 +35,7 @@ BEAM_METRICS = {  # name: title, which is better, description
     "passes_through": (
         "passes occupied", "lower", "Share of echoes more than 2 cells behind the first occupied cell of the beam.",
     ),
+    "ends_in_free": ("ends in free", "lower", "Share of echoes in a cell that the map holds free."),
     "ece": (
         "ece of hits", "lower", "Mean distance, in 10 bins, of the predicted share of echoes within 2 cells of the "
         "likeliest end from the observed share.",
@@ -154,12 +155,12 @@ def named_maps(models: Sequence[str], rules: Sequence[str], spec: GridSpec) -> d
     models : sequence of str
         See `ogm.models.load_model`; by default ``"planar"``.
     rules : sequence of str
-        See `FusedMap`; by default ``"revise"``.
+        See `FusedMap`; by default ``"smooth"``.
     spec : GridSpec
         Cells of a measurement grid.
     """
     loaded = {short: load_model(name, spec) for short, name in short_names(models or ["planar"]).items()}
-    return {f"{name}, {rule}": FusedMap(ism, rule) for name, ism in loaded.items() for rule in rules or [REVISE]}
+    return {f"{name}, {rule}": FusedMap(ism, rule) for name, ism in loaded.items() for rule in rules or [SMOOTH]}
 
 
 def write_beam_report(folder: Path, result: BeamEvaluation, *, command: str = "") -> Path:
@@ -332,6 +333,7 @@ def _add(
         "log_likelihood": np.where(echo, scores.log_likelihood, 0.0),
         "ends_at": scores.ends_at,
         "passes_through": scores.passes_through & echo,
+        "ends_in_free": scores.ends_in_free,
         "no_echo_blocked": scores.passes_through & ~echo,
     }
     for name, column in columns.items():

@@ -57,7 +57,7 @@ from ogm.evidence.probability import (
     probability_to_mass,
 )
 from ogm.evidence.proportional import consensus_compromise, murphy, pcr5, pcr6, pcr6_plus
-from ogm.evidence.rules import dempster, dubois_prade, normalized_cautious, revise, yager
+from ogm.evidence.rules import dempster, dubois_prade, normalized_cautious, revise, smooth, yager
 from ogm.evidence.subjective import (
     averaging,
     belief_constraint,
@@ -79,6 +79,6 @@ __all__ = [
     "jousselme_distance", "log_odds_to_mass", "mass_to_evidence", "mass_to_log_odds", "mass_to_probability",
     "maximize_uncertainty", "multiplication", "murphy", "nonspecificity", "normalized_cautious", "pcr5", "pcr6",
     "pcr6_plus", "pignistic", "pignistic_entropy", "plausibility_transform", "probability_to_mass", "renormalize",
-    "revise", "specificity", "trust_discount", "trust_discount_opposite", "unknown", "vacuity", "weighted", "yager",
-    "yager_entropy",
+    "revise", "smooth", "specificity", "trust_discount", "trust_discount_opposite", "unknown", "vacuity", "weighted",
+    "yager", "yager_entropy",
 ]  # fmt: skip

@@ -95,10 +95,23 @@ def _revise(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
     return min(free, c.one - occupied), occupied, c.one
 
 
+@inline
+def _smooth(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
+    zero, half = c.one - c.one, c.one / (c.one + c.one)
+    quarter = half * half
+    hit, rest = p >= g, c.one - g
+    gain = max(c.one - (f + o) / (quarter * quarter), quarter)
+    grown = min(f + g * (c.one - f) * (c.one - o), max(f, c.one - rest * rest))
+    occupied = o + gain * max(p - o, zero) if hit else o * (c.one - quarter * g)
+    free = f * (c.one - p) if hit else grown
+    return min(free, c.one - occupied), occupied, c.one
+
+
 RULES = {
     "dempster": Rule(rules.dempster, _dempster),
     "yager": Rule(rules.yager, _yager),
     "cumulative": Rule(subjective.cumulative, _cumulative),
     "normalized_cautious": Rule(rules.normalized_cautious, _normalized_cautious),
 }
-REVISE = Rule(rules.revise, _revise)  # not symmetric: not for two sources, but for a map and a scan
+# Not symmetric: not for two sources, but for a map and a scan
+REVISE, SMOOTH = Rule(rules.revise, _revise), Rule(rules.smooth, _smooth)

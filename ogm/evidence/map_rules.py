@@ -9,17 +9,18 @@ from collections.abc import Callable
 from typing import Any
 
 from ogm.evidence.proportional import pcr6
-from ogm.evidence.rules import dempster, normalized_cautious, revise, yager
+from ogm.evidence.rules import dempster, normalized_cautious, revise, smooth, yager
 from ogm.evidence.subjective import averaging, cumulative, weighted
 
-__all__ = ["ADDING_RULES", "BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "REVISE", "RULES"]
+__all__ = ["ADDING_RULES", "BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "REVISE", "RULES", "SMOOTH"]
 
-REVISE = "revise"
+REVISE, SMOOTH = "revise", "smooth"  # the defaults of maps of streets, and of buildings
 RULES: dict[str, Callable[..., Any]] = {  # name: rule of two masses, of the map and of a scan
     REVISE: revise,
     "cautious": normalized_cautious,
     **{"dempster": dempster, "yager": yager, "cumulative": cumulative, "pcr6": pcr6},
     **{"averaging": averaging, "weighted": weighted},
+    SMOOTH: smooth,
 }
 BAYES, DYNAMIC, NUSS = "bayes", "dynamic", "nuss"  # filters with a state of their own
 MAP_RULES = (*RULES, BAYES, DYNAMIC, NUSS)

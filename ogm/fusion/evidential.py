@@ -11,12 +11,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, revise, yager
+from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, revise, smooth, yager
 from ogm.fusion.kernels import (
     CAUTIOUS,
     CUMULATIVE,
     DEMPSTER,
     REVISION,
+    SMOOTHING,
     YAGER,
     Aging,
     Memory,
@@ -38,7 +39,14 @@ from ogm.pose import check_pose, pose
 Rule = Callable[[Any, Any], Any]
 DYNAMIC_DECAY_RATIO = 100.0  # how many times faster dynamic cells are forgotten by default
 _COMPILED: dict[Rule, int] = {
-    **{dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE, normalized_cautious: CAUTIOUS, revise: REVISION}
+    **{
+        dempster: DEMPSTER,
+        yager: YAGER,
+        cumulative: CUMULATIVE,
+        normalized_cautious: CAUTIOUS,
+        revise: REVISION,
+        smooth: SMOOTHING,
+    }
 }
 _NOTHING = np.zeros((1, 1, 2), np.float32)
 _NOTHING.flags.writeable = False

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.evidence.kernels import FLOAT32, REVISE, RULES, Rule
+from ogm.evidence.kernels import FLOAT32, REVISE, RULES, SMOOTH, Rule
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import kernel, vector
 
-DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS, REVISION = 0, 1, 2, 3, 4
+DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS, REVISION, SMOOTHING = range(6)
 BLOCK = 64  # cells of a row that age together
 # Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
 TINY = np.float32(1e-18)
@@ -120,7 +120,7 @@ def _combiner(rule: Rule) -> Any:
     return combine
 
 
-_dempster, _yager, _cumulative, _cautious, _revision = map(_combiner, (*RULES.values(), REVISE))
+_dempster, _yager, _cumulative, _cautious, _revision, _smoothing = map(_combiner, (*RULES.values(), REVISE, SMOOTH))
 
 
 @vector
@@ -130,7 +130,7 @@ def combine_cells(rule: int, m: Any, c: Any, z: Any, limit: Any) -> None:
     Parameters
     ----------
     rule : int
-        `DEMPSTER`, `YAGER`, `CUMULATIVE`, `CAUTIOUS` or `REVISION`.
+        `DEMPSTER`, `YAGER`, `CUMULATIVE`, `CAUTIOUS`, `REVISION` or `SMOOTHING`.
     m, c : (2 n,) float32
         Masses (free, occupied) and conflict (free -> occupied, occupied -> free) of n cells, changed in place.
     z : (2 n,) float32
@@ -146,8 +146,10 @@ def combine_cells(rule: int, m: Any, c: Any, z: Any, limit: Any) -> None:
         _cumulative(m, c, z, limit)
     elif rule == CAUTIOUS:
         _cautious(m, c, z, limit)
-    else:
+    elif rule == REVISION:
         _revision(m, c, z, limit)
+    else:
+        _smoothing(m, c, z, limit)
 
 
 @vector
@@ -177,7 +179,7 @@ def evidential_update(
         Shafer's discount of the scan, [0, 1].
     memory : Memory
     rule : int
-        `DEMPSTER`, `YAGER`, `CUMULATIVE`, `CAUTIOUS` or `REVISION`.
+        `DEMPSTER`, `YAGER`, `CUMULATIVE`, `CAUTIOUS`, `REVISION` or `SMOOTHING`.
     max_known : float
         The most that free + occupied may be, [0, 1].
     """

@@ -74,6 +74,8 @@ class BeamScores(NamedTuple):
         Echo within 2 cells of the first occupied cell, h > 1/2, of the beam.
     passes_through : (N,) bool
         Echo more than 2 cells behind that cell; without echo, whether there is one.
+    ends_in_free : (N,) bool
+        Echo in a cell that the map holds free, by a mass over 1/2.
     expected : (N,) float64
         Predicted probability of an echo within 2 cells of the likeliest end.
     hit : (N,) bool
@@ -85,6 +87,7 @@ class BeamScores(NamedTuple):
     log_likelihood: NDArray[np.float64]
     ends_at: NDArray[np.bool_]
     passes_through: NDArray[np.bool_]
+    ends_in_free: NDArray[np.bool_]
     expected: NDArray[np.float64]
     hit: NDArray[np.bool_]
     no_echo: NDArray[np.float64]
@@ -111,11 +114,13 @@ def score_beams(grid: EvidentialGrid, beams: PlanarBeams, noise: BeamNoise, base
     mode, within, passes, first, last, by_map = found.T
     near = WITHIN * grid.spec.resolution
     expected = (1 - noise.p_random) * within + noise.p_random * min(2 * near / noise.max_range, 1.0)
+    ends = beams.origin + beams.direction * beams.distance[:, np.newaxis]
     density = (1 - noise.p_random) * by_map + noise.p_random / noise.max_range
     return BeamScores(
         np.where(beams.echo, np.log(density), np.nan),
         beams.echo & (beams.distance >= first - near) & (beams.distance <= last + near),
         np.where(beams.echo, beams.distance > last + near, np.isfinite(first)),
+        beams.echo & (grid.opinion_at(ends)[:, 0] > 0.5),
         expected,
         beams.echo & (np.abs(beams.distance - mode) <= near),
         passes,

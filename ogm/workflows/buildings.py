@@ -5,7 +5,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from ogm.datasets import Dataset
-from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE
+from ogm.evidence.map_rules import DYNAMIC, NUSS, REVISE, SMOOTH
 from ogm.scan import Frame
 
 
@@ -19,24 +19,29 @@ class MapDefaults(NamedTuple):
     window : {"rolling", "fixed"}
     half_life : float or None
         Time in which belief halves [s]; None for the rule's own.
+    rule : str
+        Rule by which scans are fused.
     """
 
     resolution: float
     window: str
     half_life: float | None
+    rule: str
 
 
-ROAD = MapDefaults(0.16, "rolling", None)
-BUILDING = MapDefaults(0.05, "fixed", math.inf)
+ROAD = MapDefaults(0.16, "rolling", None, REVISE)
+BUILDING = MapDefaults(0.05, "fixed", math.inf, SMOOTH)
 
 
-def map_defaults(dataset: Dataset, rule: str = REVISE) -> MapDefaults:
-    """Return the defaults of a map: `BUILDING` for planar lasers, `ROAD` for other sensors.
+def map_defaults(dataset: Dataset, rule: str | None = None) -> MapDefaults:
+    """Return the defaults of a map, with a rule if one is chosen: `BUILDING` for planar lasers, `ROAD` for others.
 
     A dynamic map has the cells of its sensor, and the other defaults of `ROAD`.
     """
     usual = BUILDING if is_planar(dataset) else ROAD
-    return ROAD._replace(resolution=usual.resolution) if rule in (DYNAMIC, NUSS) else usual
+    if rule in (DYNAMIC, NUSS):
+        usual = ROAD._replace(resolution=usual.resolution)
+    return usual if rule is None else usual._replace(rule=rule)
 
 
 def is_planar(dataset: Dataset) -> bool:

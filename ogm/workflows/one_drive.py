@@ -141,8 +141,9 @@ def _followed(saved: PlacedGrid | None, dataset: Dataset, tell: Callable[[str], 
 
 def _default_options(dataset: Dataset) -> FuseOptions:
     """Return the options by the sensor of a dataset."""
-    resolution, window, half_life = map_defaults(dataset)
-    return FuseOptions(spec=GridSpec.centered(resolution=resolution), window=window, half_life=half_life)
+    resolution, window, half_life, rule = map_defaults(dataset)
+    spec = GridSpec.centered(resolution=resolution)
+    return FuseOptions(spec=spec, window=window, half_life=half_life, rule=rule)
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,14 @@ def chords(grid: EvidentialGrid, origin: NDArray[Any], direction: NDArray[Any]) 
     return edges, 1 - (1 - np.clip(p, 1e-6, 1 - 1e-6)) ** (np.diff(edges) / SIDE)
 
 
+def free_at(grid: EvidentialGrid, point: NDArray[Any]) -> float:
+    """Return the mass of free of the cell whose centre is nearest, 0 outside."""
+    x, y = grid.spec.cell_centers
+    i, j = int(abs(x[:, 0] - point[0]).argmin()), int(abs(y[0] - point[1]).argmin())
+    near = max(abs(x[i, 0] - point[0]), abs(y[0, j] - point[1])) < SIDE / 2
+    return float(grid.free[i, j]) if near else 0.0
+
+
 def reference(grid: EvidentialGrid, beams: PlanarBeams) -> BeamScores:
     """Return the same by crossings that are sorted, and normal distributions of scipy."""
     rows = []
@@ -77,6 +85,7 @@ def reference(grid: EvidentialGrid, beams: PlanarBeams) -> BeamScores:
                 math.log(0.95 * density + 0.05 / NOISE.max_range) if echo else math.nan,
                 echo and first - 2 * SIDE <= z <= last + 2 * SIDE,
                 z > last + 2 * SIDE if echo else len(blocked) > 0,
+                echo and free_at(grid, origin + direction * z) > 0.5,
                 0.95 * (ends[wide] * overlap[wide] / (b - a)[wide]).sum() + 0.05 * 4 * SIDE / NOISE.max_range,
                 echo and abs(z - mode) <= 2 * SIDE,
                 np.prod(1 - end),
@@ -160,6 +169,8 @@ def test_each_scan_is_left_out_once_and_the_true_map_is_best() -> None:
     assert value["ends_at"][0] == 1
     assert value["passes_through"][0] == value["passes_through"][2] == 0
     assert value["passes_through"][1] > 0.2
+    assert value["ends_in_free"][0] == value["ends_in_free"][2] == 0
+    assert value["ends_in_free"][1] > 0.1
     assert value["no_echo_blocked"][::2] == [1, 0]
     assert value["ece"][0] < 0.03
     assert (result.echoes == 119).all()

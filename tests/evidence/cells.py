@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ogm.evidence.kernels import FLOAT32, FLOAT64, REVISE, RULES
+from ogm.evidence.kernels import FLOAT32, FLOAT64, REVISE, RULES, SMOOTH
 
-CELL_RULES = RULES | {"revise": REVISE}
+CELL_RULES = RULES | {"revise": REVISE, "smooth": SMOOTH}
 
 
 @cache

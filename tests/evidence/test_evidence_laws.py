@@ -392,3 +392,30 @@ def test_a_revision_discounts_what_is_contradicted_and_keeps_the_greatest(masses
     same(evidence.revise(0 * prior, prior), prior)
     again = evidence.revise(found, new)
     assert (again <= np.maximum(found, new) + tolerance(found)).all()  # claims do not add up
+
+
+def smoothed(F: float, O: float, f: float, o: float) -> tuple[float, float]:  # noqa: E741
+    """Return the belief of one cell by the words of `smooth`: an average, and free that falls or grows."""
+    if o >= f:
+        share = max(0.25, 1 - 16 * (F + O))
+        O, F = max((1 - share) * O + share * o, O), F - F * o  # noqa: E741
+    else:
+        grown = 1 - (1 - F) * (1 - f * (1 - O))
+        O, F = O - O * f / 4, min(grown, max(F, f + f * (1 - f)))  # noqa: E741
+    return min(F, 1 - O), O
+
+
+@laws
+@given(masses=arrays_of_masses(2))
+def test_smooth_averages_occupied_and_keeps_no_free_that_is_contradicted(masses: Any) -> None:
+    prior, new = masses
+    found = evidence.smooth(prior, new)
+    pairs = zip(prior.reshape(-1, 2).tolist(), new.reshape(-1, 2).tolist(), strict=True)
+    same(found, np.array([smoothed(*a, *b) for a, b in pairs], found.dtype).reshape(found.shape))
+    evidence.check_mass(found)
+    same(evidence.smooth(prior, 0 * prior), prior)
+    repeated = found
+    for _ in range(40):
+        repeated = evidence.smooth(repeated, new)
+    bound = np.maximum(prior, np.stack([1 - (1 - new[..., 0]) ** 2, new[..., 1]], axis=-1))
+    assert (repeated <= bound + tolerance(found)).all()

@@ -13,7 +13,7 @@ from commands import completed
 from rooms import CAMERA, MAN, ROOM, TABLE, depths, image_message, info_message, looking, ranges
 
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan, fuse, load_model
-from ogm.fusion import EvidentialMapper
+from ogm.fusion import EvidentialMapper, make_mapper
 from ogm.io import depth_scan
 from ogm.io.depth import T_OPTICAL_BODY
 from ogm.io.logs import LogWriter
@@ -122,3 +122,31 @@ def test_a_laser_a_depth_camera_and_a_lidar_of_one_log_give_one_map(tmp_path: Pa
     assert grid.free[wall].max() < 0.5
     assert grid.free[~inside].max() < 0.5
     assert (grid.free[(x > 0.5) & (x < 1.5) & (y > -1.5) & (y < 0.5)] > 0.5).mean() > 0.95
+
+
+def test_a_map_of_a_building_keeps_the_promise_of_free_and_does_not_flicker() -> None:
+    """Laws of `smooth`: a man in the free space of a laser who comes, is missed by one scan, and leaves."""
+    rng, (empty, there) = np.random.default_rng(0), (TABLE, (*TABLE, MAN))
+    azimuth = np.radians(np.arange(-135, 135, 0.5))
+    ways = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
+    reach = {boxes: ranges(np.array([0, 0, LOW]), ways, boxes) for boxes in (empty, there)}
+    man = (reach[there] < reach[empty] - 0.1).nonzero()[0]
+    ends = reach[there][man, None] * ways[man]
+    cells = SPEC.index(*ends[:, :2].T)
+    model, mapper = load_model("planar", SPEC), make_mapper("smooth", SPEC, np.inf, "fixed")
+    free, occupied = [], []
+    for boxes in [empty] * 15 + [there] * 20 + [empty] + [there] + [empty] * 5:
+        noisy = (reach[boxes] + rng.normal(0, 0.005, len(ways)))[:, None] * ways
+        mount = Mount(LOW, pose(z=LOW), NO_FOOTPRINT)
+        mapper.update(model(Scan(noisy.astype(np.float32), kind="planar", max_range=8.0, mount=mount)), np.eye(4))
+        mass = mapper.grid.mass[cells]
+        free.append((mass[:, 0] > 0.5).mean())
+        occupied.append((mass[:, 1] > 0.5).mean())
+    assert free[14] > 0.9
+    assert free[15] <= 0.25
+    assert max(free[16:35]) == 0
+    assert min(occupied[18:35]) >= 0.8
+    assert free[35] <= 0.1
+    assert min(occupied[35:37]) >= 0.8  # one wrong scan erases nothing
+    assert free[37] < 0.5
+    assert free[41] > 0.9
