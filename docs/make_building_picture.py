@@ -20,7 +20,7 @@ WINDOW = GridSpec(0.05, (260, 210), (-0.5, -0.5))
 rng, poses = np.random.default_rng(0), drive(120)
 ism = PlanarISM(GridSpec.centered(26.0, 26.0, WINDOW.resolution), Mount(0.3, ego_footprint=(0, 0, 0, 0)))
 maps: list[EvidentialGrid] = []
-mapper = make_mapper("revise", WINDOW, math.inf, "fixed")
+mapper = make_mapper("smooth", WINDOW, math.inf, "fixed")
 for T in poses:
     mapper.update(ism(Scan(cast(T, rng), kind="planar")), T)
     if not maps:
