@@ -197,6 +197,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/fusion.md": lambda: {
         "simulated": with_source("fusion_quality", maps.fusion(maps.MAIN_MAPS, maps.MAIN_COLUMNS)),
         "speed": maps.fusion_speed_sentences(),
+        "planar_odometry": with_source("planar_odometry", maps.planar_odometry()),
     },
     "docs/geometric.md": lambda: {
         "calibration": geometric.calibration(),
@@ -224,7 +225,11 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "build": with_source("world_build", *build_tables(record("world_build"))),
         "cost": marked("world", "\n\n".join(cost_tables(record("world"), record("world_build")))),
     },
-    "docs/evaluation.md": lambda: {"metrics": metrics(), "coverage": coverage()},
+    "docs/evaluation.md": lambda: {
+        "metrics": metrics(),
+        "coverage": coverage(),
+        "beams": with_source("beams", maps.beams()),
+    },
 }
 
 

@@ -54,6 +54,30 @@ def planning() -> str:
     return table(["512 x 352 cells, one core", "time", "x copy"], rows)
 
 
+def beams() -> str:
+    """Return how well maps of buildings predict beams that were left out."""
+    metrics = ("log_likelihood", "passes_through", "ends_in_free", "ece")
+    rows = [
+        [log.removesuffix("-corrected"), method, *(f"{found[metric]['value']:.3f}" for metric in metrics)]
+        for log, one in record("beams")["logs"].items()
+        for method, found in one["methods"].items()
+    ]
+    return table(["log", "map", *(f"`{metric}`" for metric in metrics)], rows, left=2)
+
+
+def planar_odometry() -> str:
+    """Return the drift of noisy odometry that is left after scan matching, mean of ten seeds."""
+    methods = ("match_scans", "KISS-ICP", "small-gicp")
+    rows = [
+        [
+            log.removesuffix("-corrected"), f"{100 * sum(one['odometry [m/m]']) / len(one['odometry [m/m]']):.1f} %",
+            *(f"{one[method]['ratio of means']:.2f} ({one[method]['time [ms]']:.1f} ms)" for method in methods),
+        ]
+        for log, one in record("planar_odometry")["logs"].items()
+    ]  # fmt: skip
+    return table(["log", "drift of the odometry", *(f"times, after {method}" for method in methods)], rows)
+
+
 def fusion_speed() -> str:
     """Return the cost of an update."""
     times = record("fusion_speed")["times [ms]"]
