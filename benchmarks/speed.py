@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from ogm import GridSpec, Mount, Scan
 from ogm.fusion import EvidentialMapper
 from ogm.geometric import HeightBandISM, PlanarISM, RayISM, ray
+from ogm.geometric.causes import unknown_causes
 from ogm.geometric.ground import surface_of
 from ogm.geometric.inputs import to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, Points, RayNumbers
@@ -106,7 +107,7 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
     """Time the steps of `RayISM`, each on what the steps before it made."""
     points, mount = make.thinned(scan.points, 120_000), Mount(scan.sensor_height)
     ism, cells = RayISM(SPEC, mount), Cells(*SPEC.origin, SPEC.resolution)
-    polar = ray._polar_grid(SPEC, (0.0, 0.0), mount.ego_footprint, ism.azimuth_step)
+    polar = ray.polar_grid(SPEC, (0.0, 0.0), mount.ego_footprint, ism.azimuth_step)
     coarse = ray._ground_spec(SPEC, ism.ground_cell)
     numbers = RayNumbers(*(float(getattr(ism, name)) for name in RayNumbers._fields))
     origin, nothing = mount.origin.astype(np.float32), np.empty((0, 3), np.float32)
@@ -116,6 +117,7 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
     columns, alarms = Points(*xyz.T), ray._powers(math.sqrt(ism.p_false_alarm))
     shown = ground_evidence(columns, origin, mount.sensor_height)
     rays = sort_rays(columns, nothing, origin, ground, polar, numbers, shown, work)
+    trace = ism.trace(points)
     calls = {
         "points in the vehicle frame": lambda _: to_vehicle_frame(points, mount, mount.ego_footprint),
         "returns that show the ground": lambda _: ground_evidence(columns, origin, mount.sensor_height),
@@ -126,6 +128,7 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
             rays, columns, origin, limits, polar, cells, numbers, work
         ),
         "masses": lambda _: ray_mass(work.free, work.hits, polar, alarms, numbers),
+        "causes of unknown cells, where asked for": lambda _: unknown_causes(trace),
     }
     return measure({name: Contender(call) for name, call in calls.items()}, rounds)
 

@@ -13,7 +13,7 @@ from types import ModuleType
 REFERENCE: dict[str, tuple[str, ...]] = {
     "Types that everything shares": (
         *("ogm.scan", "ogm.grid", "ogm.state", "ogm.dynamic_grid", "ogm.pose"),
-        *("ogm.storage.files", "ogm.storage.limits"),
+        *("ogm.storage.files", "ogm.storage.limits", "ogm.unknown_cause"),
     ),
     "Evidence": ("ogm.evidence", "ogm.evidence.map_rules", "ogm.evidence.powerset"),
     "Sensor models": ("ogm.models", "ogm.geometric", "ogm.deep", "ogm.calibration", "ogm.geometric.doppler"),

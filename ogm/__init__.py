@@ -39,12 +39,13 @@ if TYPE_CHECKING:
     from ogm.scan import Boxes, Frame, InverseSensorModel, Mount, Scan
     from ogm.state import CellState, Motion, Truth
     from ogm.storage.files import OgmError
+    from ogm.unknown_cause import UnknownCause
 
 __version__ = "0.1.0"
 __all__ = [
     "Boxes", "CellState", "DynamicGrid", "EvidentialGrid", "Frame", "GridSpec", "InverseSensorModel", "LayeredGrid",
-    "Motion", "Mount", "OgmError", "Scan", "Truth", "evaluate", "fuse", "load_model", "map_scans", "open_dataset",
-    "read_points", "read_scan",
+    "Motion", "Mount", "OgmError", "Scan", "Truth", "UnknownCause", "evaluate", "fuse", "load_model", "map_scans",
+    "open_dataset", "read_points", "read_scan",
 ]  # fmt: skip
 
 _HOMES = {
@@ -53,7 +54,7 @@ _HOMES = {
     **dict.fromkeys(("CellState", "Motion", "Truth"), "ogm.state"),
     **{"DynamicGrid": "ogm.dynamic_grid", "OgmError": "ogm.storage.files", "evaluate": "ogm.evaluation"},
     **{"fuse": "ogm.fusion", "map_scans": "ogm.fusion", "load_model": "ogm.models", "open_dataset": "ogm.datasets"},
-    **{"read_points": "ogm.io", "read_scan": "ogm.io"},
+    **{"read_points": "ogm.io", "read_scan": "ogm.io", "UnknownCause": "ogm.unknown_cause"},
     **{
         name: f"ogm.{name}"
         for name in (

@@ -373,6 +373,17 @@ class EvidentialGrid(SavedGrid):
         return False
 
     @property
+    def cause(self) -> NDArray[np.uint8] | None:
+        """Codes of `ogm.UnknownCause`, (nx, ny), if the model was asked why cells are unknown: `ExplainedISM`."""
+        return self.__dict__.get("_cause")
+
+    def with_cause(self, cause: NDArray[np.uint8]) -> Self:
+        """Return the same grid with the reasons why its cells are unknown, (nx, ny)."""
+        grid = object.__new__(type(self))
+        grid.__dict__.update(self.__dict__, _cause=cause)
+        return grid
+
+    @property
     def free(self) -> NDArray[np.float32]:
         """Mass of free, (nx, ny) in [0, 1]."""
         return self.mass[..., 0]

@@ -12,7 +12,7 @@ from moving import street
 from PIL import Image
 from typer.main import get_command
 
-from ogm import EvidentialGrid, GridSpec, LayeredGrid
+from ogm import EvidentialGrid, GridSpec, LayeredGrid, UnknownCause
 from ogm.cli import app
 from ogm.cli.console import distinct, with_options
 from ogm.io import write_grid, write_poses
@@ -306,10 +306,11 @@ def test_the_installed_script_runs() -> None:
 
 def test_layers_are_written_beside_the_masses(scan: Path, tmp_path: Path) -> None:
     words = ("map", scan, "--ism", "ray", "--sensor-height", 1.7, "--out", tmp_path / "o.npz", *SMALL)
-    completed(*words, "--layers", "ground_height,distance,cost", "--picture", tmp_path / "o.png")
+    completed(*words, "--layers", "ground_height,distance,cost,cause", "--picture", tmp_path / "o.png")
     layers = LayeredGrid.load(tmp_path / "o_layers.npz")
     assert layers.spec == EvidentialGrid.load(tmp_path / "o.npz").spec
     assert abs(layers["ground_height"][layers.spec.index(5.0, 0.1)]) < 0.05
+    assert layers["cause"][layers.spec.index(0.1, 0.1)] == UnknownCause.NEAR_VEHICLE
     wall = layers.spec.index(8.1, 0.1)
     assert (layers["distance"][wall], layers["cost"][wall]) == (0, 254)
     refused_command("there is no layer 'height'", *words, "--layers", "height")

@@ -330,6 +330,7 @@ def test_a_page_shows_the_map_and_its_conflict(scans: Path, poses: Path, tmp_pat
         assert masses[0] == masses[1]
         assert masses[0]
         assert ("free_to_occupied" in page.read_text()) == has_conflict
+        assert ("behind an obstacle" in page.read_text()) == has_conflict  # why cells are unknown
         assert "vehicle at the last scan, with its path" in page.read_text()
 
 

@@ -26,7 +26,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ogm import EvidentialGrid, Frame, GridSpec, Mount, OgmError, Scan
+from ogm import EvidentialGrid, Frame, GridSpec, Mount, OgmError, Scan, UnknownCause
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, rolling_window
 from ogm.geometric import RayISM
 from ogm.live import FoxglovePublisher, LiveReport, receive_frames, serve, stream, warm_up
@@ -34,6 +34,7 @@ from ogm.live.memory import return_large_blocks
 from ogm.live.playback import NewestFrames
 from ogm.live.stream import frame_bytes
 from ogm.planning import costmap
+from ogm.plot.colours import CAUSE_COLOURS
 from ogm.pose import inverse, pose
 from ogm.scan import LazyFrame
 
@@ -167,6 +168,26 @@ def test_points_in_the_vehicle_frame_are_published_there() -> None:
         until(publisher._points.has_sinks)
         serve([one], LShape(), mapper(), publisher)
         assert client.receive().message.frame_id == "vehicle"
+
+
+def test_a_viewer_receives_why_cells_are_unknown_with_a_legend() -> None:
+    fused, behind = mapper(), np.full(SPEC.shape, UnknownCause.BEHIND_OBSTACLE, np.uint8)
+
+    def explained(scan: Scan) -> EvidentialGrid:
+        return EvidentialGrid.vacuous(SPEC).with_cause(behind)
+
+    explained.spec = SPEC  # type: ignore[attr-defined]
+    with FoxglovePublisher(port=0) as publisher:
+        serve([frame(0)], explained, fused, publisher)
+        with Client(publisher.port, ("/cause", "/cause_legend")) as client:
+            until(lambda: all(channel.has_sinks() for channel in publisher._causes))
+            serve([frame(1)], explained, fused, publisher)
+            grid, legend = (client.receive().message for _ in range(2))
+    fields, expected = grid_fields(grid), fused.cause["cause"]
+    np.testing.assert_array_equal(fields["cause"], expected)
+    red = np.where(expected == UnknownCause.BEHIND_OBSTACLE, fields["red"], 0).max()
+    assert red == round(255 * CAUSE_COLOURS[UnknownCause.BEHIND_OBSTACLE][0])
+    assert [text.text for text in legend.entities[0].texts] == [cause.label for cause in UnknownCause]
 
 
 def test_what_nobody_subscribed_to_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:

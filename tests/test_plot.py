@@ -9,7 +9,8 @@ from cases import each, refused
 from moving import SPEC as MOVING
 from moving import street
 
-from ogm import Boxes, DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, plot, read_scan
+from ogm import Boxes, DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, UnknownCause, plot, read_scan
+from ogm.plot.colours import CAUSE_COLOURS
 from ogm.plot.moving import heading_wheel, moving_arrows, moving_groups
 from ogm.plot.panels import BEHIND_POINTS, HIGHEST, LOWEST, colour_bytes, dots_panel, heading_colours, height_colours
 
@@ -218,6 +219,24 @@ def test_layers_are_shown_from_lowest_to_highest_and_grey_without_a_value() -> N
     flat = plot.layer_panel(LayeredGrid(SPEC, {"height": np.ones(SPEC.shape)}), "height")
     assert list(flat.legend) == ["1", "no value"]
     assert list(plot.layer_panel(LayeredGrid(SPEC, {"h": numbers * np.nan}), "h").legend) == ["no value"]
+
+
+def test_causes_of_unknown_have_a_colour_and_a_share_each() -> None:
+    cause = np.zeros(SPEC.shape, np.float32)
+    cause[0], cause[1, 0] = UnknownCause.BEHIND_OBSTACLE, np.nan
+    panel = plot.layer_panel(LayeredGrid(SPEC, {"cause": cause}), "cause")
+    share = SPEC.shape[1] / cause.size
+    assert f"behind an obstacle, {share:.1%}" in panel.legend
+    assert [name.split(",")[0] for name in panel.legend] == ["known", "outside the view", "behind an obstacle"]
+    for place, code in (((-1, -1), 2), ((-2, -1), 1), ((0, 0), 0)):
+        assert panel.image[place].tolist() == colour_bytes(np.array(CAUSE_COLOURS[UnknownCause(code)])).tolist()
+
+
+def test_a_long_legend_has_several_lines_and_makes_no_picture_wider(ell: EvidentialGrid) -> None:
+    panel = plot.mass_panel(ell)
+    few, many = (plot.show(panel._replace(legend={f"entry {k}": (0.5, 0.5, 0.5) for k in range(n)})) for n in (1, 40))
+    assert many.width == few.width
+    assert many.height > few.height + 40
 
 
 def test_velocities_are_shown_by_direction_and_speed() -> None:

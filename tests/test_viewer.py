@@ -16,7 +16,7 @@ from chromium import Page, open_chromium
 from moving import street
 from typer.testing import CliRunner
 
-from ogm import EvidentialGrid, GridSpec, LayeredGrid, plot
+from ogm import EvidentialGrid, GridSpec, LayeredGrid, UnknownCause, plot
 from ogm.cli import app
 from ogm.plot.moving import moving_arrows
 from ogm.plot.overview import halve_mass, mass_to_bytes
@@ -294,6 +294,22 @@ def test_every_layer_has_the_colours_of_its_panel(shown: Page, grid: EvidentialG
         legend = shown.run("document.getElementById('legend').innerText")
         keys = panel.legend if name in ("belief", "state", "velocity", "conflict", "height") else ("0", "0.5", "1")
         assert all(key in legend for key in keys)
+
+
+def test_causes_of_unknown_stand_as_texts_under_the_pointer_and_in_the_legend(browse: Any, folder: Path) -> None:
+    cause = np.arange(SPEC.shape[0] * SPEC.shape[1], dtype=np.float32).reshape(SPEC.shape) % len(UnknownCause)
+    layers, path = LayeredGrid(SPEC, {"cause": cause}), folder / "cause.html"
+    write_view(path, layers)
+    page = browse(f"{path.as_uri()}#x=1.5&y=0.5&metre=80")
+    page.settle()
+    assert np.array_equal(cells_of(page), plot.layer_panel(layers, "cause").image[::-1, ::-1])
+    legend = page.run("document.getElementById('legend').innerText")
+    for number, one in enumerate(UnknownCause):
+        assert one.label in legend
+        page.mouse("mouseMoved", *pixel(*np.unravel_index(number, SPEC.shape)))
+        page.settle()
+        assert values(page)["cause"] == one.label
+    assert page.errors == []
 
 
 def test_values_under_the_pointer_are_those_of_the_cell(shown: Page, grid: EvidentialGrid) -> None:

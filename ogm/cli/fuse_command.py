@@ -84,7 +84,10 @@ Message = Annotated[
     Option(help="In logs: occupancy-grid, or with masses grid-map or foxglove-grid. [default: occupancy-grid]"),
 ]
 Picture = Annotated[File, Option(help="Last scan: points, measurement, map, conflict (.png). [default: map.png]")]
-Page = Annotated[File, Option(help="Page for a browser: the map and its conflict, zoom, values of each cell (.html).")]
+Page = Annotated[
+    File,
+    Option(help="Page for a browser: the map, its conflict and why cells are unknown, zoom, values of cells (.html)."),
+]
 EachDrive = Annotated[
     bool,
     Option(

@@ -39,6 +39,7 @@ Host = Annotated[str, Option(help="Address of the server. Others than the loopba
 InflationRadius = Annotated[
     float | None, Option(help="Add the field cost to /map: distance beyond which obstacles cost nothing [m].")
 ]
+Layers = Annotated[str | None, Option(help="Serve more than the map: cause, why cells are unknown, as /cause.")]
 Every = Annotated[float, Option(help="Print counts and latencies this often [s].")]
 
 
@@ -69,6 +70,7 @@ def serve(
     inflation_radius: InflationRadius = None,
     inscribed_radius: options.InscribedRadius = 0.0,
     cost_scaling: options.CostScaling = 10.0,
+    layers: Layers = None,
     length: options.Length = None,
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
@@ -85,14 +87,16 @@ def serve(
     """
     from ogm.datasets import open_dataset
     from ogm.datasets.sensor_setup import setup_of, within_limits
-    from ogm.fusion import make_mapper, rolling_window
+    from ogm.fusion import EvidentialMapper, make_mapper, rolling_window
     from ogm.fusion.factory import adding_rule_warning
     from ogm.grid import GridSpec
     from ogm.live import FoxglovePublisher, receive_frames, warm_up
     from ogm.live import serve as served
     from ogm.live.memory import return_large_blocks
+    from ogm.models.layers import ExplainedISM
     from ogm.models.named import load_model, with_radar
     from ogm.planning import costmap
+    from ogm.plot.panels import CAUSE_LAYER
     from ogm.scan import Mount
     from ogm.workflows.checks import gravest
 
@@ -111,6 +115,10 @@ def serve(
     ism = chosen_model(ism, spec, rule or "")
     model = load_model(with_radar(ism), spec)
     mapper = make_mapper(rule or REVISE, rolling_window(spec), half_life)
+    if layers is not None:
+        if layers != CAUSE_LAYER or not isinstance(mapper, EvidentialMapper):
+            raise ValueError(f"--layers {layers}: evidential maps can serve cause, and no other layer")
+        model = ExplainedISM(model)
     if warning := adding_rule_warning(rule or REVISE):
         _print(warning)
     frames: Iterable[Frame]
@@ -139,7 +147,8 @@ def serve(
             warm_up(model, mapper, example)
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a viewer that goes away is no error
         publisher = stack.enter_context(FoxglovePublisher(host, port, costs=costs))
-        out.print(f"serving /map, /points and /tf at {publisher.url}; Ctrl-C stops")
+        beside = "" if layers is None else ", /cause, /cause_legend"
+        out.print(f"serving /map{beside}, /points and /tf at {publisher.url}; Ctrl-C stops")
         report = served(
             frames,
             model,

@@ -329,7 +329,7 @@ function readValues() {
     if (part === undefined) { for (const name of one.names) show(name, "…"); return; }
     const width = sizeOf(COLUMNS, 0, column), count = width * sizeOf(ROWS, 0, row), i = (at.row - row * T) * width + at.column - column * T;
     const found = one.names.map((_, p) => part === NOTHING ? 0 : part[p * count + i]);
-    if (k !== MASSES) { one.names.forEach((name, p) => show(name, format(NUMBERS[k][found[p]], one.step))); return; }
+    if (k !== MASSES) { one.names.forEach((name, p) => { const value = NUMBERS[k][found[p]]; show(name, one.labels?.[value] ?? format(value, one.step)); }); return; }
     const [free, occupied] = found;
     show("free", (free / 255).toFixed(3));
     show("occupied", (occupied / 255).toFixed(3));
@@ -380,7 +380,7 @@ function choose(k) {
   legend.append(list, text);
   redraw();
 }
-$("precision").textContent = D.stored.map((one, k) => k === MASSES ? "Masses are stored in steps of 1/255: free and occupied are at most 0.002 off, unknown 0.004."
+$("precision").textContent = D.stored.filter(one => !one.labels?.length).map(one => one.first === 0 ? "Masses are stored in steps of 1/255: free and occupied are at most 0.002 off, unknown 0.004."
   : `${one.names.join(", ")}: in steps of ${+one.step.toPrecision(3)}.`).join(" ");
 if (MASSES >= 0) {
   const [free, occupied] = D.stored[MASSES].means, share = part => `${(100 * part).toFixed(1)} %`;

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, revise, smooth, yager
 from ogm.fusion.kernels import (
     CAUTIOUS,
+    CONFIRMED,
     CUMULATIVE,
     DEMPSTER,
     REVISION,
@@ -23,6 +24,7 @@ from ogm.fusion.kernels import (
     Memory,
     age_blocks,
     evidential_update,
+    note_causes,
     shares_left,
 )  # fmt: skip
 from ogm.fusion.lookup import ScanLookup, gather
@@ -35,6 +37,7 @@ from ogm.fusion.window import Window, WindowMode, affine_between, check_choice, 
 from ogm.grid import Combine, CombinedGrid, EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.placed import PlacedGrid
 from ogm.pose import check_pose, pose
+from ogm.unknown_cause import UnknownCause
 
 Rule = Callable[[Any, Any], Any]
 DYNAMIC_DECAY_RATIO = 100.0  # how many times faster dynamic cells are forgotten by default
@@ -161,6 +164,7 @@ class EvidentialMapper(Mapper):
             None  # of a saved map, until the first scan: the map of each model
         )
         self._now = 0.0  # [s] sum of the times between scans
+        self._codes: NDArray[np.uint8] | None = None  # see `note_causes`; None until a grid has causes
 
     @classmethod
     def from_grid(
@@ -265,18 +269,68 @@ class EvidentialMapper(Mapper):
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map, and may be one of another model."""
         super().reset()
-        self._parts, self._waiting, self._combine, self._now = {}, None, None, 0.0
+        self._parts, self._waiting, self._combine, self._now, self._codes = {}, None, None, 0.0, None
 
     @property
-    def _layers(self) -> Sequence[NDArray[np.float32]]:
-        return [array for layers in self._parts.values() for array in layers[:2]]
+    @locked
+    def cause(self) -> LayeredGrid:
+        """Why cells of `grid` are unknown: the layer ``cause``, with codes of `ogm.UnknownCause`.
+
+        A cell that the map once knew is contradicted, if the conflict exceeded 1/4 when it was lost, else forgotten;
+        other cells have the cause of the last scan that covered them.
+
+        Raises
+        ------
+        ValueError
+            If no grid had causes: the model of the scans must be an `ogm.models.ExplainedISM`.
+        """
+        if self._codes is None:
+            raise ValueError("no scan of the map has causes: map scans by ogm.models.ExplainedISM(model)")
+        self._age_all()
+        codes, grid = self._codes.copy(), _NOTHING[..., 0].astype(np.uint8)
+        note_causes(codes, self._whole(), self._whole_conflict(), self._window.ring, grid, _NOWHERE)
+        codes[codes == 0] = UnknownCause.OUTSIDE_VIEW
+        codes[codes == CONFIRMED] = UnknownCause.KNOWN
+        return LayeredGrid(self.spec, {"cause": self._window.unrolled(codes.astype(np.float32))})
+
+    @property
+    def has_causes(self) -> bool:
+        """Whether `cause` is known."""
+        return self._codes is not None
+
+    @property
+    def _layers(self) -> Sequence[NDArray[Any]]:
+        layers: list[NDArray[Any]] = [array for layers in self._parts.values() for array in layers[:2]]
+        return layers if self._codes is None else [*layers, self._codes]
 
     def _conflict_layers(self) -> NDArray[np.float32]:
         self._age_all()
+        return self._window.unrolled(self._whole_conflict())
+
+    def _whole(self) -> NDArray[np.float32]:
+        """Return the masses of the map as they are stored."""
+        masses = {part: layers.mass for part, layers in self._parts.items()}
+        return self._combined(masses, self._window.spec0.shape)
+
+    def _whole_conflict(self) -> NDArray[np.float32]:
+        """Return the conflict of the map as it is stored, the greatest of its parts."""
+        if len(self._parts) == 1:
+            return next(iter(self._parts.values())).conflict
         conflict = np.zeros((*self._window.spec0.shape, 2), np.float32)
         for layers in self._parts.values():
             np.maximum(conflict, layers.conflict, out=conflict)
-        return self._window.unrolled(conflict)
+        return conflict
+
+    def _note_causes(self, grid: EvidentialGrid, scan: CheckedScan) -> None:
+        """Note why cells are unknown, if any grid so far said it of its own."""
+        if grid.cause is not None and self._codes is None:
+            self._codes = np.zeros(self._window.spec0.shape, np.uint8)
+        if self._codes is None or scan.elapsed < 0:
+            return
+        cause, affine = (
+            (_NOTHING[..., 0].astype(np.uint8), _NOWHERE) if grid.cause is None else (grid.cause, scan.affine)
+        )
+        note_causes(self._codes, self._whole(), self._whole_conflict(), self._window.ring, cause, affine)
 
     def _combined(self, masses: Mapping[int, NDArray[np.float32]], shape: tuple[int, int]) -> NDArray[np.float32]:
         """Return the masses of the map from those of its parts."""
@@ -289,7 +343,7 @@ class EvidentialMapper(Mapper):
         return whole if plane is None else _beside_plane(whole, plane)
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
-        corner, measured = grid.known[0], self._measured(grid)
+        corner, measured, whole_scan = grid.known[0], self._measured(grid), scan
         if self._waiting is not None:
             self._parts, self._waiting = continued_parts(self._parts[PLAIN], self._waiting, measured.keys()), None
             for layers in self._parts.values():  # of other programs, which leave nothing to unknown
@@ -304,7 +358,8 @@ class EvidentialMapper(Mapper):
             for part, layers in self._parts.items():
                 self._update(layers, measured.get(part), scan, reliability)
         else:
-            before, parts = self._window.corner, self._parts
+            before, parts, codes = self._window.corner, self._parts, self._codes
+            self._codes = None if codes is None else codes.copy()
             copies = {part: layers.copy() for part, layers in (parts | added).items()}
             try:
                 self._parts = copies
@@ -312,11 +367,12 @@ class EvidentialMapper(Mapper):
                 for part, layers in copies.items():
                     self._update_by_any_rule(layers, measured.get(part), scan, reliability)
             except BaseException:
-                self._window.corner, self._parts = before, parts
+                self._window.corner, self._parts, self._codes = before, parts, codes
                 raise
         self._now = now
         if isinstance(grid, CombinedGrid):
             self._combine = grid.combine
+        self._note_causes(grid, whole_scan)
 
     def _measured(self, grid: EvidentialGrid) -> dict[int, NDArray[np.float32]]:
         """Return the masses of a scan by the part of the map that they belong to."""

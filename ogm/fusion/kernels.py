@@ -11,13 +11,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ogm.evidence.kernels import FLOAT32, REVISE, RULES, SMOOTH, Rule
-from ogm.fusion.lookup import ScanLookup, look_up
+from ogm.fusion.lookup import EPS_CELL, ScanLookup, look_up
 from ogm.jit import kernel, vector
+from ogm.unknown_cause import UnknownCause
 
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS, REVISION, SMOOTHING = range(6)
 BLOCK = 64  # cells of a row that age together
 # Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
 TINY = np.float32(1e-18)
+CONFIRMED = 255
+BETWEEN_BEAMS, FORGOTTEN = int(UnknownCause.BETWEEN_BEAMS), int(UnknownCause.FORGOTTEN)
+CONTRADICTED = int(UnknownCause.CONTRADICTED)
 A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the series of exp
 
 
@@ -323,6 +327,55 @@ def _age_observed(m: Any, c: Any, z: Any, one: Any, kf: Any, ko: Any, kc: Any, e
         m[2 * k + 1] = (occupied / total + TINY) - TINY
         c[2 * k] = (c[2 * k] * kc + TINY) - TINY
         c[2 * k + 1] = (c[2 * k + 1] * kc + TINY) - TINY
+
+
+@kernel
+def note_causes(
+    codes: np.ndarray,
+    mass: np.ndarray,
+    conflict: np.ndarray,
+    ring: tuple[int, int],
+    causes: np.ndarray,
+    affine: np.ndarray,
+) -> None:
+    """Note which cells a map knows, and why it does not know the others.
+
+    Parameters
+    ----------
+    codes : (nx, ny) uint8
+        Of each cell, changed in place: `CONFIRMED` if the map knows it, `FORGOTTEN` or `CONTRADICTED` from when it did
+        last, else the cause of the last scan that covered it, 0 for none.
+    mass, conflict : (nx, ny, 2) float32
+        The map, and its conflict.
+    ring : (int, int)
+        Row and cell of the window's cell (0, 0).
+    causes : (mx, my) uint8
+        `UnknownCause` of the cells of a scan.
+    affine : (2, 3) float64
+        See `ScanLookup`.
+    """
+    (nx, ny), (mx, my) = codes.shape, causes.shape
+    row, column = ring
+    one, quarter = np.float32(1), np.float32(0.25)
+    for i in range(nx):
+        at = (i + row) % nx
+        u = affine[0, 0] * (i + 0.5) + affine[0, 1] * 0.5 + affine[0, 2] + EPS_CELL
+        v = affine[1, 0] * (i + 0.5) + affine[1, 1] * 0.5 + affine[1, 2] + EPS_CELL
+        for j in range(ny):
+            c = j + column if j < ny - column else j + column - ny
+            free, occupied = mass[at, c, 0], mass[at, c, 1]
+            if max(free, occupied) + free + occupied > one:
+                codes[at, c] = CONFIRMED
+                continue
+            before = codes[at, c]
+            if before == CONFIRMED:
+                clash = max(conflict[at, c, 0], conflict[at, c, 1]) >= quarter
+                codes[at, c] = CONTRADICTED if clash else FORGOTTEN
+            elif before < FORGOTTEN:
+                x, y = u + j * affine[0, 1], v + j * affine[1, 1]
+                if x >= 0 and x < mx and y >= 0 and y < my:
+                    code = causes[int(x), int(y)]
+                    codes[at, c] = code if code > 0 else max(before, np.uint8(BETWEEN_BEAMS))
 
 
 @vector

@@ -6,14 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.geometric.causes import SECTOR, SectorTrace
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
-from ogm.geometric.kernels.arguments import BeamColumns, BeamNumbers, Cells
+from ogm.geometric.kernels.arguments import BeamColumns, BeamNumbers, Cells, Directions, PolarGrid
 from ogm.geometric.kernels.beams import ends_of, fans_of, find_directions
+from ogm.geometric.kernels.causes import GAP
 from ogm.geometric.kernels.planar import TAIL, clear_fans, combine_claims, mark_ends
+from ogm.geometric.ray import polar_grid
 from ogm.grid import EvidentialGrid, GridSpec, PartialGrid
 from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
+from ogm.unknown_cause import UnknownCause
 
 MAX_WIDTH = math.radians(85)  # [rad] of a beam, so that a wider one is a cone still
 NEAREST = 1e-3  # [m]
@@ -115,8 +119,24 @@ class PlanarISM:
             Of which the masses are made when they are read: maps take the rectangle that the scan reaches. Vacuous
             for an empty scan.
         """
-        log_compilation(clear_fans)
+        return self._map(as_scan(scan))[0]
+
+    def trace(self, scan: Scan | NDArray[np.float32]) -> SectorTrace:
+        """Map one scan, and keep why cells are unknown; see `ogm.geometric.causes`."""
         scan = as_scan(scan)
+        grid, beams, directions, numbers, mount = self._map(scan)
+        polar = polar_grid(self.spec, (float(mount.origin[0]), float(mount.origin[1])), mount.ego_footprint, SECTOR)
+        silent = np.empty((0, 3))
+        if scan.no_returns is not None and scan.max_range is None:  # such beams clear nothing
+            silent = scan.no_returns[np.isfinite(scan.no_returns).all(axis=1)].astype(np.float64)
+        x, y, _ = rotate(mount.T_vehicle_points[:3, :3], silent.T)
+        return SectorTrace(
+            grid, mount, grid.mass, polar, *_sector_causes(beams, directions, numbers, np.arctan2(y, x), polar)
+        )
+
+    def _map(self, scan: Scan) -> tuple[EvidentialGrid, BeamColumns, Directions, BeamNumbers, Mount]:
+        """Return the grid of a scan, and how its beams were compared."""
+        log_compilation(clear_fans)
         mount, side = mount_in_grid(scan, self.spec, self.mount), self.spec.resolution
         place = mount.origin[:2] - self.spec.origin
 
@@ -144,7 +164,8 @@ class PlanarISM:
         mass = np.empty((*shape, 2), np.float32)
         combine_claims(free, occupied, self.p_false_alarm, mass)
         _clear_footprint(mass, cells, mount)
-        return PartialGrid.of(self.spec, corner, mass, in_plane=True)
+        grid = PartialGrid.of(self.spec, corner, mass, in_plane=True)
+        return grid, beams, directions, numbers, mount
 
     def _beams(self, scan: Scan, mount: Mount) -> BeamColumns:
         """Return the beams of a scan, levelled by its mount."""
@@ -168,7 +189,10 @@ class PlanarISM:
         order = np.lexsort((reach, azimuth))
         order = order[used[order]]
         marks = echo & (distance <= end)
-        return BeamColumns(x[order], y[order], azimuth[order], reach[order], echo[order], marks[order])
+        leaves = np.where((slope > 0) & (distance > end), UnknownCause.ABOVE_CLEARANCE, UnknownCause.OUTSIDE_VIEW)
+        beyond = np.where(marks, UnknownCause.BEHIND_OBSTACLE, leaves).astype(np.uint8)
+        columns = BeamColumns(x, y, azimuth, reach, echo, marks, beyond)
+        return BeamColumns._make(column[order] for column in columns)
 
 
 def _step(azimuth: NDArray[np.float64]) -> float:
@@ -176,6 +200,48 @@ def _step(azimuth: NDArray[np.float64]) -> float:
     turn = np.diff(azimuth)
     turn = turn[turn > 1e-5]
     return float(np.partition(turn, len(turn) // 2)[len(turn) // 2]) if len(turn) else math.inf
+
+
+def _sector_causes(
+    beams: BeamColumns, directions: Directions, numbers: BeamNumbers, silent: NDArray[np.float64], polar: PolarGrid
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return `ends` and `causes` of a `SectorTrace`; `silent` are azimuths of others without echo [rad]."""
+    count, sectors = len(directions.reach), polar.sectors
+    ends, causes = np.zeros((sectors, 2)), np.full((sectors, 3), UnknownCause.OUTSIDE_VIEW, np.uint8)
+    middle = (np.arange(sectors) + 0.5) * (2 * math.pi / sectors)
+    middle = np.where(middle > math.pi, middle - 2 * math.pi, middle)
+    if not count:
+        causes[:] = UnknownCause.NO_ECHO if len(silent) else UnknownCause.OUTSIDE_VIEW
+        return ends, causes
+
+    # The neighbouring directions of each sector, and the one that ends first, or in a gap the nearest
+    nearest = np.lexsort((beams.reach, directions.of_beam))
+    nearest = nearest[np.searchsorted(directions.of_beam, np.arange(count))]
+    azimuth = beams.azimuth[nearest]
+    left = (np.searchsorted(azimuth, middle) - 1) % count
+    right = (left + 1) % count
+    adjacent = directions.adjacent[left]
+    off = np.stack([middle - azimuth[left], azimuth[right] - middle]) % (2 * math.pi)
+    ends_first = directions.reach[left] <= directions.reach[right]
+    chosen = np.where(np.where(adjacent, ends_first, off[0] <= off[1]), left, right)
+    seen = adjacent | (off.min(axis=0) <= max(math.atan(numbers.half_width), math.pi / sectors))
+
+    # Up to the end of both, or up to an opening whose edges contradict what is beyond
+    other = np.where(adjacent, np.where(chosen == left, right, left), chosen)
+    limit = np.minimum(directions.limit[chosen], directions.limit[other])
+    ends[:, 1] = directions.reach[chosen]
+    ends[:, 0] = np.minimum(limit, ends[:, 1])
+    is_silent = directions.silent[chosen] | directions.silent[other]
+    causes[:, 0] = np.where(is_silent, UnknownCause.NO_ECHO, UnknownCause.BETWEEN_BEAMS)
+    causes[:, 1] = UnknownCause.CONTRADICTED
+    causes[:, 2] = beams.beyond[nearest[chosen]]
+
+    # Gaps: of beams whose echo is missing, narrow ones, and all that is outside the view
+    heard = np.bincount((np.searchsorted(azimuth, silent) - 1) % count, minlength=count)[left] > 0
+    narrow = directions.turn[left] <= 2 * math.pi / GAP + 2 * math.atan(numbers.half_width)
+    gap = np.where(narrow, UnknownCause.BETWEEN_BEAMS, UnknownCause.OUTSIDE_VIEW)
+    causes[~seen] = np.where(heard, UnknownCause.NO_ECHO, gap)[~seen, None]
+    return ends, causes
 
 
 def plane_text(scan: Scan, mount: Mount) -> str:

@@ -8,13 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.geometric.causes import SECTOR, SectorTrace
 from ogm.geometric.doppler import DirectionSectors, direction_sectors, moving_detections, nearest_in_direction
 from ogm.geometric.inputs import REACH, check_sensor_in_grid, check_within, mount_in_grid, usable_points
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
+from ogm.geometric.ray import polar_grid
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
+from ogm.unknown_cause import UnknownCause
 
 REFERENCE_SNR = 10**1.3  # where `RadarISM.reach` is, and that of `ogm.simulation.radars.RadarMode` for 0 dBsm
 FALSE_ALARM = 1e-4  # probability per bin that sets a radar's threshold
@@ -118,8 +121,29 @@ class RadarISM:
         EvidentialGrid
             Vacuous for an empty scan.
         """
+        return self._map(as_scan(scan))[0]
+
+    def trace(self, scan: Scan | NDArray[np.float32]) -> SectorTrace:
+        """Map one scan, and keep why cells are unknown; see `ogm.geometric.causes`.
+
+        From `margin` before the first detection of a direction on, cells are behind an obstacle, or above clearance if
+        that detection is. Nothing is between beams; where too little is free up to there, no echo is sure to come.
+        """
+        grid, mount, first, above = self._map(as_scan(scan))
+        polar = polar_grid(self.spec, (float(mount.origin[0]), float(mount.origin[1])), mount.ego_footprint, SECTOR)
+        bearing = np.angle(np.exp(1j * (np.arange(polar.sectors) + 0.5) * (2 * math.pi / polar.sectors)))
+        of = direction_sectors(self.beam).of(bearing)
+        until = np.maximum(first[of] - self.margin - 2 * self.range_noise, 0)
+        beyond = np.where(above[of], UnknownCause.ABOVE_CLEARANCE, UnknownCause.BEHIND_OBSTACLE)
+        beyond = np.where(np.isfinite(first[of]), beyond, UnknownCause.NO_ECHO)
+        causes = np.stack([np.full_like(beyond, UnknownCause.NO_ECHO), beyond, beyond], axis=-1).astype(np.uint8)
+        off = np.abs(np.angle(np.exp(1j * (bearing - _ahead(mount)))))
+        causes[off > self.half_width] = UnknownCause.OUTSIDE_VIEW
+        return SectorTrace(grid, mount, grid.mass, polar, np.stack([until, until], axis=-1), causes, math.inf)
+
+    def _map(self, scan: Scan) -> tuple[EvidentialGrid, Mount, NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the grid, and of each direction the range of the first detection [m] and if it is above clearance."""
         log_compilation(clear_cells)
-        scan = as_scan(scan)
         mount = mount_in_grid(scan, self.spec, self.mount)
         scan = scan.select(usable_points(scan.points))
         T = mount.T_vehicle_points
@@ -141,7 +165,9 @@ class RadarISM:
         until[~np.isfinite(first)] = 0
         clear_cells(layout.sector, layout.distance, until, _free_table(self.free_mass, self.reach, layout.metres), free)
 
-        marks = outside & (z - mount.ground_point[2] <= self.clearance)
+        is_low = z - mount.ground_point[2] <= self.clearance
+        above = nearest_in_direction(bearing[outside & is_low], distance[outside & is_low], layout.sectors) > first
+        marks = outside & is_low
         if not self.keep_moving:
             sensor = np.zeros(3) if mount.points_in == "sensor" else mount.origin
             marks &= ~moving_detections(scan, self.doppler_noise, self.azimuth_noise, origin=sensor)
@@ -152,7 +178,7 @@ class RadarISM:
         mass = np.zeros((*self.spec.shape, 2), np.float32)
         place = np.array([*self.spec.origin, self.spec.resolution, self.range_noise])
         mark_ellipses(rows, place, free, layout.ego, mass)
-        return EvidentialGrid.trusted(self.spec, mass)
+        return EvidentialGrid.trusted(self.spec, mass), mount, first, above
 
 
 class _Layout(NamedTuple):
@@ -165,14 +191,18 @@ class _Layout(NamedTuple):
     metres: int  # within which all cells are that a detection can clear
 
 
+def _ahead(mount: Mount) -> float:
+    """Return the azimuth of the middle of the field of view [rad]."""
+    return math.atan2(mount.T_vehicle_sensor[1, 0], mount.T_vehicle_sensor[0, 0])
+
+
 @lru_cache(maxsize=16)
 def _layout(spec: GridSpec, mount: Mount, half_width: float, beam: float) -> _Layout:
     """Lay sectors over a grid; computed once for each mount."""
     sectors = direction_sectors(beam)
     x, y = np.broadcast_arrays(*spec.cell_centers)
-    ahead = math.atan2(mount.T_vehicle_sensor[1, 0], mount.T_vehicle_sensor[0, 0])
     bearing = np.arctan2(y - mount.origin[1], x - mount.origin[0])
-    off = np.abs(np.angle(np.exp(1j * (bearing - ahead))))
+    off = np.abs(np.angle(np.exp(1j * (bearing - _ahead(mount)))))
     sector = sectors.of(bearing).astype(np.int32)
     x0, x1, y0, y1 = mount.ego_footprint
     ego = (x > x0) & (x < x1) & (y > y0) & (y < y1)

@@ -34,6 +34,8 @@ class RayTrace(NamedTuple):
     Attributes
     ----------
     grid : EvidentialGrid
+    mass : (nx, ny, 2) float32
+        Masses by the rays alone; `grid` may hold several models combined.
     mount : Mount
     points : Points
         N returns in the vehicle frame; ``work.above`` begins with their heights above the ground [m].
@@ -49,6 +51,7 @@ class RayTrace(NamedTuple):
     """
 
     grid: EvidentialGrid
+    mass: NDArray[np.float32]
     mount: Mount
     points: Points
     ground: Surface
@@ -196,7 +199,7 @@ class RayISM:
         numbers = RayNumbers(*(float(getattr(self, name)) for name in RayNumbers._fields))
         origin = mount.origin.astype(np.float32)
         place = float(origin[0]), float(origin[1])
-        polar = _polar_grid(spec, place, mount.ego_footprint, self.azimuth_step)
+        polar = polar_grid(spec, place, mount.ego_footprint, self.azimuth_step)
         cells = Cells(*spec.origin, spec.resolution)
 
         # Points in the vehicle frame, without returns from the ego vehicle
@@ -226,7 +229,7 @@ class RayISM:
         # Counts become belief
         mass = ray_mass(work.free, work.hits, polar, _powers(math.sqrt(self.p_false_alarm)), numbers)
         grid = EvidentialGrid.trusted(spec, mass)
-        return RayTrace(grid, mount, points, ground, shown, rays, limits, polar, numbers, work)
+        return RayTrace(grid, mass, mount, points, ground, shown, rays, limits, polar, numbers, work)
 
     def _explain_unseen_ground(self, shown: int, mount: Mount) -> None:
         """Log, once for each model, that the mount's height decides what is ground."""
@@ -262,7 +265,7 @@ def _checked_height(height: NDArray[Any], spec: GridSpec) -> NDArray[np.float32]
 
 
 @lru_cache(maxsize=16)
-def _polar_grid(
+def polar_grid(
     spec: GridSpec, place: tuple[float, float], ego_footprint: tuple[float, ...], azimuth_step: float
 ) -> PolarGrid:
     """Lay the polar grid over a spec; computed once for each place of a sensor."""

@@ -10,14 +10,17 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.fusion import FusionStep, Mapper
-from ogm.grid import EvidentialGrid, LayeredGrid
+from ogm.fusion import EvidentialMapper, FusionStep, Mapper
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.messages import foxglove_grid
 from ogm.io.messages.costs import COST
 from ogm.io.messages.plain import pose_message, ros_stamp
 from ogm.io.reading import optional
+from ogm.plot.colours import CAUSE_COLOURS
+from ogm.plot.panels import cause_codes, cause_colours
 from ogm.pose import inverse, pose
 from ogm.scan import Frame
+from ogm.unknown_cause import UnknownCause
 
 MAP, VEHICLE, SENSOR = "map", "vehicle", "sensor"  # frames of coordinates
 BACKLOG = 12  # messages that wait for a slow viewer, the oldest of which is dropped: some 40 MB
@@ -30,8 +33,9 @@ class FoxglovePublisher:
 
     Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/layers`` (the same with the conflict, if the
     map keeps it), ``/points`` (foxglove.PointCloud, in the sensor's frame) and ``/tf`` (foxglove.FrameTransforms: map,
-    vehicle, sensor). What no viewer has subscribed to is
-    not even made. A viewer that is too slow misses messages, and holds up nothing.
+    vehicle, sensor). Maps that know why cells are unknown have ``/cause``, in the colours of the reasons (field
+    ``cause``, `ogm.UnknownCause`), and ``/cause_legend``, the texts beside it (foxglove.SceneUpdate). What no viewer
+    has subscribed to is not even made. A viewer that is too slow misses messages, and holds up nothing.
 
     Parameters
     ----------
@@ -80,6 +84,7 @@ class FoxglovePublisher:
         self._layers = channels.GridChannel("/layers", context=context)
         self._points = channels.PointCloudChannel("/points", context=context)
         self._tf = channels.FrameTransformsChannel("/tf", context=context)
+        self._causes: tuple[Any, ...] = ()  # channels of grid and legend, from the first map that has causes
 
     def __enter__(self) -> Self:
         return self
@@ -102,7 +107,7 @@ class FoxglovePublisher:
 
     def _close(self, patience: float) -> None:
         until = time.monotonic() + patience
-        for channel in (self._map, self._layers, self._points, self._tf):
+        for channel in (self._map, self._layers, self._points, self._tf, *self._causes):
             channel.close()
         stopping = threading.Thread(target=self._server.stop, name="ogm-closing", daemon=True)
         stopping.start()  # waits for clients that never finish their handshake
@@ -135,6 +140,43 @@ class FoxglovePublisher:
             self._map.log(message, log_time=when)
         if self._layers.has_sinks() and (layers := getattr(mapper, "conflict", None)) is not None:
             self._layers.log(foxglove_grid(layers, frame_id=MAP, stamp=stamp, T_frame_grid=T), log_time=when)
+        if isinstance(mapper, EvidentialMapper) and mapper.has_causes:
+            self._send_causes(mapper, stamp, T)
+
+    def _send_causes(self, mapper: EvidentialMapper, stamp: float, T: ArrayLike) -> None:  # noqa: N803
+        """Send why cells are unknown, and what the colours mean."""
+        from foxglove import channels
+
+        if not self._causes:
+            self._causes = (
+                channels.GridChannel("/cause", context=self._context),
+                channels.SceneUpdateChannel("/cause_legend", context=self._context),
+            )
+        cells, legend = self._causes
+        if cells.has_sinks():
+            layers = mapper.cause
+            colour = cause_colours(cause_codes(layers["cause"]))
+            message = foxglove_grid(layers, frame_id=MAP, stamp=stamp, T_frame_grid=T, colour=colour)
+            cells.log(message, log_time=round(stamp * 1e9))
+        if legend.has_sinks():
+            height = float(np.asarray(T)[2, 3])
+            legend.log(_cause_legend(mapper.spec, height, stamp), log_time=round(stamp * 1e9))
+
+
+def _cause_legend(spec: GridSpec, height: float, stamp: float) -> Any:
+    """Return the text of each reason why cells are unknown in its colour, beside the left edge of a map."""
+    from foxglove.messages import Color, Pose, Quaternion, SceneEntity, SceneUpdate, TextPrimitive, Vector3
+
+    size = max(spec.length / 40, spec.resolution)
+    texts = []
+    for row, cause in enumerate(UnknownCause):
+        red, green, blue = CAUSE_COLOURS[cause]
+        place = Vector3(x=spec.extent[1] - 2 * size * (row + 1), y=spec.extent[3] + 8 * size, z=height)
+        at = Pose(position=place, orientation=Quaternion(x=0, y=0, z=0, w=1))
+        colour = Color(r=red, g=green, b=blue, a=1)
+        texts.append(TextPrimitive(pose=at, billboard=True, font_size=size, color=colour, text=cause.label))
+    entity = SceneEntity(timestamp=_timestamp(stamp), frame_id=MAP, id="cause", texts=texts)
+    return SceneUpdate(entities=[entity])
 
 
 def _is_free(host: str, port: int) -> bool:

@@ -10,9 +10,10 @@ True
 
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.fitted import Calibration
+from ogm.models.layers import ExplainedISM, map_layers
 from ogm.models.named import MODELS, default_model, describe_model, load_model
 
 __all__ = [
-    "MODELS", "Calibration", "CombinedISM", "FreeGate", "StateReliability", "default_model", "describe_model",
-    "load_model",
+    "MODELS", "Calibration", "CombinedISM", "ExplainedISM", "FreeGate", "StateReliability", "default_model",
+    "describe_model", "load_model", "map_layers",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Layers of one scan beside its masses, by name: heights of the ground and of what stands or hangs over it.
+"""Layers of one scan beside its masses, by name: heights, and why cells are unknown.
 
 >>> import numpy as np
 >>> from ogm import GridSpec, Mount, Scan, load_model
@@ -12,35 +12,46 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.geometric import PlanarISM, RadarISM
+from ogm.geometric.causes import SectorTrace, unknown_causes
 from ogm.geometric.heights import height_layers
 from ogm.geometric.ray import RayISM, RayTrace
-from ogm.grid import EvidentialGrid, LayeredGrid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.models.combined import CombinedISM
 from ogm.models.named import ModelsByKind
+from ogm.models.radar import RadarBySensor
 from ogm.planning import costmap, distance_to_obstacles
-from ogm.scan import InverseSensorModel, Scan
+from ogm.scan import InverseSensorModel, Scan, as_scan
 
-LayerFunction = Callable[[RayTrace], Mapping[str, NDArray[np.float32]]]
-"""Returns layers of one scan, (nx, ny) each, NaN where unknown; `RayTrace.grid` holds the masses of the whole model."""
+LayerFunction = Callable[[Any], Mapping[str, NDArray[np.float32]]]
+"""Returns layers of one scan, (nx, ny) each, by its trace; `RayTrace.grid` holds the masses of the whole model."""
 
 COST_REACH = 2.0  # [m] beyond the inscribed radius, within which obstacles cost
 COST_SCALING = 2.0  # [1/m] costs halve every 0.35 m
 
 
-def planning_layers(trace: RayTrace) -> dict[str, NDArray[np.float32]]:
+def planning_layers(trace: RayTrace | SectorTrace) -> dict[str, NDArray[np.float32]]:
     """Return the distance to the nearest obstacle [m], and costs for the ego footprint, NaN where unknown."""
     inscribed = min(map(abs, trace.mount.ego_footprint))
     costs = costmap(trace.grid, inscribed, inscribed + COST_REACH, COST_SCALING).astype(np.float32)
     return {"distance": distance_to_obstacles(trace.grid, "free"), "cost": np.where(costs > 254, np.nan, costs)}
 
 
+def cause_layer(trace: RayTrace | SectorTrace) -> dict[str, NDArray[np.float32]]:
+    """Return why each cell is unknown, codes of `ogm.UnknownCause`."""
+    return {"cause": unknown_causes(trace).astype(np.float32)}
+
+
 LAYERS: Mapping[str, LayerFunction] = {
     "ground_height": height_layers,
     **dict.fromkeys(("distance", "cost"), planning_layers),
+    "cause": cause_layer,
 }
 """Name of each layer of `map_layers`, and the function that makes it; one function may make several."""
 
@@ -51,7 +62,7 @@ def map_layers(model: InverseSensorModel, scan: Scan, names: Sequence[str]) -> t
     Parameters
     ----------
     model : InverseSensorModel
-        `RayISM`, or a combination that holds one.
+        `RayISM`, or a combination that holds one; for the layer ``cause`` also `PlanarISM` and `RadarISM`.
     scan : Scan
     names : sequence of str
         Names in `LAYERS`.
@@ -70,6 +81,13 @@ def map_layers(model: InverseSensorModel, scan: Scan, names: Sequence[str]) -> t
     """
     check_layers(names)
     trace = _trace(model, scan)
+    if trace is None:
+        name = type(model).__name__
+        raise ValueError(f"layers are derived from the rays of RayISM, got {name}: use the model ray or combined")
+    if isinstance(trace, SectorTrace) and (of_ground := [name for name in names if LAYERS[name] is height_layers]):
+        raise ValueError(
+            f"scans of planar lasers, sonars and radars have no layer {of_ground[0]!r}: they show no ground"
+        )
     made: dict[LayerFunction, Mapping[str, NDArray[np.float32]]] = {}
     for name in names:
         if LAYERS[name] not in made:
@@ -84,16 +102,44 @@ def check_layers(names: Sequence[str]) -> None:
         raise ValueError(f"there is no layer {unknown[0]!r}: give some of {', '.join(LAYERS)}")
 
 
-def _trace(model: InverseSensorModel, scan: Scan) -> RayTrace:
-    """Return the rays of a scan with the masses of the whole model."""
-    if isinstance(model, ModelsByKind):
+@dataclass(frozen=True, eq=False)
+class ExplainedISM:
+    """A sensor model whose grids keep why their cells are unknown, `EvidentialGrid.cause`: maps of it know why, too.
+
+    Parameters
+    ----------
+    model : InverseSensorModel
+        `RayISM`, `PlanarISM`, `RadarISM`, or a combination that holds rays; grids of others have no causes.
+
+    Examples
+    --------
+    >>> mapper = EvidentialMapper(rolling_window(ism.spec))                 # doctest: +SKIP
+    >>> for step in fuse(frames, ExplainedISM(ism), mapper):               # doctest: +SKIP
+    ...     print(mapper.cause["cause"])
+    """
+
+    model: InverseSensorModel
+
+    @property
+    def spec(self) -> GridSpec:
+        """The grid that the model fills."""
+        return self.model.spec
+
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
+        """Map one scan."""
+        trace = _trace(self.model, scan := as_scan(scan))
+        return self.model(scan) if trace is None else trace.grid.with_cause(unknown_causes(trace))
+
+
+def _trace(model: InverseSensorModel, scan: Scan) -> RayTrace | SectorTrace | None:
+    """Return the rays or beams of a scan with the masses of the whole model; None if it has none."""
+    while isinstance(model, ModelsByKind | RadarBySensor):
         model = model.part(scan)
-    if isinstance(model, RayISM):
+    if isinstance(model, RayISM | PlanarISM | RadarISM):
         return model.trace(scan)
     if isinstance(model, CombinedISM):
         for place, part in enumerate(model.models):
             if isinstance(part, RayISM):
                 trace = part.trace(scan)
-                return trace._replace(grid=model(scan, {place: trace.grid.mass}))
-    name = type(model).__name__
-    raise ValueError(f"layers are derived from the rays of RayISM, got {name}: use the model ray or combined")
+                return trace._replace(grid=model(scan, {place: trace.mass}))
+    return None

@@ -73,9 +73,13 @@ class RadarBySensor:
     mount: Mount | None = None
     engine: Any = None
 
+    def part(self, scan: Scan) -> InverseSensorModel:
+        """Return the model for the sensor of a scan."""
+        return _model(self, scan.sensor)
+
     def __call__(self, scan: Scan) -> EvidentialGrid:
         """Map one scan."""
-        return _model(self, scan.sensor)(scan)
+        return self.part(scan)(scan)
 
 
 @lru_cache(maxsize=16)

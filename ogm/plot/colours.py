@@ -14,7 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["COLOURS", "Colour", "Colours", "colours", "use_colours"]
+from ogm.unknown_cause import UnknownCause
+
+__all__ = ["CAUSE_COLOURS", "COLOURS", "Colour", "Colours", "colours", "use_colours"]
 
 Colour = tuple[float, float, float]  # red, green, blue [0, 1]
 
@@ -63,6 +65,18 @@ COLOURS: dict[str, Colours] = {
         dynamic=(0.1, 0.55, 1.0),
         text="green free, red occupied, black unknown",
     ),
+}
+# Why a cell is unknown: known is light, what no beam reached dark; after Tol's "muted" scheme.
+CAUSE_COLOURS: dict[UnknownCause, Colour] = {
+    UnknownCause.KNOWN: (0.92, 0.92, 0.92),
+    UnknownCause.OUTSIDE_VIEW: (0.28, 0.30, 0.33),
+    UnknownCause.BEHIND_OBSTACLE: (0.80, 0.40, 0.47),
+    UnknownCause.BETWEEN_BEAMS: (0.40, 0.75, 0.93),
+    UnknownCause.NO_ECHO: (0.25, 0.17, 0.60),
+    UnknownCause.NEAR_VEHICLE: (0.07, 0.55, 0.25),
+    UnknownCause.ABOVE_CLEARANCE: (0.87, 0.80, 0.42),
+    UnknownCause.FORGOTTEN: (0.60, 0.25, 0.70),
+    UnknownCause.CONTRADICTED: (1.0, 0.42, 0.0),
 }
 _chosen = ["safe"]
 

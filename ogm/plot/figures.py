@@ -133,12 +133,18 @@ def _shown(title: str, width: int, size: int) -> str:
 def _draw(panels: Sequence[Panel]) -> Image.Image:
     sizes = [_size(panel) for panel in panels]
     at = _Layout.of(sum(width for width, _ in sizes))
-    slots = [max(size[0], legend_width(panel, at.small)) for size, panel in zip(sizes, panels, strict=True)]
+    legends = [_rows(panel, at.small, size[0]) for size, panel in zip(sizes, panels, strict=True)]
+    slots = [
+        max(size[0], *(legend_width(row, at.small) for row in rows)) for size, rows in zip(sizes, legends, strict=True)
+    ]
     tallest = max(height for _, height in sizes)
     width = at.axis + sum(slots) + at.gap * (len(panels) - 1) + at.margin
-    picture = Image.new("RGB", (width, at.margin + at.title + tallest + at.ticks + at.title), "white")
+    line = at.title
+    picture = Image.new(
+        "RGB", (width, at.margin + at.title + tallest + at.ticks + line * max(map(len, legends))), "white"
+    )
     draw, left, top = ImageDraw.Draw(picture), at.axis, at.margin + at.title
-    for k, (panel, (wide, high), slot) in enumerate(zip(panels, sizes, slots, strict=True)):
+    for k, (panel, (wide, high), slot, rows) in enumerate(zip(panels, sizes, slots, legends, strict=True)):
         corner = left + (slot - wide) // 2, top
         image = scaled(panel, (wide, high))
         draw_marks(image, panel, 16, 80, SMOOTH)
@@ -148,10 +154,23 @@ def _draw(panels: Sequence[Panel]) -> Image.Image:
         title = _shown(panel.title, slot, at.text)
         draw.text((left + slot // 2, top - at.title // 2), title, INK, font(at.text), anchor="mm")
         _draw_axes(picture, panel, corner, (wide, high), at, first=k == 0)
-        legend = left + (slot - legend_width(panel, at.small)) // 2
-        draw_legend(draw, legend, top + high + at.ticks + at.title // 2, panel, at.small, (INK, FRAME))
+        start = left + (slot - max(legend_width(row, at.small) for row in rows)) // 2
+        for number, row in enumerate(rows):
+            draw_legend(draw, start, top + high + at.ticks + line // 2 + line * number, row, at.small, (INK, FRAME))
         left += slot + at.gap
     return picture
+
+
+def _rows(panel: Panel, size: int, width: int) -> list[Panel]:
+    """Return a panel for each row of its legend, which are as wide as a width [px] allows."""
+    rows = [panel._replace(legend={})]
+    for name, colour in panel.legend.items():
+        longer = rows[-1]._replace(legend=rows[-1].legend | {name: colour})
+        if rows[-1].legend and legend_width(longer, size) > width:
+            rows.append(panel._replace(legend={name: colour}))
+        else:
+            rows[-1] = longer
+    return rows
 
 
 def _draw_axes(

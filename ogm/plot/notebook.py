@@ -5,7 +5,7 @@
 
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from functools import singledispatch
+from functools import partial, singledispatch
 from html import escape
 from io import BytesIO
 
@@ -18,8 +18,9 @@ from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colours import colours
 from ogm.plot.moving import moving_groups
-from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
-from ogm.plot.panels import CONFLICT_LAYERS, VELOCITY_LAYERS
+from ogm.plot.overview import FULL, Steps, halve_codes, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.panels import CAUSE_LAYER, CONFLICT_LAYERS, VELOCITY_LAYERS
+from ogm.plot.view_layers import CAUSE_STEPS
 from ogm.scan import Scan
 
 LONGEST, SHORTEST = 520, 260  # [px] along the longer side of a panel
@@ -176,11 +177,14 @@ def _layer_panels(layers: LayeredGrid) -> list[plot.Panel]:
 def _small(layers: LayeredGrid, names: Sequence[str]) -> LayeredGrid:
     """Return some layers at the resolution of the picture."""
     steps = Steps.of(*(layers[name] for name in names), symmetric=len(names) > 1)
+    halve: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] = partial(halve_numbers, steps=steps)
+    if names == (CAUSE_LAYER,):
+        steps, halve = CAUSE_STEPS, halve_codes
 
     def rows(of: slice) -> NDArray[np.uint8]:
         return np.stack([steps.to_bytes(layers[name][of]) for name in names], axis=-1)
 
-    cells, spec = _shrunk(layers.spec, rows, lambda cells: halve_numbers(cells, steps))
+    cells, spec = _shrunk(layers.spec, rows, halve)
     numbers = steps.numbers.astype(np.float32)[cells]
     return LayeredGrid(spec, {name: numbers[..., k] for k, name in enumerate(names)})
 

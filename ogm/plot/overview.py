@@ -5,7 +5,8 @@ A level is made from the one before. A block of 2 x 2 cells has
 * masses: those of its most occupied cell, if that cell is predicted occupied (`ogm.state.predict_state`), else the mean
   of its cells. So a cell that is occupied is occupied at every level;
 * other numbers: those of the cell that is furthest from zero, which for a velocity is the fastest cell; no value only
-  where none of its cells has one.
+  where none of its cells has one;
+* codes: the code of its first cell.
 
 >>> import numpy as np
 >>> from ogm.plot.overview import halve_mass, mass_to_bytes
@@ -20,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FULL", "Steps", "halve_mass", "halve_numbers", "mass_to_bytes"]
+__all__ = ["FULL", "Steps", "halve_codes", "halve_mass", "halve_numbers", "mass_to_bytes"]
 
 FULL = 255  # the byte of a mass of 1
 
@@ -133,6 +134,11 @@ def halve_numbers(values: NDArray[np.uint8], steps: Steps) -> NDArray[np.uint8]:
         np.copyto(furthest, cell, where=better[..., None])
         np.copyto(best, distance, where=better)
     return furthest
+
+
+def halve_codes(values: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return every second cell of every second row: codes, such as the reasons why cells are unknown, have no mean."""
+    return values[::2, ::2]
 
 
 def _blocks(cells: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:

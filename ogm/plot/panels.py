@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colour_maps import colour_map
-from ogm.plot.colours import colours
+from ogm.plot.colours import CAUSE_COLOURS, colours
+from ogm.unknown_cause import UnknownCause
 
+CAUSE_LAYER = "cause"
 CONFLICT_LAYERS, VELOCITY_LAYERS = ("free_to_occupied", "occupied_to_free"), ("velocity_x", "velocity_y")
 BLACK = (0.0, 0.0, 0.0)
 APPEARED, WENT_AWAY = (1.0, 0.62, 0.10), (0.25, 0.62, 1.0)
@@ -111,8 +113,18 @@ def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
 
 
 def layer_panel(layers: LayeredGrid, name: str, title: str = "") -> Panel:
-    """Show numbers from their lowest, purple, to their highest, yellow (matplotlib's "viridis"); grey without value."""
+    """Show numbers from their lowest, purple, to their highest, yellow (matplotlib's "viridis"); grey without value.
+
+    The layer ``cause`` has a colour for each `ogm.UnknownCause`, and the shares of the cells in its legend.
+    """
     layer = layers[name]
+    if name == CAUSE_LAYER:
+        codes = cause_codes(layer)
+        shares = {cause: float((codes == cause).mean()) for cause in UnknownCause}
+        legend = {
+            f"{cause.label}, {share:.1%}": CAUSE_COLOURS[cause] for cause, share in shares.items() if share >= 5e-4
+        }
+        return cells_panel(cause_colours(codes), layers.spec, title or "why unknown", legend)
     finite = layer[np.isfinite(layer)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     share = (layer - low) / ((high - low) or 1.0)
@@ -121,6 +133,17 @@ def layer_panel(layers: LayeredGrid, name: str, title: str = "") -> Panel:
     colours_of = colour_map("viridis", steps)
     legend = {f"{low + at * (high - low):.4g}": tuple(one) for at, one in zip(steps, colours_of, strict=True)}
     return cells_panel(colours, layers.spec, title or name, legend | {"no value": NO_VALUE})
+
+
+def cause_codes(layer: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Return the numbers of a layer ``cause`` as codes of `ogm.UnknownCause`; what is none is outside the view."""
+    codes = np.where((layer >= 0) & (layer < len(UnknownCause)), layer, UnknownCause.OUTSIDE_VIEW)
+    return np.rint(codes).astype(np.uint8)
+
+
+def cause_colours(codes: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return red, green, blue [0, 1] of codes of `ogm.UnknownCause`, (..., 3)."""
+    return np.array([CAUSE_COLOURS[cause] for cause in UnknownCause], np.float32)[codes]
 
 
 def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None = None) -> Panel:

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from ogm import plot
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
-from ogm.plot.colours import colours
+from ogm.plot.colours import CAUSE_COLOURS, colours
 from ogm.plot.moving import moving_arrows
 from ogm.plot.overview import FULL, Steps
-from ogm.plot.panels import CONFLICT_LAYERS, NO_CONFLICT, NO_VALUE, VELOCITY_LAYERS, colour_bytes
+from ogm.plot.panels import CAUSE_LAYER, CONFLICT_LAYERS, NO_CONFLICT, NO_VALUE, VELOCITY_LAYERS, colour_bytes
+from ogm.unknown_cause import UnknownCause
 
 Layer = dict[str, Any]
+CAUSE_STEPS = Steps(0.0, 254.0)  # whole numbers
 _AXES = "directions are those of the map's axes, x up and y to the left"
 _SHADES = 24  # of the bar that shows a continuous scale
 
@@ -51,6 +53,14 @@ def number_layer(stored: int, name: str, steps: Steps) -> Layer:
     panel = plot.layer_panel(_cells({name: steps.numbers}), name)
     *scale, _ = panel.legend
     return _layer(name, "sum", [[stored, 0]], [panel], "", scale, {"no value": NO_VALUE})
+
+
+def cause_layer(stored: int) -> Layer:
+    """Return the layer of the reasons why cells are unknown, codes of `ogm.UnknownCause`, stored in `CAUSE_STEPS`."""
+    numbers = np.nan_to_num(CAUSE_STEPS.numbers, nan=-1.0)
+    panel = plot.layer_panel(_cells({CAUSE_LAYER: numbers}), CAUSE_LAYER)
+    swatches = {cause.label: CAUSE_COLOURS[cause] for cause in UnknownCause}
+    return _layer("why unknown", "sum", [[stored, 0]], [panel], "", swatches=swatches)
 
 
 def conflict_layer(stored: Sequence[tuple[int, Steps]]) -> Layer:

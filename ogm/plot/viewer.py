@@ -28,11 +28,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, LayeredGrid
-from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
-from ogm.plot.panels import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
-from ogm.plot.view_layers import Layer, conflict_layer, mass_layers, motion_layer, number_layer, velocity_layer
+from ogm.plot.overview import FULL, Steps, halve_codes, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.panels import CAUSE_LAYER, CONFLICT_LAYERS, VELOCITY_LAYERS, upright
+from ogm.plot.view_layers import (
+    CAUSE_STEPS,
+    Layer,
+    cause_layer,
+    conflict_layer,
+    mass_layers,
+    motion_layer,
+    number_layer,
+    velocity_layer,
+)
 from ogm.pose import check_pose
 from ogm.storage.files import atomic_write
+from ogm.unknown_cause import UnknownCause
 
 __all__ = ["ROUGHEST", "TILE", "page_of_tiles", "write_view"]
 
@@ -51,6 +61,7 @@ class _Stored(NamedTuple):
     first: int  # the byte that stands for `low`; smaller ones are no value
     low: float
     step: float
+    labels: Sequence[str] = ()  # texts of the numbers 0, 1, ...
 
 
 def write_view(
@@ -72,7 +83,7 @@ def write_view(
         Of an evidential grid, the page shows belief, free, occupied, unknown, probability and state; of a dynamic one
         also motion (`ogm.plot.dynamic_panel`), velocity, speed, static, dynamic and covariances. Of a layered grid,
         it shows every layer; ``free_to_occupied`` and ``occupied_to_free`` together as conflict, ``velocity_x`` and
-        ``velocity_y`` together as velocity.
+        ``velocity_y`` together as velocity, ``cause`` by the texts of `ogm.UnknownCause`.
     layers : LayeredGrid, optional
         More layers, on the cells of the grid.
     title : str
@@ -146,6 +157,12 @@ def _add_layers(layers: LayeredGrid, stored: list[_Stored], shown: list[Layer]) 
         steps = Steps.of(*(layers[name] for name in VELOCITY_LAYERS), symmetric=True)
         shown.append(velocity_layer(len(stored), steps))
         stored.append(_numbers(layers, VELOCITY_LAYERS, steps))
+    if CAUSE_LAYER in names:
+        names.remove(CAUSE_LAYER)
+        shown.append(cause_layer(len(stored)))
+        labels = [cause.label for cause in UnknownCause]
+        of_cells = _numbers(layers, (CAUSE_LAYER,), CAUSE_STEPS)
+        stored.append(of_cells._replace(labels=labels, halve=halve_codes))
     found = {name: (len(stored) + k, Steps.of(layers[name])) for k, name in enumerate(names)}
     stored += [_numbers(layers, (name,), steps) for name, (_, steps) in found.items()]
     if set(CONFLICT_LAYERS) <= set(names):
@@ -197,7 +214,10 @@ def _write_page(file: IO[bytes], facts: dict[str, Any], stored: Sequence[_Stored
     """Write the page from top to bottom; the tiles go to the file as they are made."""
     head, tail = _parts()
     file.write(head(facts))
-    facts["stored"] = [{"names": one.names, "first": one.first, "low": one.low, "step": one.step} for one in stored]
+    facts["stored"] = [
+        {"names": one.names, "first": one.first, "low": one.low, "step": one.step, "labels": one.labels}
+        for one in stored
+    ]
     for number, one in enumerate(stored):
         totals = np.zeros(len(one.names))
         for level, row, tiles in _strips(one, facts["shape"]):

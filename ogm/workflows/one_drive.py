@@ -11,16 +11,26 @@ from typing import Any
 import numpy as np
 
 from ogm.datasets import Dataset, with_matching, with_odometry
-from ogm.fusion import DynamicMapper, FusionStep, covering_window, echo_window, fuse, make_mapper, rolling_window
+from ogm.fusion import (
+    DynamicMapper,
+    EvidentialMapper,
+    FusionStep,
+    covering_window,
+    echo_window,
+    fuse,
+    make_mapper,
+    rolling_window,
+)
 from ogm.fusion.factory import adding_rule_warning, continued_window
 from ogm.fusion.pipeline import grid_pose
 from ogm.fusion.update_gate import MAX_GAP
-from ogm.grid import GridSpec
+from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.files import write_grid
 from ogm.io.grids.logged import GridLog
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.logs import LOG_ENDINGS
 from ogm.models.compilation import compiled_ahead
+from ogm.models.layers import ExplainedISM
 from ogm.plot.movie import open_movie
 from ogm.plot.viewer import write_view
 from ogm.workflows.buildings import has_doubtful_clock, is_planar, map_defaults
@@ -97,7 +107,10 @@ def fuse_drive(
     radars = dataset.facts.get("radars", {})
     beside = "lidar" in o.sensors and radars
     reliability = {"": 1.0} | dict.fromkeys(radars, o.radar_reliability) if beside else 1.0
-    steps = fuse(dataset, o.load_model(), mapper, deskew=times, reliability=reliability, on_error=run.skip)
+    model = o.load_model()
+    if outputs.page is not None and isinstance(mapper, EvidentialMapper):
+        model = ExplainedISM(model)  # the page shows why cells are unknown
+    steps = fuse(dataset, model, mapper, deskew=times, reliability=reliability, on_error=run.skip)
     is_log = outputs.map is not None and outputs.map.suffix.lower() in LOG_ENDINGS
     log = GridLog(outputs.map, o.message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]
     titles = ("points by height", *run.titles)
@@ -125,7 +138,10 @@ def fuse_drive(
             run.save_picture(outputs.picture)
         if outputs.page is not None:
             title, place = f"map of {dataset.name}", run.T_map_vehicle
-            write_view(outputs.page, run.map, run.conflict, title=title, T_grid_vehicle=place, track=run.track)
+            layers = run.conflict
+            if isinstance(mapper, EvidentialMapper) and mapper.has_causes:
+                layers = LayeredGrid(mapper.spec, {**mapper.conflict.layers, **mapper.cause.layers})
+            write_view(outputs.page, run.map, layers, title=title, T_grid_vehicle=place, track=run.track)
     return run
 
 

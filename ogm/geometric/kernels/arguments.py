@@ -28,6 +28,7 @@ class BeamColumns(NamedTuple):
     reach: NDArray[np.float64]  # (N,) range of the end, or where the beam leaves the heights that count [m]
     echo: NDArray[np.bool_]  # (N,)
     marks: NDArray[np.bool_]  # (N,) the end is an echo, at a height that counts
+    beyond: NDArray[np.uint8]  # (N,) `UnknownCause` of the cells beyond the end
 
 
 class Directions(NamedTuple):

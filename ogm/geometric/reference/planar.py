@@ -34,11 +34,11 @@ def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
     -------
     (nx, ny, 2) float32
     """
-    beams = sorted(_beams(scan, ism))
+    beams = sorted(beams_of(scan, ism))
     turns = [(b.bearing - a.bearing) % (2 * math.pi) for a, b in zip(beams, beams[1:] + beams[:1], strict=True)]
     step = sorted(turns[:-1])[(len(turns) - 1) // 2]
     fits = [turn <= min(1.5 * step, math.radians(3)) for turn in turns]
-    limits = [_limit(k, beams, turns, fits) for k in range(len(beams))]
+    limits = [opening_limit(k, beams, turns, fits) for k in range(len(beams))]
     spec, (x0, y0, _) = ism.spec, ism.mount.origin  # type: ignore[union-attr]
     xs, ys = (axis.ravel() for axis in spec.cell_centers)
     mass = np.zeros((*spec.shape, 2), np.float32)
@@ -67,7 +67,7 @@ def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
     return mass
 
 
-def _beams(scan: Scan, ism: PlanarISM) -> list[_Beam]:
+def beams_of(scan: Scan, ism: PlanarISM) -> list[_Beam]:
     """Return the beams of a level sensor; a tilted beam ends where it leaves the heights that count."""
     assert ism.mount is not None
     height, footprint, found = ism.mount.sensor_height, ism.mount.ego_footprint, []
@@ -99,7 +99,7 @@ def _place(beam: _Beam) -> NDArray[np.float64]:
     return beam.reach * np.array([math.cos(beam.bearing), math.sin(beam.bearing)])
 
 
-def _limit(k: int, beams: list[_Beam], turns: list[float], fits: list[bool]) -> float:
+def opening_limit(k: int, beams: list[_Beam], turns: list[float], fits: list[bool]) -> float:
     """Return the nearest chord of all narrow openings and panes that hold a beam."""
     n, limit = len(beams), math.inf
     for before in range(1, n):

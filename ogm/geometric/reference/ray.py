@@ -36,7 +36,7 @@ def ray_grid_mass(
     (nx, ny, 2) float32
     """
     hits = np.zeros(ism.spec.shape)
-    rays = _returned_rays(xyz, ground, ism, hits) + _no_return_rays(no_returns, ground, ism)
+    rays = returned_rays(xyz, ground, ism, hits) + no_return_rays(no_returns, ground, ism)
     free = _polar_free(rays, silence_reliability(xyz, no_returns, ground, ism), ism, ground, sectors)
     spec, (x0, y0, _) = ism.spec, _origin(ism)
     assert ism.mount is not None
@@ -74,7 +74,7 @@ class Ray(NamedTuple):
     is_stopped: bool  # by an obstacle
 
 
-def _returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[Any]) -> list[Ray]:
+def returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[Any]) -> list[Ray]:
     """Return the ray to each return, and count the half hits of obstacles."""
     spec, (x0, y0, z0) = ism.spec, _origin(ism)
     rays = []
@@ -99,7 +99,7 @@ def _returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[
     return rays
 
 
-def _no_return_rays(no_returns: NDArray[Any], ground: float, ism: RayISM) -> list[Ray]:
+def no_return_rays(no_returns: NDArray[Any], ground: float, ism: RayISM) -> list[Ray]:
     """Return the rays of beams without echo, up to the ground or to `max_range`."""
     step, height = ism.spec.resolution, _origin(ism)[2] - ground
     rays = []

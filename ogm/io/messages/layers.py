@@ -174,6 +174,7 @@ def foxglove_grid(
     stamp: float | None = None,
     T_frame_grid: ArrayLike | None = None,
     layers: LayeredGrid | None = None,
+    colour: NDArray[np.floating] | None = None,
 ) -> Any:
     """Return a grid as a ``foxglove.Grid``, with fields free, occupied and unknown, and a colour, or its own layers.
 
@@ -191,6 +192,8 @@ def foxglove_grid(
         Takes the grid's coordinates to that frame; identity by default.
     layers : LayeredGrid, optional
         Further fields on the same cells, such as `ogm.fusion.EvidentialMapper.conflict`.
+    colour : (nx, ny, 3) float array, optional
+        Red, green, blue [0, 1] of cells, which are then opaque; by default a layered grid has none.
 
     Returns
     -------
@@ -205,9 +208,12 @@ def foxglove_grid(
     """
     library = optional("foxglove.messages", Path("foxglove.Grid"), "live", "made")
     (nx, ny), named = grid.spec.shape, dict[str, NDArray[Any]](bands_of(grid, layers).layers)
-    if not isinstance(grid, LayeredGrid):
+    alpha: NDArray[np.floating] = np.ones(grid.spec.shape)
+    if colour is None and not isinstance(grid, LayeredGrid):
+        colour, alpha = colours().mix(np.stack([grid.free, grid.occupied], axis=-1)), 1 - grid.unknown
+    if colour is not None:
         check_names(grid, layers, _COLOURS)
-        shown = (*np.moveaxis(colours().mix(np.stack([grid.free, grid.occupied], axis=-1)), -1, 0), 1 - grid.unknown)
+        shown = (*np.moveaxis(colour, -1, 0), alpha)
         named |= {name: np.rint(255 * one).astype(np.uint8) for name, one in zip(_COLOURS, shown, strict=True)}
     kind = np.dtype([(name, layer.dtype.newbyteorder("<")) for name, layer in named.items()])
     cells = np.empty((ny, nx), kind)

@@ -1,0 +1,190 @@
+"""Why cells of one scan are unknown: by the rays of each sector, and from polar bins to cells."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.kernels.arguments import PolarGrid, RayLimits, RayNumbers, Rays
+from ogm.geometric.kernels.polar import ROW_BITS
+from ogm.jit import kernel, vector
+from ogm.unknown_cause import UnknownCause
+
+__all__ = ["cell_causes", "polar_causes"]
+
+OUTSIDE_VIEW, BEHIND_OBSTACLE = int(UnknownCause.OUTSIDE_VIEW), int(UnknownCause.BEHIND_OBSTACLE)
+BETWEEN_BEAMS, NO_ECHO = int(UnknownCause.BETWEEN_BEAMS), int(UnknownCause.NO_ECHO)
+NEAR_VEHICLE, ABOVE_CLEARANCE = int(UnknownCause.NEAR_VEHICLE), int(UnknownCause.ABOVE_CLEARANCE)
+CONTRADICTED = int(UnknownCause.CONTRADICTED)
+
+WEDGES = 16  # of a turn, in which, with their neighbours, the view is that from the lowest to the highest ray
+GAP = 36  # parts of a turn: up to so wide a gap, 10 degrees, lies between two beams; a wider one is outside the view
+FLAT = np.float32(1e9)  # slope of no ray
+
+
+@kernel
+def polar_causes(
+    rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayNumbers, view: NDArray[np.float32]
+) -> NDArray[np.uint8]:
+    """Return why each polar bin would be unknown, by the rays of its sector.
+
+    The first of these holds: a ray that an obstacle stops before the bin would pass it above the ground, or a return
+    from under the ground lies beyond it, `BEHIND_OBSTACLE`; all rays of the view pass above half the clearance, before
+    the lowest meets the ground, `NEAR_VEHICLE`; the lowest ray that passes below clearance has no echo, `NO_ECHO`, or
+    has one, `BETWEEN_BEAMS`; some pass above clearance, `ABOVE_CLEARANCE`; the view has the ground there, `NO_ECHO`,
+    or not, `OUTSIDE_VIEW`. A sector without rays is `BETWEEN_BEAMS` in a gap of at most 10 degrees, else
+    `OUTSIDE_VIEW`.
+
+    Parameters
+    ----------
+    rays : Rays
+    limits : RayLimits
+    polar : PolarGrid
+    numbers : RayNumbers
+    view : (sectors, 2) float32
+        Slopes of the lowest and of the highest ray of the view around each sector.
+
+    Returns
+    -------
+    (sectors, bins) uint8
+    """
+    sectors, bins = polar.sectors, polar.bins
+    causes = np.empty((sectors, bins), np.uint8)
+    slopes = np.full((3, bins + 1), FLAT, np.float32)
+    slopes[2] = -FLAT
+    last = sectors - 1  # the last sector with rays before this one, as if the turn began with it
+    while last > 0 and rays.starts[last] == rays.starts[last + 1]:
+        last -= 1
+    before, after = last - sectors, -1
+    for s in range(sectors):
+        if rays.starts[s] == rays.starts[s + 1]:
+            if after < s:
+                after = s + 1
+                while after < s + sectors and rays.starts[after % sectors] == rays.starts[after % sectors + 1]:
+                    after += 1
+            narrow = (after - before - 1) * GAP <= sectors
+            for k in range(bins):
+                causes[s, k] = BETWEEN_BEAMS if narrow else OUTSIDE_VIEW
+            continue
+        before = s
+        ground, clearance = limits.ground[s >> ROW_BITS], limits.clearance[s >> ROW_BITS]
+        first, last = rays.starts[s], rays.starts[s + 1]
+        top = _find_slopes(rays.table[first:last], rays.point[first:last], ground, polar.step, numbers, slopes)
+        _name_causes(slopes, ground, clearance, view[s], top, causes[s])
+    return causes
+
+
+@vector
+def _find_slopes(
+    table: NDArray[np.float32],
+    point: NDArray[np.int32],
+    ground: NDArray[np.float32],
+    step: float,
+    numbers: RayNumbers,
+    slopes: NDArray[np.float32],
+) -> int:
+    """Fill in the slopes of rays of a sector that matter to each bin; return the end of the farthest ray.
+
+    Rows of `slopes`: the lowest ray with echo that reaches a bin, the lowest one without echo that is above the ground
+    there, and the highest one that is stopped in it; `FLAT`, `FLAT` and `-FLAT` before.
+    """
+    bins, per_metre = ground.shape[0], np.float32(1.0 / step)
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
+    below, before = np.float32(-numbers.below_ground), np.float32(2 * numbers.range_noise)
+    growth, most, zero, one = np.float32(2 * numbers.noise_growth), np.float32(bins), np.float32(0.0), np.float32(1.0)
+    passed, silent, meets = 0, 0, 0
+    for n in range(table.shape[0]):  # from the lowest slope up: the first to reach a bin is the lowest
+        slope, run, above = table[n, 0], table[n, 1], table[n, 2]
+        here = run * per_metre
+        if here < 1:
+            continue
+        if point[n] < 0 or above < below:
+            while meets < bins and slope >= ground[meets]:
+                meets += 1
+            end = int(min(here, most))
+            if point[n] >= 0:  # from under the ground: as if stopped where the ray meets it
+                for k in range(meets, end):
+                    slopes[2, k] = max(slopes[2, k], ground[k])
+                continue
+            for k in range(silent, min(end, meets)):
+                slopes[1, k] = slope
+            silent = max(silent, min(end, meets))
+            continue
+        stops = above > low and above < high
+        here += -(before + growth * run * run) * per_metre if stops else one if above <= low else zero
+        end = int(min(max(here, zero), most))
+        slopes[2, (end if stops else bins) & 0x7FFF] = slope
+        if end > passed:
+            for k in range(passed, end):
+                slopes[0, k] = slope
+            passed = end
+    return passed
+
+
+@vector
+def _name_causes(
+    slopes: NDArray[np.float32],
+    ground: NDArray[np.float32],
+    clearance: NDArray[np.float32],
+    view: NDArray[np.float32],
+    top: int,
+    causes: NDArray[np.uint8],
+) -> None:
+    """Fill in the causes of a sector's bins; the slopes are reset."""
+    bins, lowest, highest, stopped = causes.shape[0], view[0], view[1], -FLAT
+    meets = bins  # bin in which the lowest ray of the view meets the ground
+    while meets > 0 and lowest < ground[meets - 1]:
+        meets -= 1
+    meets = meets if meets < bins else 0
+    for k in range(bins):
+        stopped = max(stopped, slopes[2, k])
+        slopes[2, k] = stopped
+    for k in range(bins):  # from the last rule to the first, without branches
+        cause = NO_ECHO if highest >= ground[k] else OUTSIDE_VIEW
+        cause = ABOVE_CLEARANCE if k < top else cause
+        cause = BETWEEN_BEAMS if slopes[0, k] < clearance[k] else cause
+        cause = NO_ECHO if slopes[1, k] < min(clearance[k], slopes[0, k]) else cause
+        cause = NEAR_VEHICLE if (k < meets) & (2 * lowest >= ground[k] + clearance[k]) else cause
+        causes[k] = BEHIND_OBSTACLE if slopes[2, k] >= ground[k] else cause
+        slopes[0, k] = slopes[1, k] = FLAT
+        slopes[2, k] = -FLAT
+
+
+@kernel
+def cell_causes(
+    mass: NDArray[np.float32], own: NDArray[np.float32], causes: NDArray[np.uint8], polar: PolarGrid, least: float
+) -> NDArray[np.uint8]:
+    """Return why cells are unknown: the cause of the polar bin in their middle, 0 for cells that are known.
+
+    Parameters
+    ----------
+    mass : (nx, ny, 2) float32
+        Masses that decide which cells are known.
+    own : (nx, ny, 2) float32
+        Masses of the rays alone.
+    causes : (sectors, bins) uint8
+    polar : PolarGrid
+        A cell under the ego vehicle has no ring.
+    least : float
+        Mass of occupied, of either, from which an unknown cell is contradicted.
+
+    Returns
+    -------
+    (nx, ny) uint8
+    """
+    nx, ny = polar.ring.shape
+    found = np.zeros((nx, ny), np.uint8)
+    for i in range(nx):
+        for j in range(ny):
+            free, occupied = mass[i, j, 0], mass[i, j, 1]
+            if max(free, occupied) + free + occupied > 1:
+                continue
+            k = polar.ring[i, j]
+            if k < 0:
+                found[i, j] = NEAR_VEHICLE
+                continue
+            if max(occupied, own[i, j, 1]) >= least:
+                found[i, j] = CONTRADICTED
+                continue
+            s = (polar.sector[i, j] & 0x7FFF) + (polar.span[i, j] >> 1)
+            s = s - polar.sectors if s >= polar.sectors else s
+            found[i, j] = causes[s & 0x7FFF, k & 0x7FFF]
+    return found
