@@ -76,6 +76,6 @@ __all__ = [
     "log_odds_to_mass", "mass_to_evidence", "mass_to_log_odds", "mass_to_probability", "maximize_uncertainty",
     "multiplication", "murphy", "nonspecificity", "pcr5", "pcr6", "pcr6_plus", "pignistic",
     "pignistic_entropy", "plausibility_transform", "probability_to_mass", "reconciling_reliability", "renormalize",
-    "revise", "smooth", "specificity", "trust_discount", "trust_discount_opposite", "unknown", "vacuity", "weighted", "yager",
-    "yager_entropy",
+    "revise", "smooth", "specificity", "trust_discount", "trust_discount_opposite", "unknown", "vacuity", "weighted",
+    "yager", "yager_entropy",
 ]  # fmt: skip
