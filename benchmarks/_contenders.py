@@ -100,7 +100,7 @@ def numpy_height_band(xyz: NDArray, ism: HeightBandISM) -> NDArray[np.float32]:
     for along, low, high in ((x, x0, x1), (y, y0, y1)):
         share = np.where(along < low, np.minimum(share, low / np.where(along < low, along, 1)), share)
         share = np.where(along >= high, np.minimum(share, high / np.where(along >= high, along, 1)), share)
-    i, j = spec.index(x * share, y * share)
+    i, j = spec.index(x * share, y * share, unbounded=True)
     i, j = np.clip(i, 0, spec.shape[0] - 1), np.clip(j, 0, spec.shape[1] - 1)
     occupied, free = np.zeros(spec.shape, bool), np.zeros(spec.shape, bool)
     occupied[i[inside], j[inside]] = True

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from ogm import EvidentialGrid
 from ogm.datasets import Dataset, open_dataset
 from ogm.evaluation import mean_interval, ratio_interval
-from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, pcr6, yager
+from ogm.evidence import cautious, cumulative, dempster, discount_evidence, pcr6, yager
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, map_scans
 from ogm.metrics import accumulate, score
 from ogm.models import load_model
@@ -85,8 +85,8 @@ MAPS: dict[str, Callable[[], Any]] = {
     BAYES: lambda: BinaryBayesMapper(WINDOW),
     DEFAULT: lambda: EvidentialMapper(WINDOW),
     "revise, models combined before": lambda: Combined(WINDOW),
-    "cautious, 2 s": lambda: EvidentialMapper(WINDOW, normalized_cautious, moving_half_life=0.04),
-    "cautious, 2 s, models combined before": lambda: Combined(WINDOW, normalized_cautious, moving_half_life=0.04),
+    "cautious, 2 s": lambda: EvidentialMapper(WINDOW, cautious, moving_half_life=0.04),
+    "cautious, 2 s, models combined before": lambda: Combined(WINDOW, cautious, moving_half_life=0.04),
     "Dempster, 2 s": evidential(dempster, 2.0),
     "Yager, 2 s": evidential(yager, 2.0),
     "PCR6, 2 s": evidential(pcr6, 2.0),

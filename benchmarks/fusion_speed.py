@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ogm import EvidentialGrid, GridSpec, Mount
-from ogm.evidence import cumulative, dempster, discount, normalized_cautious, yager
+from ogm.evidence import cautious, cumulative, dempster, discount, yager
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, warp
 from ogm.geometric import RayISM
 from ogm.models import load_model
@@ -107,7 +107,7 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
         "update, cumulative": updating(EvidentialMapper(SPEC, cumulative), grid),
         "update, forget observed": updating(EvidentialMapper(SPEC, forget="observed"), grid),
         "update, BinaryBayesMapper": updating(BinaryBayesMapper(SPEC), grid),
-        "update, numpy reference": updating(EvidentialMapper(SPEC, lambda a, b: normalized_cautious(a, b)), grid),
+        "update, numpy reference": updating(EvidentialMapper(SPEC, lambda a, b: cautious(a, b)), grid),
         "scipy": by_scipy(grid),
         "view, nearest": Contender(lambda _: mapper.view(SPEC)),
         "view, area": Contender(lambda _: mapper.view(SPEC, method="area")),

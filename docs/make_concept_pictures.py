@@ -20,7 +20,7 @@ CELLS = {
     "measurements\ncontradict": (0.4, 0.4),
 }
 MAP, SCAN = (0.1, 0.7), (0.6, 0.1)
-RULES = ("dempster", "yager", "normalized_cautious", "averaging", "disjunctive")
+RULES = ("dempster", "yager", "cautious", "averaging", "disjunctive")
 
 
 def bars(axes: Any, masses: list[np.ndarray], names: list[str]) -> None:
@@ -59,11 +59,7 @@ def main() -> None:
     figure, axes = plt.subplots(figsize=(9.2, 3.0), layout="constrained")
     a, b = np.array(MAP), np.array(SCAN)
     found = [a, b, evidence.discount(b, 0.5), *(getattr(evidence, name)(a, b) for name in RULES)]
-    bars(
-        axes,
-        found,
-        ["map", "scan", "scan,\nreliability ½", *("cautious" if "cautious" in name else name for name in RULES)],
-    )
+    bars(axes, found, ["map", "scan", "scan,\nreliability ½", *RULES])
     axes.axvline(2.5, color="#999999", linewidth=1, linestyle=":")
     axes.set_title("map and scan, combined by", fontsize=10, loc="right", pad=8)
     save(figure, axes, "concepts_rules")

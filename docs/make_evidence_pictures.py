@@ -134,11 +134,10 @@ def main() -> None:
     plt.rcParams["font.family"] = "DejaVu Sans"
     for name in (
         *("dempster", "yager", "disjunctive", "pcr5", "murphy", "cumulative", "cumulative_epistemic"),
-        *("averaging", "weighted", "consensus_compromise"),
+        *("averaging", "weighted", "consensus_compromise", "cautious"),
     ):
         picture_of_a_rule(name, getattr(evidence, name))
     picture_of_a_rule("conjunctive", lambda a, b: evidence.close_world(evidence.conjunctive(a, b)))
-    picture_of_a_rule("cautious", lambda a, b: evidence.close_world(evidence.cautious(a, b)))
     picture_of_discounting()
     picture_of_the_maximal_unknown()
     picture_of_times(record("evidence"))

@@ -15,7 +15,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
         *("ogm.scan", "ogm.grid", "ogm.state", "ogm.dynamic_grid", "ogm.pose"),
         *("ogm.storage.files", "ogm.storage.limits", "ogm.unknown_cause"),
     ),
-    "Evidence": ("ogm.evidence", "ogm.evidence.map_rules", "ogm.evidence.powerset"),
+    "Evidence": ("ogm.evidence", "ogm.evidence.map_rules", "ogm.evidence.multinomial", "ogm.evidence.powerset"),
     "Sensor models": ("ogm.models", "ogm.geometric", "ogm.deep", "ogm.calibration", "ogm.geometric.doppler"),
     "Maps over time": ("ogm.fusion", "ogm.planning", "ogm.workflows", "ogm.live", "ogm.world"),
     "Data": (

@@ -23,11 +23,10 @@ class CountISM:
     def __call__(self, scan: Scan) -> EvidentialGrid:
         x, y, z = scan.points[:, :3].T
         height = z + scan.mount.sensor_height
-        ix, iy = self.spec.index(x, y)
-        counts = np.zeros((*self.spec.shape, 2))
+        counts, inside = np.zeros((*self.spec.shape, 2)), self.spec.contains(x, y)
         for state, chosen in enumerate((height < 0.3, (height >= 0.3) & (height < 3.0))):
-            chosen = chosen & self.spec.contains(x, y)
-            np.add.at(counts[..., state], (ix[chosen], iy[chosen]), 1)
+            chosen = chosen & inside
+            np.add.at(counts[..., state], self.spec.index(x[chosen], y[chosen]), 1)
         counts[counts[..., 1] > 0, 0] = 0  # one high return outweighs all low ones
         return EvidentialGrid(self.spec, (1 - (1 - self.weight) ** counts).astype(np.float32))
 

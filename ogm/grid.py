@@ -165,28 +165,51 @@ class GridSpec:
         y = self.origin[1] + (np.arange(self.shape[1]) + 0.5) * self.resolution
         return x[:, None], y[None, :]
 
-    def index(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the cell that holds each point, by flooring; cells outside the grid are returned as they come.
+    def index(
+        self, x: ArrayLike, y: ArrayLike, *, unbounded: bool = False
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the cell that holds each point.
 
         Parameters
         ----------
         x, y : float or array
             Coordinates [m].
+        unbounded : bool
+            Whether points may lie outside the grid: their cells are numbered on, below 0 and from ``shape``, and must
+            not index an array, which would read another cell.
 
         Returns
         -------
         ix, iy : int64 arrays of the inputs' shapes
-            May lie outside ``shape``: ask `contains`.
+
+        Raises
+        ------
+        ValueError
+            If a point lies outside the grid, unless `unbounded`, or is not finite. `contains` tells which.
         """
-        ix = np.floor((np.asarray(x, np.float64) - self.origin[0]) / self.resolution).astype(np.int64)
-        iy = np.floor((np.asarray(y, np.float64) - self.origin[1]) / self.resolution).astype(np.int64)
-        return ix, iy
+        ix, iy = self._floored(x, y)
+        bad = ~(np.isfinite(ix) & np.isfinite(iy)) if unbounded else ~self._are_cells(ix, iy)
+        if bad.any():
+            px, py = (np.broadcast_to(one, bad.shape)[bad].flat[0] for one in (x, y))
+            x0, x1, y0, y1 = self.extent
+            raise ValueError(
+                f"({px}, {py}) m lies outside the grid, as {np.count_nonzero(bad)} of {bad.size} points: "
+                f"x in [{x0}, {x1}), y in [{y0}, {y1}) m; leave out points that `contains` does not"
+            )
+        return ix.astype(np.int64), iy.astype(np.int64)
 
     def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Return for each point whether it lies in a cell of the grid (the far edges are outside)."""
+        return self._are_cells(*self._floored(x, y))
+
+    def _floored(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         ix = np.floor((np.asarray(x, np.float64) - self.origin[0]) / self.resolution)
         iy = np.floor((np.asarray(y, np.float64) - self.origin[1]) / self.resolution)
-        return (ix >= 0) & (ix < self.shape[0]) & (iy >= 0) & (iy < self.shape[1])
+        return ix, iy
+
+    def _are_cells(self, ix: NDArray[np.float64], iy: NDArray[np.float64]) -> NDArray[np.bool_]:
+        inside: NDArray[np.bool_] = (ix >= 0) & (ix < self.shape[0]) & (iy >= 0) & (iy < self.shape[1])
+        return inside
 
     def refined(self, factor: int) -> "GridSpec":
         """Return the spec of the same area with `factor` times as many cells along each axis."""
@@ -430,11 +453,6 @@ class EvidentialGrid(SavedGrid):
         ValueError
             If a point lies outside the grid.
         """
-        inside = self.spec.contains(x, y)
-        if not inside.all():
-            x0, x1, y0, y1 = self.spec.extent
-            px, py = (np.broadcast_to(one, inside.shape)[~inside].flat[0] for one in (x, y))
-            raise ValueError(f"({px}, {py}) m lies outside the grid: x in [{x0}, {x1}), y in [{y0}, {y1}) m")
         mass = self.mass[self.spec.index(x, y)]
         return mass if mass.ndim > 1 else Opinion(*mass.tolist())
 

@@ -305,6 +305,29 @@ def folders(tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("no_pictures")
+def test_folders_of_grids_are_compared_with_each_other_without_truth(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for name in ("scans", "ours", "theirs"):
+        (tmp_path / name).mkdir()
+    for k in range(3):
+        rng.random((20, 4), np.float32).tofile(tmp_path / "scans" / f"{k}.bin")
+        for name in ("ours", "theirs"):
+            mass = rng.dirichlet([1, 1, 1], PAPER.shape)[..., :2].astype(np.float32)
+            EvidentialGrid(PAPER, mass).save(tmp_path / name / f"{k}.npz")
+    folders = [tmp_path / name for name in ("scans", "ours", "theirs", "report")]
+    words = ("evaluate", folders[0], "--grids", folders[1], "--grids", folders[2], "--out", folders[3])
+    refused_command("--agreement` compares methods with each other", *words)
+    refused_command("leave out --truth", *words, "--agreement", "--truth", "boxes")
+    refused_command("give one of them", *words, "--agreement", "--beams")
+    result = completed(*words, "--agreement", "--every", "2")
+    assert "Means over scans, 2 frames" in result.output
+    assert "KL[first || second]" in result.output
+    record = json.loads((folders[3] / "agreement.json").read_text())
+    (pair,) = record["pairs"]
+    assert (pair["first"], pair["second"], len(pair["per frame"]["kl"])) == ("ours", "theirs", 2)
+    assert f"{pair['means']['kl']['value']:.3f}" in result.output
+
+
 def test_folders_of_grids_pair_by_their_frames_names(folders: Path) -> None:
     grids = ("--grids", folders / "nothing", "--grids", folders / "perfect")
     completed("evaluate", folders / "truth", *grids, "--out", folders / "report")

@@ -111,6 +111,28 @@ def assert_same(found: Any, wanted: Any) -> None:
     assert found.header.stamp.nanosec == pytest.approx(400_000_000, abs=100)
 
 
+# Models and masses.
+
+
+def test_models_are_compared_on_a_folder_of_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for k in range(2):
+        np.save(tmp_path / f"{k}.npy", scan(k).points)
+    found = example("compare_models").main(str(tmp_path), ("ray", "height-band"))
+    (pair, means), *others = found.table().items()
+    assert (pair, others, len(found.frames)) == ("ray, height-band", [], 2)
+    assert 0 < means["agreement"] < 1
+    assert min(means["kl"], means["kl_reverse"]) > 0
+    assert "ray, height-band" in capsys.readouterr().out
+
+
+def test_the_tests_of_evidence_pass() -> None:
+    module = example("evidence_tests")
+    found = [name for name in vars(module) if name.startswith("test_")]
+    assert len(found) == 5
+    for name in found:
+        getattr(module, name)()
+
+
 # The own driver.
 
 
@@ -333,8 +355,10 @@ def free_port() -> int:
 
 
 def test_no_example_is_left_out_and_none_is_long() -> None:
+    code = (EXAMPLES / "compare_models.py").read_text().splitlines()
+    assert sum(bool(line.strip()) for line in code) <= 20
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
-        "ego_motion", "own_driver", "ros2_node", "zenoh_bridge",
+        "compare_models", "ego_motion", "evidence_tests", "own_driver", "ros2_node", "zenoh_bridge",
         "nav2_costmap", "path_query", "planner_loop",
         "hall", "own_sensor_model", "read_live_map", "yard",  # tests/test_tutorials.py
     }  # fmt: skip

@@ -1,6 +1,7 @@
 """GridSpec, EvidentialGrid and LayeredGrid: geometry, checks, files."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -105,11 +106,22 @@ def test_a_spec_keeps_plain_numbers() -> None:
 
 
 def test_index_floors_and_never_truncates() -> None:
-    ix, iy = SPEC.index([-1.0, -0.51, -1.01, 1.99, 2.0], [-2.0, -1.51, -2.01, -0.01, 0.0])
+    ix, iy = SPEC.index([-1.0, -0.51, -1.01, 1.99, 2.0], [-2.0, -1.51, -2.01, -0.01, 0.0], unbounded=True)
     assert ix.tolist() == [0, 0, -1, 5, 6]
     assert iy.tolist() == [0, 0, -1, 3, 4]
     assert SPEC.contains([0.0, 0.0, 0.0], [-2.0, -0.001, 0.0]).tolist() == [True, True, False]
     assert SPEC.contains([-1.0, -1.01, 1.99, 2.0], [-2.0, -2.0, -0.01, 0.0]).tolist() == [True, False, True, False]
+
+
+@each(("x", "y"), [(-1.01, -1.0), ([0.0, 2.0], -1.0), (0.0, 0.0), (np.nan, -1.0), (0.0, [[-1.0, np.inf]])])
+def test_no_number_of_a_cell_stands_for_a_point_outside(x: Any, y: Any) -> None:
+    """A cell of number -1 would be the last one of an array."""
+    refused(r"m lies outside the grid, as 1 of \d points.*`contains`", SPEC.index, x, y)
+    if np.isfinite(x).all() and np.isfinite(y).all():
+        cells = np.stack(np.broadcast_arrays(*SPEC.index(x, y, unbounded=True)))
+        assert ((cells < 0) | (cells >= np.array(SPEC.shape).reshape(2, *[1] * (cells.ndim - 1)))).any()
+    else:
+        refused("outside the grid", SPEC.index, x, y, unbounded=True)
 
 
 @given(st.floats(0.05, 2), st.integers(1, 40), st.integers(1, 40), st.floats(-50, 50), st.floats(-50, 50))

@@ -11,6 +11,7 @@ from rich.text import Text
 from typer import Argument, Option
 
 from ogm.cli.console import chosen_model, distinct, out, printable, report_errors, stderr, ticked
+from ogm.cli.evaluate_agreement import evaluate_dataset_agreement
 from ogm.cli.evaluate_beams import evaluate_dataset_beams
 from ogm.cli.options import (
     First,
@@ -70,6 +71,14 @@ Beams = Annotated[
         "every 5th in turn.",
     ),
 ]
+Agreement = Annotated[
+    bool,
+    Option(
+        "--agreement",
+        help="Compare methods with each other without truth, as on a folder of scans: agreement, conflict, KL both "
+        "ways.",
+    ),
+]
 SideOfCell = Annotated[
     float | None, Option("--resolution", help="With --beams: side of a cell [m]. [default: 0.05]", metavar="M")
 ]
@@ -91,6 +100,7 @@ def evaluate(
     ] = None,
     fused: Fused = None,
     beams: Beams = False,
+    agreement: Agreement = False,
     resolution: SideOfCell = None,
     grids: Annotated[
         list[Path] | None,
@@ -137,6 +147,9 @@ def evaluate(
     forget nothing. Their metrics are of the beams of scans that are not in the map, and of recordings with poses but
     without truth.
 
+    With --agreement, methods are compared with each other on the same frames, pair by pair; agreement.json has every
+    frame.
+
     Finished frames are kept in the folder frames of --out: repeat the command to resume an interrupted run, with any
     number of --workers. They share out the frames, or with --fused the drives; those of --scheduler see DATA and --out
     under the same paths.
@@ -154,10 +167,22 @@ def evaluate(
     check_first(first)
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
+    if beams and agreement:
+        raise ValueError("--beams evaluates maps, and --agreement compares methods with each other: give one of them")
+    unused = {"truth": truth, "scheduler": scheduler}
     if beams:
-        _check_beams(grids=grids, resample=resample, split=split, truth=truth, samples=samples, scheduler=scheduler)
+        _check_needless(
+            "--beams needs no truth and evaluates maps of models",
+            grids=grids,
+            resample=resample,
+            split=split,
+            samples=samples,
+            **unused,
+        )
     elif resolution is not None:
         raise ValueError("--resolution is of --beams: without it, models fill cells of 0.16 m")
+    if agreement:
+        _check_needless("--agreement needs no truth and compares methods with each other", **unused)
     spec = GridSpec.centered()
     names = [*(ism or []), *(more or [])] or ([] if grids or beams else usual_models(spec))
     if rules and not names and not beams:
@@ -179,8 +204,11 @@ def evaluate(
     if beams:
         evaluate_dataset_beams(dataset, names, rules, resolution, out_folder)
         return
-    numbers = choose_frames(dataset, samples, every, seed)
+    numbers = choose_frames(dataset, samples, every, seed, truth=not agreement)
     methods = named_methods(names, rules, grids or [], spec, resample)
+    if agreement:
+        evaluate_dataset_agreement(dataset, methods, spec, numbers, out_folder)
+        return
     result = run_evaluation(
         methods,
         dataset,
@@ -210,11 +238,11 @@ def usual_models(spec: GridSpec) -> list[str]:
     return list(MODELS[:2]) if usual in MODELS else [*MODELS, usual]
 
 
-def _check_beams(**options: Any) -> None:
-    """Refuse options that an evaluation by beams has no use for."""
+def _check_needless(purpose: str, **options: Any) -> None:
+    """Refuse options that an evaluation without truth has no use for."""
     given = [f"--{name}" for name, value in options.items() if value is not None]
     if given:
-        raise ValueError(f"--beams needs no truth and evaluates maps of models: leave out {', '.join(given)}")
+        raise ValueError(f"{purpose}: leave out {', '.join(given)}")
 
 
 def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:

@@ -87,7 +87,8 @@ class RecordedTruth:
             path, kind, wanted = self.recording.path, self.recording.format, self.recording.wanted_labels
             raise OgmError(
                 f"{path} ({kind}) has nothing to make truth of; looked for: {wanted}. add them, or give a folder that "
-                "has them; poses of the scans are enough for aggregated truth"
+                "has them; poses of the scans are enough for aggregated truth. Without truth, "
+                "`ogm evaluate --agreement` compares methods with each other"
             )
         return self._made(n)
 

@@ -277,7 +277,7 @@ def _moved(spec: GridSpec, x: float, y: float) -> GridSpec:
 
 def _cells_of(spec: GridSpec, box: tuple[float, float, float, float]) -> tuple[slice, slice]:
     """Return the cells of a grid that a rectangle (x_min, x_max, y_min, y_max) [m] touches; none if it is empty."""
-    (x0, x1), (y0, y1) = spec.index(box[:2], box[2:])
+    (x0, x1), (y0, y1) = spec.index(box[:2], box[2:], unbounded=True)
     more = int(box[0] < box[1] and box[2] < box[3])
     return slice(max(x0, 0), max(x1 + more, 0)), slice(max(y0, 0), max(y1 + more, 0))
 

@@ -20,7 +20,7 @@ from ogm.fusion import DynamicMapper, Mapper, make_mapper, resample_to, rolling_
 from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids.files import read_grid
-from ogm.models.named import describe_model, load_model, with_radar
+from ogm.models.named import describe_model, load_model, short_names, with_radar
 from ogm.scan import Frame, InverseSensorModel
 
 DETECTION = 0.5  # mass above which a scan shows a cell as occupied
@@ -214,8 +214,10 @@ class PrecomputedGrids:
 Method = SingleScanMethod | FusedMethod | PrecomputedGrids
 
 
-def as_methods(given: Mapping[str, Any], spec: GridSpec) -> dict[str, Method]:
+def as_methods(given: Mapping[str, Any] | Sequence[str], spec: GridSpec) -> dict[str, Method]:
     """Return methods by name: a model's name and any callable with ``.spec`` become single-scan methods.
+
+    A sequence of models' names has short names of them.
 
     Raises
     ------
@@ -224,6 +226,10 @@ def as_methods(given: Mapping[str, Any], spec: GridSpec) -> dict[str, Method]:
     """
     if not given:
         raise ValueError("no methods to evaluate: give at least one by its name")
+    if not isinstance(given, Mapping):
+        if isinstance(given, str) or not all(isinstance(name, str) for name in given):
+            raise TypeError(f"methods must be a dict, name to method, or a list of models' names, got {given!r}")
+        given = short_names(given)
     result: dict[str, Method] = {}
     for name, one in given.items():
         if isinstance(one, Method):

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ogm.evaluation.cache import ResultCache
 from ogm.evaluation.motion import MotionResult
-from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean_interval
+from ogm.evaluation.statistics import Comparison, Interval, compare_paired, drives_of, mean_interval
+from ogm.evaluation.text import text_table
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, ConfusionSums, score
 
@@ -66,12 +67,12 @@ class Evaluation:
     motion: MotionResult | None = None
 
     def __str__(self) -> str:
-        """Tabulate the means over frames: a row per metric, a column per method."""
-        width = max(12, *(len(name) + 2 for name in self.methods))
-        lines = [f"{f'mean of {len(self.frames)} frames':28}" + "".join(f"{name:>{width}}" for name in self.methods)]
-        means = [self.macro(name) for name in self.methods]
-        lines += [f"{m:28}" + "".join(f"{one[m]:>{width}.4f}" for one in means) for m in self.values]
-        return "\n".join(lines)
+        """Tabulate the means over frames: a row per metric that has values, a column per method."""
+        return text_table(f"mean of {len(self.frames)} frames", self.table())
+
+    def table(self) -> dict[str, dict[str, float]]:
+        """Return the means over frames by method and metric; ``pandas.DataFrame(result.table())`` is a table."""
+        return {name: self.macro(name) for name in self.methods}
 
     @classmethod
     def from_sums(
@@ -132,7 +133,7 @@ class Evaluation:
     @property
     def drives(self) -> list[str]:
         """Drive of every frame; one that stands alone is its own."""
-        return [frame.sequence or f"frame {k}" for k, frame in enumerate(self.frames)]
+        return drives_of(self.frames)
 
     def interval(self, method: str, metric: str) -> Interval:
         """Return a metric's mean over frames with its 95 % interval over drives, see `mean_interval`."""

@@ -16,7 +16,7 @@ from ogm.evaluation.frame_pictures import draw_frame
 from ogm.evaluation.methods import FusedMethod, Method, PrecomputedGrids, SingleScanMethod, as_methods
 from ogm.evaluation.motion import MotionCollector
 from ogm.evaluation.result import Evaluation, FrameInfo
-from ogm.evaluation.tasks import Draw, FrameTask, Progress
+from ogm.evaluation.tasks import NO_TRUTH, Draw, FrameTask, Progress
 from ogm.fusion.resample import ResampleMethod
 from ogm.grid import GridSpec
 from ogm.metrics import ConfusionSums
@@ -30,7 +30,7 @@ PACKAGES = ("ogm-toolkit", "numpy", "numba", "scipy", "torch", "zarr")
 
 
 def evaluate(
-    methods: Mapping[str, Any],
+    methods: Mapping[str, Any] | Sequence[str],
     dataset: Sequence[Frame],
     spec: GridSpec | None = None,
     *,
@@ -48,11 +48,12 @@ def evaluate(
 
     Parameters
     ----------
-    methods : dict of str to method
+    methods : dict of str to method, or list of str
         By its name in the report: any callable with ``.spec`` that maps a `Scan` to an `EvidentialGrid`; the name of a
-        model, see `ogm.models.load_model`; `SingleScanMethod`, `FusedMethod` or `PrecomputedGrids`.
+        model, see `ogm.models.load_model`; `SingleScanMethod`, `FusedMethod` or `PrecomputedGrids`. Or a list of names
+        of models.
     dataset : sequence of Frame
-        Frames with truth, as `ogm.datasets.open_dataset` returns them.
+        Frames with truth, as `ogm.datasets.open_dataset` returns them. Without truth, see `evaluate_agreement`.
     spec : GridSpec, optional
         The evaluated cells, around the sensor. By default the 81.92 m x 56.32 m of the paper.
     frames : iterable of int, optional
@@ -91,7 +92,7 @@ def evaluate(
     spec = GridSpec.centered() if spec is None else spec
     used = as_methods(methods, spec)
     numbers = sorted(set(getattr(dataset, "with_truth", range(len(dataset))) if frames is None else frames))
-    infos = _checked(used, dataset, numbers)
+    infos = checked_frames(used, dataset, numbers, truth=True)
     about = {"kind": ("format", "frames in Python"), "name": ("name", "frames"), "truth": ("description", "")}
     data = {key: getattr(dataset, *default) for key, default in about.items()} | getattr(dataset, "facts", {})
     facts = {
@@ -150,12 +151,14 @@ def package_versions() -> dict[str, str]:
     return found
 
 
-def _checked(methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: Sequence[int]) -> tuple[FrameInfo, ...]:
-    """Return what the evaluated frames are, after a check of what the methods need of them."""
+def checked_frames(
+    methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: Sequence[int], *, truth: bool = False
+) -> tuple[FrameInfo, ...]:
+    """Return names, sequences and stamps of the evaluated frames, after a check of what the methods need of them."""
     if not numbers or not 0 <= numbers[0] <= numbers[-1] < len(dataset):
         raise ValueError(f"there must be frames to evaluate, in 0 ... {len(dataset) - 1}, got {numbers[:3]} ...")
-    if not getattr(dataset, "description", True) and dataset[numbers[0]].truth is None:  # may also raise
-        raise ValueError(f"{dataset!r} has no truth to compare with; evaluate labelled data")
+    if truth and not getattr(dataset, "description", True) and dataset[numbers[0]].truth is None:  # may also raise
+        raise ValueError(f"{dataset!r} has no truth to compare with; {NO_TRUTH}")
     frames = [dataset[k] for k in numbers]
     for name, method in methods.items():
         if not isinstance(method, SingleScanMethod):
@@ -225,8 +228,10 @@ def named_methods(
     return methods
 
 
-def choose_frames(dataset: Dataset, samples: int | None = None, every: int = 1, seed: int = 0) -> list[int]:
-    """Return the numbers of frames with truth, ascending: every N-th, and of these some that are drawn at random.
+def choose_frames(
+    dataset: Dataset, samples: int | None = None, every: int = 1, seed: int = 0, *, truth: bool = True
+) -> list[int]:
+    """Return the numbers of frames, ascending: every N-th, and of these some that are drawn at random.
 
     Parameters
     ----------
@@ -237,6 +242,8 @@ def choose_frames(dataset: Dataset, samples: int | None = None, every: int = 1, 
         1 or more.
     seed : int
         Random seed of the draw.
+    truth : bool
+        Whether only frames with truth are chosen.
 
     Raises
     ------
@@ -245,7 +252,7 @@ def choose_frames(dataset: Dataset, samples: int | None = None, every: int = 1, 
     """
     if every < 1:
         raise ValueError(f"`every` must be at least 1, got {every}")
-    numbers = np.array(dataset.with_truth, int)[::every]
+    numbers = np.array(dataset.with_truth if truth else range(len(dataset)), int)[::every]
     if samples is not None:
         if not 1 <= samples <= len(numbers):
             raise ValueError(f"`samples` must be in 1 ... {len(numbers)}, the frames of {dataset.name}, got {samples}")

@@ -133,6 +133,11 @@ def ratio_interval(first: ArrayLike, second: ArrayLike, drives: Drives = None) -
     return _student(a, b, groups, _scale_of(a, b))[0]
 
 
+def drives_of(frames: Sequence[Any]) -> list[str]:
+    """Return the drive of every `FrameInfo`; one that stands alone is its own."""
+    return [frame.sequence or f"frame {k}" for k, frame in enumerate(frames)]
+
+
 def has_parts(drives: Sequence[str]) -> bool:
     """Return whether the frames are of one drive that is long enough to be cut into parts."""
     return len(set(drives)) == 1 and len(drives) >= MIN_DRIVES * PART

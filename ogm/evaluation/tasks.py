@@ -23,6 +23,7 @@ from ogm.pose import transform_points
 from ogm.scan import Frame
 from ogm.storage.workers import deaths_explained, work_off
 
+NO_TRUTH = "evaluate labelled data, or compare methods with each other by evaluate_agreement (`--agreement`)"
 _TOGETHER = 20  # frames that a worker evaluates at a time, where they do not depend on each other
 
 Draw = Callable[..., dict[str, bytes]]
@@ -54,7 +55,7 @@ class FrameTask:
         """Evaluate frames in this process; yield each number, in order, with its result if that is not in the cache."""
         runner = MethodRunner(self.methods, self.spec)
         wanted, away, predictions = set(numbers), distances(self.spec), Predictions()
-        for number in progress(self._to_read(numbers)):
+        for number in progress(self.to_read(numbers)):
             frame = self.dataset[number]
             runner.update(frame, evaluated=number in wanted)
             if number in wanted:
@@ -94,7 +95,7 @@ class FrameTask:
         """Return the result of the frame that the runner has taken in."""
         spec = self.spec
         if frame.truth is None:
-            raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")
+            raise ValueError(f"frame {frame.name} has no truth to compare with; {NO_TRUTH}")
         truth = frame.truth.crop(spec)
         state = truth.state
         masses = [grid.mass for grid in runner.grids().values()]
@@ -119,7 +120,7 @@ class FrameTask:
     def _fuses(self) -> bool:
         return any(isinstance(one, FusedMethod) for one in self.methods.values())
 
-    def _to_read(self, numbers: Sequence[int]) -> list[int]:
+    def to_read(self, numbers: Sequence[int]) -> list[int]:
         """Return the given frames; for fused methods with all frames before them in their sequences."""
         if not self._fuses:
             return list(numbers)

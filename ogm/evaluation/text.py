@@ -37,6 +37,18 @@ def format_number(value: float | None) -> str:
     return f"{value:.3f}" if size < 10 else f"{value:.1f}" if size < 1000 else f"{value:.0f}"
 
 
+def text_table(heading: str, columns: Mapping[str, Mapping[str, float]]) -> str:
+    """Return a table of numbers: a row per metric, a column per name; rows without any value are only counted."""
+    width = max(12, *(len(name) + 2 for name in columns))
+    rows = {metric: [one[metric] for one in columns.values()] for metric in next(iter(columns.values()))}
+    shown = {metric: row for metric, row in rows.items() if not all(math.isnan(value) for value in row)}
+    lines = [f"{heading:28}" + "".join(f"{name:>{width}}" for name in columns)]
+    lines += [f"{metric:28}" + "".join(f"{value:>{width}.4f}" for value in row) for metric, row in shown.items()]
+    if missing := len(rows) - len(shown):
+        lines.append(f"({pluralize(missing, 'metric')} without a value in any of these frames)")
+    return "\n".join(lines)
+
+
 def pluralize(number: int, what: str) -> str:
     """Return how many of something: "1 frame", "2 frames"."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"

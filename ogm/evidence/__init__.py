@@ -1,7 +1,8 @@
 """Evidence algebra on arrays: Dempster-Shafer rules and subjective logic for occupancy grids.
 
 Masses are arrays of pairs ``(free, occupied)`` with any leading shape, in numpy or torch, float32 or float64;
-what is not committed is unknown. Results come in the caller's library and dtype, and torch gradients flow.
+the rest is unknown. Lists, triples (free, occupied, unknown) and `Opinion` are masses too. Results have the kind, the
+library and the dtype of the masses, and torch gradients flow.
 
 See `docs/evidence.md` for every rule with its formula, properties and edge policy.
 
@@ -13,6 +14,9 @@ See `docs/evidence.md` for every rule with its formula, properties and edge poli
 """
 
 from ogm.evidence.arrays import check_mass, renormalize
+from ogm.evidence.base_rates import confidence_base_rate, cumulative_base_rate
+from ogm.evidence.conversions import alpha_to_evidence, evidence_to_alpha, evidence_to_mass, mass_to_evidence, unknown
+from ogm.evidence.decisions import decide, degree_of_falsity, reconciling_reliability
 from ogm.evidence.dirichlet import dirichlet_entropy, dirichlet_kl
 from ogm.evidence.discounting import (
     contextual_discount,
@@ -22,7 +26,7 @@ from ogm.evidence.discounting import (
     trust_discount,
     trust_discount_opposite,
 )
-from ogm.evidence.logic import Conclusion, comultiplication, deduction, multiplication
+from ogm.evidence.logic import abduction, comultiplication, deduction, multiplication
 from ogm.evidence.measures import (
     conflict,
     conflict_direction,
@@ -31,21 +35,15 @@ from ogm.evidence.measures import (
     dissonance,
     jirousek_shenoy_entropy,
     jousselme_distance,
+    kl_divergence,
     nonspecificity,
     pignistic_entropy,
     specificity,
     vacuity,
     yager_entropy,
 )
-from ogm.evidence.open_world import bold, cautious, close_world, conjunctive, disjunctive
-from ogm.evidence.opinion import (
-    Opinion,
-    alpha_to_evidence,
-    evidence_to_alpha,
-    evidence_to_mass,
-    mass_to_evidence,
-    unknown,
-)
+from ogm.evidence.open_world import close_world, conjunctive, disjunctive
+from ogm.evidence.opinion import Conclusion, Opinion
 from ogm.evidence.probability import (
     counts_to_mass,
     log_odds_to_mass,
@@ -57,28 +55,27 @@ from ogm.evidence.probability import (
     probability_to_mass,
 )
 from ogm.evidence.proportional import consensus_compromise, murphy, pcr5, pcr6, pcr6_plus
-from ogm.evidence.rules import dempster, dubois_prade, normalized_cautious, revise, smooth, yager
+from ogm.evidence.rules import cautious, dempster, dubois_prade, revise, smooth, yager
 from ogm.evidence.subjective import (
     averaging,
     belief_constraint,
-    confidence_base_rate,
     cumulative,
-    cumulative_base_rate,
     cumulative_epistemic,
     cumulative_unfusion,
     weighted,
 )
 
 __all__ = [
-    "Conclusion", "Opinion", "alpha_to_evidence", "averaging", "belief_constraint", "bold", "cautious", "check_mass",
-    "close_world", "comultiplication", "confidence_base_rate", "conflict", "conflict_direction", "conjunctive",
-    "consensus_compromise", "contextual_discount", "counts_to_mass", "cumulative", "cumulative_base_rate",
-    "cumulative_epistemic", "cumulative_unfusion", "deduction", "degree_of_conflict", "dempster", "deng_entropy",
-    "dirichlet_entropy", "dirichlet_kl", "discount", "discount_evidence", "discount_over_time", "disjunctive",
-    "dissonance", "dubois_prade", "evidence_to_alpha", "evidence_to_mass", "jirousek_shenoy_entropy",
-    "jousselme_distance", "log_odds_to_mass", "mass_to_evidence", "mass_to_log_odds", "mass_to_probability",
-    "maximize_uncertainty", "multiplication", "murphy", "nonspecificity", "normalized_cautious", "pcr5", "pcr6",
-    "pcr6_plus", "pignistic", "pignistic_entropy", "plausibility_transform", "probability_to_mass", "renormalize",
+    "Conclusion", "Opinion", "abduction", "alpha_to_evidence", "averaging", "belief_constraint", "cautious",
+    "check_mass", "close_world", "comultiplication", "confidence_base_rate", "conflict", "conflict_direction",
+    "conjunctive", "consensus_compromise", "contextual_discount", "counts_to_mass", "cumulative",
+    "cumulative_base_rate", "cumulative_epistemic", "cumulative_unfusion", "decide", "deduction",
+    "degree_of_conflict", "degree_of_falsity", "dempster", "deng_entropy", "dirichlet_entropy", "dirichlet_kl",
+    "discount", "discount_evidence", "discount_over_time", "disjunctive", "dissonance", "dubois_prade",
+    "evidence_to_alpha", "evidence_to_mass", "jirousek_shenoy_entropy", "jousselme_distance", "kl_divergence",
+    "log_odds_to_mass", "mass_to_evidence", "mass_to_log_odds", "mass_to_probability", "maximize_uncertainty",
+    "multiplication", "murphy", "nonspecificity", "pcr5", "pcr6", "pcr6_plus", "pignistic",
+    "pignistic_entropy", "plausibility_transform", "probability_to_mass", "reconciling_reliability", "renormalize",
     "revise", "smooth", "specificity", "trust_discount", "trust_discount_opposite", "unknown", "vacuity", "weighted",
     "yager", "yager_entropy",
 ]  # fmt: skip

@@ -9,7 +9,7 @@ for tensors, where reading a value would stall the GPU and stop tracing: use `ch
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import add
 from typing import Any, TypeVar
@@ -18,7 +18,7 @@ import numpy as np
 
 Array = TypeVar("Array")  # a numpy array or a torch tensor: what goes in comes out
 
-_STATES = {2: "2 states (free, occupied)", 3: "3 numbers (free, occupied, conflict)"}
+_STATES = {2: "2 states (free, occupied)", 3: "3 numbers (free, occupied, unknown)"}
 _AT_ONCE = 2**20  # numbers that are checked at once: the whole would take twice the memory of the masses
 _TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a mass outside the simplex
 
@@ -178,12 +178,12 @@ def split_two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any,
 
 def split_open(mass: Any, name: str = "mass", states: tuple[int, ...] = (2, 3)) -> tuple[Any, Any, Any, Any]:
     """Return (free, occupied, unknown, conflict) of a pair (its conflict is 0) or an open-world triple."""
-    (free, occupied, *conflict), unknown = _take_apart(mass, name, states)
-    return free, occupied, unknown, conflict[0] if conflict else 0 * unknown
+    (free, occupied, *unknown), rest = _take_apart(mass, name, states)
+    return (free, occupied, unknown[0], rest) if unknown else (free, occupied, rest, 0 * rest)
 
 
 def _take_apart(mass: Any, name: str, states: tuple[int, ...]) -> tuple[list[Any], Any]:
-    """Return the numbers per cell and the unknown; in numpy check them, and correct what rounding left outside."""
+    """Return the numbers per cell and the rest to 1; in numpy check them, and correct what rounding left outside."""
     xp = check_form(mass, name, states)
     numbers = [mass[..., place] for place in range(mass.shape[-1])]
     if xp is not np:
@@ -204,35 +204,54 @@ def _take_apart(mass: Any, name: str, states: tuple[int, ...]) -> tuple[list[Any
 
 
 def _rest(numbers: list[Any]) -> Any:
-    """Return 1 - conflict - (free + occupied): in this order free and occupied are treated alike to the last bit."""
-    free, occupied, *conflict = numbers
-    return 1 - sum(conflict) - (free + occupied)
+    """Return 1 - unknown - (free + occupied): in this order free and occupied are treated alike to the last bit."""
+    free, occupied, *unknown = numbers
+    return 1 - sum(unknown) - (free + occupied)
 
 
-def sources(a: Any, b: Any, axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:
-    """Return (module, parts) of the sources ``(a, b)`` or along `axis` of `a`; a part is (free, occupied, unknown)."""
-    return open_sources(a, b, axis, (2,), split)
+def sources(masses: Sequence[Any], axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:
+    """Return (module, parts) of several masses, or along `axis` of one; a part is (free, occupied, unknown)."""
+    return open_sources(masses, axis, (2,), split)
 
 
 def open_sources(
-    a: Any, b: Any, axis: int | None, states: tuple[int, ...] = (2, 3), take_apart: Callable[..., Any] = split_open
+    masses: Sequence[Any],
+    axis: int | None,
+    states: tuple[int, ...] = (2, 3),
+    take_apart: Callable[..., Any] = split_open,
 ) -> tuple[Any, list[tuple[Any, ...]]]:
     """Return the same for open-world rules: each part is (free, occupied, unknown, conflict)."""
-    xp = check_form(a, "a", states)
-    if b is not None and axis is None:
-        check_form(b, "b", states)
-        check_alike(a, b)
-        return xp, [take_apart(a, "a"), take_apart(b, "b")]
-    if b is not None or axis is None:
-        raise TypeError("give two masses, rule(a, b), or one stack of sources and its axis, rule(stack, axis=0)")
-    if not -a.ndim <= axis < a.ndim or axis % a.ndim == a.ndim - 1:
-        raise ValueError(
-            f"axis must be a leading axis, not the last one (the states), got {axis} for shape {tuple(a.shape)}"
+    return each_source(masses, axis, lambda mass, name: check_form(mass, name, states), take_apart)
+
+
+def each_source(
+    masses: Sequence[Any], axis: int | None, check: Callable[[Any, str], Any], take_apart: Callable[[Any, str], Any]
+) -> tuple[Any, list[tuple[Any, ...]]]:
+    """Return (module, parts) of several masses, or along `axis` of one, which `take_apart` makes arrays (...) of."""
+    if len(masses) < 1 + (axis is None) or (len(masses) > 1 and axis is not None):
+        raise TypeError(
+            "give two or more masses, rule(a, b), or one stack of sources and its axis, rule(stack, axis=0), "
+            f"got {len(masses)} and axis={axis}"
         )
-    if a.shape[axis] == 0:
-        raise ValueError(f"a rule needs at least one source, got none along axis {axis} of shape {tuple(a.shape)}")
-    stacks = [xp.moveaxis(number, axis % a.ndim, 0) for number in take_apart(a, "a")]
+    stack, names = masses[0], [letter(k) for k in range(len(masses))]
+    xp, *_ = (check(mass, name) for mass, name in zip(masses, names, strict=True))
+    if axis is None:
+        for mass, name in zip(masses[1:], names[1:], strict=True):
+            check_alike(stack, mass, ("a", name))
+        return xp, [take_apart(mass, name) for mass, name in zip(masses, names, strict=True)]
+    if not -stack.ndim <= axis < stack.ndim or axis % stack.ndim == stack.ndim - 1:
+        raise ValueError(
+            f"axis must be a leading axis, not the last one (the states), got {axis} for shape {tuple(stack.shape)}"
+        )
+    if stack.shape[axis] == 0:
+        raise ValueError(f"a rule needs at least one source, got none along axis {axis} of shape {tuple(stack.shape)}")
+    stacks = [xp.moveaxis(number, axis % stack.ndim, 0) for number in take_apart(stack, "a")]
     return xp, list(zip(*stacks, strict=True))
+
+
+def letter(place: int) -> str:
+    """Return the name of a source in error messages: a, b, c, ..."""
+    return chr(ord("a") + place % 26)
 
 
 def stack_last(xp: Any, numbers: list[Any], mass: Array) -> Array:
@@ -270,7 +289,7 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-        Pairs (free, occupied); or (..., 3), triples (free, occupied, conflict) of an open world.
+        Pairs (free, occupied); or (..., 3), triples (free, occupied, unknown), whose rest to 1 is conflict.
     tolerance : float, optional
         How far outside the simplex a cell may lie; by default 1e-6 for float32 and 1e-12 for float64.
     name : str

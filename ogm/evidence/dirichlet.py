@@ -74,8 +74,11 @@ def dirichlet_kl(alpha: Array, other: Array) -> Array:
     # Very near densities: two terms of the series in the difference, the first one the Fisher information.
     near = (abs(t) < _NEAR).all(-1)
     if maybe_any(xp, near):
-        series = _series(xp, x - y, y).sum(-1) - _series(xp, (x - y).sum(-1), y_sum)  # sums of x and y are rounded
-        divergence = xp.where(near, series, divergence)
+        d, divergence = x - y, xp.asarray(divergence) if xp is np else divergence
+        if xp is np:  # polygamma is slow: of near densities alone
+            divergence[near] = _series_of_divergence(xp, d[near], np.broadcast_to(y, d.shape)[near])
+        else:
+            divergence = xp.where(near, _series_of_divergence(xp, d, y), divergence)
     return _cast(xp, divergence.clip(0), alpha)
 
 
@@ -194,6 +197,10 @@ def _log(xp: Any, ratio: Any, t: Any) -> Any:
     """Return ln(ratio) for ratio = 1 + t, from whichever of the two is the more exact."""
     small = abs(t) < 0.5
     return xp.where(small, xp.log1p(xp.where(small, t, 0 * t)), xp.log(ratio))
+
+
+def _series_of_divergence(xp: Any, d: Any, y: Any) -> Any:
+    return _series(xp, d, y).sum(-1) - _series(xp, d.sum(-1), y.sum(-1))  # sums of y + d and y are rounded
 
 
 def _series(xp: Any, d: Any, y: Any) -> Any:

@@ -4,11 +4,21 @@ Sources: Shafer (1976), chapter 11; Mercier, Quost and Denœux, "Refined modelin
 belief function framework using contextual discounting" (2008); Jøsang, *Subjective Logic* (2016), chapter 14.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ogm.evidence.arrays import Array, as_like, namespace, split, split_two, stack_last
+from ogm.evidence.kinds import takes_masses
 
 
+def _rate_of_the_first(unknowns: Sequence[float], base_rates: Sequence[float]) -> float:
+    """Return the base rate of the advisor's opinion: trust in the advisor has one of its own."""
+    return base_rates[0]
+
+
+@takes_masses("mass")
 def discount(mass: Array, reliability: Any) -> Array:
     """Return Shafer's discounted mass: every belief times the reliability, the rest unknown.
 
@@ -29,6 +39,7 @@ def discount(mass: Array, reliability: Any) -> Array:
     return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
 
+@takes_masses("mass")
 def discount_evidence(mass: Array, reliability: Any) -> Array:
     """Return the mass whose evidence is `reliability` times that of `mass`.
 
@@ -49,6 +60,7 @@ def discount_evidence(mass: Array, reliability: Any) -> Array:
     return stack_last(xp, [r * free / strength, r * occupied / strength], mass)
 
 
+@takes_masses("mass")
 def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
     """Return the mass after `elapsed` seconds of forgetting: `discount` by 2^(-elapsed / half_life).
 
@@ -68,6 +80,7 @@ def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
     return discount(mass, 0.5 ** (age / half_life))
 
 
+@takes_masses("mass")
 def contextual_discount(mass: Array, reliability_if_free: Any, reliability_if_occupied: Any) -> Array:
     """Return the mass of a source whose reliability depends on the true state.
 
@@ -95,15 +108,17 @@ def contextual_discount(mass: Array, reliability_if_free: Any, reliability_if_oc
     return stack_last(namespace(mass), [if_occupied * free, if_free * occupied], mass)
 
 
-def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
+@takes_masses("mass", "trust", numbers="trust", base_rates={"trust": "base_rate"}, rate=_rate_of_the_first)
+def trust_discount(mass: Array, trust: Any, base_rate: Any = 0.5) -> Array:
     """Return an advisor's mass, discounted by the projected probability of trust in the advisor.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
         The advisor's opinion.
-    trust : (..., 2) of the same library and dtype
-        Opinion about the advisor: (distrust, trust), in the place of (free, occupied).
+    trust : float, or (..., 2) of the same library and dtype
+        Probability of trust in [0, 1], as the reliability of `discount`; or the opinion about the advisor:
+        (distrust, trust), in the place of (free, occupied).
     base_rate : float or (...) array
         Prior trust in an advisor, in [0, 1].
 
@@ -111,11 +126,14 @@ def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
     -----
     Jøsang (2016), section 14.3 (probability-sensitive trust discounting).
     """
+    if isinstance(trust, int | float | np.generic):
+        return discount(mass, trust)
     (free, occupied, _), (_, trusted, unknown) = split_two(mass, trust, ("mass", "trust"))
     r = trusted + as_like(base_rate, free, "base_rate") * unknown
     return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
 
+@takes_masses("mass", "trust", rate=_rate_of_the_first)
 def trust_discount_opposite(mass: Array, trust: Array) -> Array:
     """Return an advisor's mass where distrust in the advisor supports the opposite of the advisor's opinion.
 

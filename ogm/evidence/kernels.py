@@ -80,7 +80,7 @@ def _cumulative(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
 
 
 @inline
-def _normalized_cautious(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
+def _cautious(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
     u, v = max(c.one - (f + o), c.least_unknown), max(c.one - (g + p), c.least_unknown)
     free, occupied = max(f * v, g * u), max(o * v, p * u)  # max(f / u, g / v) times u v
     return free, occupied, free + occupied + u * v
@@ -111,7 +111,7 @@ RULES = {
     "dempster": Rule(rules.dempster, _dempster),
     "yager": Rule(rules.yager, _yager),
     "cumulative": Rule(subjective.cumulative, _cumulative),
-    "normalized_cautious": Rule(rules.normalized_cautious, _normalized_cautious),
+    "cautious": Rule(rules.cautious, _cautious),
 }
 # Not symmetric: not for two sources, but for a map and a scan
 REVISE, SMOOTH = Rule(rules.revise, _revise), Rule(rules.smooth, _smooth)

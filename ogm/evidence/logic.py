@@ -1,25 +1,23 @@
-"""Binomial logic on opinions: and, or, and conditional deduction.
+"""Binomial logic on opinions: and, or, conditional deduction, and abduction.
 
 For layers on top of a grid: "occupied and moving", "blocked if either lane is", "drivable, given what the
 surface is". The pair keeps its order: (free, occupied) stands for (disbelief, belief) in the proposition.
+`ogm.evidence.multinomial` has deduction and abduction for more states.
 
-Source: Jøsang, *Subjective Logic* (2016), chapters 7 and 9.
+Source: Jøsang, *Subjective Logic* (2016), chapters 7, 9 and 10.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from ogm.evidence import multinomial
 from ogm.evidence.arrays import Array, as_like, namespace, per_cell, split_two, stack_last
+from ogm.evidence.kinds import takes_masses
+from ogm.evidence.opinion import Conclusion
 
 
-class Conclusion(NamedTuple):
-    """Result of a logical operator: masses (..., 2), and the base rate of the new proposition."""
-
-    mass: Any
-    base_rate: Any
-
-
+@takes_masses("x", "y", base_rates={"x": "base_rate_x", "y": "base_rate_y"})
 def multiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any = 0.5) -> Conclusion:
     """Return the opinion on "x and y" for independent x and y.
 
@@ -40,6 +38,7 @@ def multiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any 
     return Conclusion(stack_last(xp, [d + e - d * e, belief], x), _rate(a * r, u, x))
 
 
+@takes_masses("x", "y", base_rates={"x": "base_rate_x", "y": "base_rate_y"})
 def comultiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any = 0.5) -> Conclusion:
     """Return the opinion on "x or y" for independent x and y: the dual of `multiplication`.
 
@@ -57,6 +56,7 @@ def comultiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: An
     return Conclusion(stack_last(xp, [disbelief, b + c - b * c], x), _rate(rate, u, x))
 
 
+@takes_masses("x", "y_if_x", "y_if_not_x", base_rates={"x": "base_rate_x"})
 def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5) -> Conclusion:
     """Return the opinion on y, given the opinion on x and those on y if x is true, and if it is false.
 
@@ -72,25 +72,38 @@ def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5
     base_rate_x : float or (...) array
         In [0, 1].
     """
-    xp, (d, b, u), (d1, b1, u1), a, _ = _two(x, y_if_x, base_rate_x, 0.5, ("x", "y_if_x"))
-    _, (d0, b0, u0) = split_two(x, y_if_not_x, ("x", "y_if_not_x"))
-    # Marginal base rate of y: where it is consistent with itself.
-    known = 1 - a * u1 - (1 - a) * u0
-    nothing = known <= 0
-    rate = xp.where(nothing, 0.5 + 0 * known, (a * b1 + (1 - a) * b0) / (known + nothing)).clip(0, 1)
-    # Law of total probability.
-    p_x = b + a * u
-    p1, p0 = b1 + rate * u1, b0 + rate * u0
-    p = p_x * p1 + (1 - p_x) * p0
-    # Greatest unknown that a vacuous x could leave: the apex of the triangle of conditionals.
-    p_hat = a * p1 + (1 - a) * p0
-    apex = xp.minimum(
-        _ratio(xp, p_hat - xp.minimum(b1, b0), rate), _ratio(xp, 1 - p_hat - xp.minimum(d1, d0), 1 - rate)
-    ).clip(0, 1)
-    unknown = u * apex + b * u1 + d * u0
-    disbelief, belief = 1 - p - (1 - rate) * unknown, p - rate * unknown
-    mass = stack_last(xp, [disbelief.clip(0), belief.clip(0)], x)  # rounding may leave them below zero
-    return Conclusion(mass, per_cell(rate, x))
+    conditionals, rates = _binary(x, y_if_x, y_if_not_x, base_rate_x, ("x", "y_if_x", "y_if_not_x"))
+    mass, base_rate = multinomial.deduction(x, conditionals, rates)
+    return Conclusion(mass, base_rate[..., 1])
+
+
+@takes_masses("y", "y_if_x", "y_if_not_x")
+def abduction(y: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5) -> Conclusion:
+    """Return the opinion on x, given the opinion on its consequence y: Bayes' theorem on opinions.
+
+    The conditionals are inverted, then `deduction` goes from y to x.
+
+    Parameters
+    ----------
+    y : (..., 2) float32 or float64, numpy or torch
+        Mass (disbelief, belief) in the consequence, as in a detection.
+    y_if_x, y_if_not_x : (..., 2)
+        Conditional masses (disbelief, belief) in y, as of a detection in occupied and in free cells.
+    base_rate_x : float or (...) array
+        Prior probability of x, in [0, 1].
+    """
+    conditionals, rates = _binary(y, y_if_x, y_if_not_x, base_rate_x, ("y", "y_if_x", "y_if_not_x"))
+    mass, base_rate = multinomial.abduction(y, conditionals, rates)
+    return Conclusion(mass, base_rate[..., 1])
+
+
+def _binary(given: Any, if_x: Any, if_not_x: Any, base_rate: Any, names: tuple[str, str, str]) -> tuple[Any, Any]:
+    """Return the conditionals (..., 2, 2) and the base rates (..., 2) of two states, false and true."""
+    xp, (_, _, u) = namespace(given), split_two(given, if_x, names[:2])[0]
+    split_two(given, if_not_x, (names[0], names[2]))
+    pairs = xp.broadcast_arrays(if_not_x, if_x) if xp is np else xp.broadcast_tensors(if_not_x, if_x)
+    rate = as_like(base_rate, u, "base_rate_x") + 0 * u
+    return xp.stack(list(pairs), -2), stack_last(xp, [1 - rate, rate], given)
 
 
 def _two(
@@ -109,9 +122,3 @@ def _refuse_zero(scale: Any, message: str) -> None:
     """Raise if a number, or one of a numpy array, is zero; tensors are not read."""
     if isinstance(scale, float | np.ndarray | np.generic) and np.any(scale == 0):
         raise ValueError(message)
-
-
-def _ratio(xp: Any, above: Any, below: Any) -> Any:
-    """Divide; where the divisor is zero the bound does not bind, so it is 1."""
-    zero = below <= 0
-    return xp.where(zero, 1 + 0 * above, above / (below + zero))

@@ -2,14 +2,14 @@
 
 >>> from ogm.evidence.map_rules import MAP_RULES, RULES
 >>> RULES["cautious"].__name__, MAP_RULES[-3:]
-('normalized_cautious', ('bayes', 'dynamic', 'nuss'))
+('cautious', ('bayes', 'dynamic', 'nuss'))
 """
 
 from collections.abc import Callable
 from typing import Any
 
 from ogm.evidence.proportional import pcr6
-from ogm.evidence.rules import dempster, normalized_cautious, revise, smooth, yager
+from ogm.evidence.rules import cautious, dempster, revise, smooth, yager
 from ogm.evidence.subjective import averaging, cumulative, weighted
 
 __all__ = ["ADDING_RULES", "BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "REVISE", "RULES", "SMOOTH"]
@@ -17,7 +17,7 @@ __all__ = ["ADDING_RULES", "BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "REVISE", "R
 REVISE, SMOOTH = "revise", "smooth"  # the defaults of maps of streets, and of buildings
 RULES: dict[str, Callable[..., Any]] = {  # name: rule of two masses, of the map and of a scan
     REVISE: revise,
-    "cautious": normalized_cautious,
+    "cautious": cautious,
     **{"dempster": dempster, "yager": yager, "cumulative": cumulative, "pcr6": pcr6},
     **{"averaging": averaging, "weighted": weighted},
     SMOOTH: smooth,

@@ -6,10 +6,13 @@ Entropies are in bits. Sources are named with each measure.
 from typing import Any
 
 from ogm.evidence.arrays import Array, namespace, per_cell, split, split_two, stack_last
-from ogm.evidence.opinion import unknown
+from ogm.evidence.conversions import evidence_to_alpha, mass_to_evidence, unknown
+from ogm.evidence.dirichlet import dirichlet_kl
+from ogm.evidence.kinds import takes_masses
 from ogm.evidence.probability import mass_to_probability, plausibility_transform
 
 
+@takes_masses("a", "b", gives_masses=False)
 def conflict(a: Array, b: Array) -> Array:
     """Return the mass that two sources put on the empty set before normalising, in [0, 1].
 
@@ -23,6 +26,7 @@ def conflict(a: Array, b: Array) -> Array:
     return per_cell(f * p + o * g, a)
 
 
+@takes_masses("before", "now", gives_masses=False)
 def conflict_direction(before: Array, now: Array) -> Array:
     """Return the conflict split by its direction: (free -> occupied, occupied -> free).
 
@@ -42,6 +46,7 @@ def conflict_direction(before: Array, now: Array) -> Array:
     return stack_last(namespace(before), [f * p, o * g], before)
 
 
+@takes_masses("a", "b", gives_masses=False, base_rates={"a": "base_rate", "b": "base_rate"})
 def degree_of_conflict(a: Array, b: Array, base_rate: Any = 0.5) -> Array:
     """Return Jøsang's degree of conflict, |P_a - P_b| (1 - u_a) (1 - u_b), in [0, 1].
 
@@ -53,6 +58,7 @@ def degree_of_conflict(a: Array, b: Array, base_rate: Any = 0.5) -> Array:
     return per_cell(distance * (f + o) * (g + p), a)
 
 
+@takes_masses("a", "b", gives_masses=False)
 def jousselme_distance(a: Array, b: Array) -> Array:
     """Return Jousselme's distance of two masses, in [0, 1].
 
@@ -66,11 +72,41 @@ def jousselme_distance(a: Array, b: Array) -> Array:
     return per_cell(xp.where(same, 0 * square, xp.sqrt(square + same)), a)
 
 
+@takes_masses("a", "b", gives_masses=False, base_rates={"a": "base_rate", "b": "base_rate"})
+def kl_divergence(
+    a: Array, b: Array, base_rate: Any = 0.5, prior_weight: float = 2.0, min_unknown: float = 2e-5
+) -> Array:
+    """Return the Kullback-Leibler divergence KL[a || b] of the Beta densities of two masses [nats], never negative.
+
+    The other direction is ``kl_divergence(b, a)``; the two differ much: see `dirichlet_kl`.
+
+    Parameters
+    ----------
+    a, b : (..., 2) float32 or float64, numpy or torch
+    base_rate : float or array of one value per cell
+        Prior probability of occupied, in (0, 1).
+    prior_weight : float
+        W > 0, the prior weight; 2 makes the vacuous opinion the uniform density.
+    min_unknown : float
+        Floor of unknown, which caps evidence, by default at 1e5: a dogmatic mass has no density.
+
+    Returns
+    -------
+    (...), in [0, inf)
+    """
+    alphas = (
+        evidence_to_alpha(mass_to_evidence(mass, prior_weight, min_unknown), prior_weight, base_rate)
+        for mass in _alike(a, b)
+    )
+    return dirichlet_kl(*alphas)
+
+
 def vacuity(mass: Array) -> Array:
     """Return the unknown u: the uncertainty that comes from lack of evidence (Jøsang, Cho and Chen, 2018)."""
     return unknown(mass)
 
 
+@takes_masses("mass", gives_masses=False)
 def dissonance(mass: Array) -> Array:
     """Return the uncertainty that comes from contradicting evidence, 2 min(free, occupied), in [0, 1].
 
@@ -85,12 +121,14 @@ def nonspecificity(mass: Array) -> Array:
     return unknown(mass)
 
 
+@takes_masses("mass", gives_masses=False)
 def specificity(mass: Array) -> Array:
     """Return Yager's specificity, sum m(A) / |A| = free + occupied + unknown / 2, in [0.5, 1]."""
     free, occupied, u = split(mass)
     return per_cell(free + occupied + 0.5 * u, mass)
 
 
+@takes_masses("mass", gives_masses=False)
 def yager_entropy(mass: Array) -> Array:
     """Return Yager's entropy (dissonance in his words), -sum m(A) log2 Pl(A), in [0, 1] bit (Yager, 1983)."""
     free, occupied, u = split(mass)
@@ -100,11 +138,13 @@ def yager_entropy(mass: Array) -> Array:
     return per_cell(-logs - _times_log2(xp, occupied, (occupied + u).clip(None, 1)), mass)
 
 
+@takes_masses("mass", gives_masses=False)
 def pignistic_entropy(mass: Array) -> Array:
     """Return Shannon's entropy of the pignistic probability, in [0, 1] bit."""
     return per_cell(_binary_entropy(namespace(mass), mass_to_probability(mass)), mass)
 
 
+@takes_masses("mass", gives_masses=False)
 def jirousek_shenoy_entropy(mass: Array) -> Array:
     """Return the total uncertainty of Jiroušek and Shenoy (2018), in [0, 2] bit; 2 for the vacuous mass.
 
@@ -113,6 +153,7 @@ def jirousek_shenoy_entropy(mass: Array) -> Array:
     return per_cell(_binary_entropy(namespace(mass), plausibility_transform(mass)) + unknown(mass), mass)
 
 
+@takes_masses("mass", gives_masses=False)
 def deng_entropy(mass: Array) -> Array:
     """Return Deng's entropy, -sum m(A) log2(m(A) / (2^|A| - 1)), in bit (Deng, 2016).
 
@@ -123,6 +164,12 @@ def deng_entropy(mass: Array) -> Array:
     xp = namespace(mass)
     logs = _times_log2(xp, free, free) + _times_log2(xp, occupied, occupied)
     return per_cell(-logs - _times_log2(xp, u, u / 3), mass)
+
+
+def _alike(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return two masses that fit each other."""
+    split_two(a, b)
+    return a, b
 
 
 def _times_log2(xp: Any, x: Any, y: Any) -> Any:

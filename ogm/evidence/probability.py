@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from ogm.evidence.arrays import Array, as_like, check_float, namespace, per_cell, split, stack_last
+from ogm.evidence.kinds import takes_masses
 
 
+@takes_masses("mass", gives_masses=False, base_rates={"mass": "base_rate"})
 def mass_to_probability(mass: Array, base_rate: Any = 0.5) -> Array:
     """Return the projected probability of occupied, P = occupied + a * unknown.
 
@@ -54,11 +56,13 @@ def probability_to_mass(probability: Any, unknown: Any, base_rate: Any = 0.5) ->
     return stack_last(xp, [free, occupied], probability)
 
 
+@takes_masses("mass", gives_masses=False)
 def pignistic(mass: Array) -> Array:
     """Return the pignistic probability of occupied, occupied + unknown / 2 (Smets and Kennes, 1994)."""
     return mass_to_probability(mass, 0.5)
 
 
+@takes_masses("mass", gives_masses=False)
 def plausibility_transform(mass: Array) -> Array:
     """Return the plausibility transform, Pl(O) / (Pl(F) + Pl(O)) (Cobb and Shenoy, 2006).
 
@@ -68,6 +72,7 @@ def plausibility_transform(mass: Array) -> Array:
     return per_cell((occupied + u) / ((free + u) + (occupied + u)), mass)
 
 
+@takes_masses("mass", gives_masses=False)
 def mass_to_log_odds(mass: Array) -> Array:
     """Return the log-odds of occupied of the plausibility transform, ln(Pl(O) / Pl(F)).
 
@@ -98,6 +103,7 @@ def log_odds_to_mass(log_odds: Array) -> Array:
     return stack_last(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
 
 
+@takes_masses("mass", base_rates={"mass": "base_rate"})
 def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
     """Return the mass of the same projected probability with the greatest unknown.
 

@@ -1,7 +1,7 @@
 """Rules that redistribute conflict among its parties: PCR5, PCR6, PCR6+, Murphy's average, consensus & compromise.
 
-For two sources PCR5, PCR6 and PCR6+ are one and the same rule. None of the rules here is associative: a stack is
-combined in one go, and a chain of pairs is not the rule and depends on the order.
+For two sources PCR5, PCR6 and PCR6+ are one and the same rule. None of the rules here is associative: all
+sources are combined at once, and a chain of pairs is not the rule and depends on the order.
 
 Sources: Smarandache and Dezert, *Advances and Applications of DSmT*, vol. 2 (2006), PCR5; Martin and Osswald,
 same volume, PCR6; Dezert, Dezert and Smarandache, "Improvement of proportional conflict redistribution rules
@@ -9,7 +9,7 @@ of combination of basic belief assignments" (2021), PCR6+; Murphy, "Combining be
 conflicts" (2000); van der Heijden, Kopp and Kargl, "Multi-source fusion operations in subjective logic" (Fusion 2018).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 from itertools import product
 from math import prod
@@ -18,12 +18,14 @@ from typing import Any
 import numpy as np
 
 from ogm.evidence.arrays import Array, maybe_any, rounding, sources, stack_last
+from ogm.evidence.kinds import takes_masses
 
 _MAX_SOURCES = 8  # 3^8 products of masses
 _UNKNOWN = 2  # place of the unknown in (free, occupied, unknown)
 
 
-def pcr5(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+@takes_masses()
+def pcr5(*masses: Array, axis: int | None = None) -> Array:
     """Combine by PCR5: each conflicting product goes back to its states, in proportion to their products.
 
     Commutative, not associative; vacuous is neutral for two sources, not for more.
@@ -39,23 +41,25 @@ def pcr5(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
     -------
     (..., 2), the combined mass
     """
-    return _redistribute(a, b, axis, _in_proportion_to_products)
+    return _redistribute(masses, axis, _in_proportion_to_products)
 
 
-def pcr6(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+@takes_masses()
+def pcr6(*masses: Array, axis: int | None = None) -> Array:
     """Combine by PCR6: each conflicting product goes back to its sources, in proportion to their masses.
 
     Commutative, not associative; vacuous is neutral for two sources, not for more.
 
     Parameters
     ----------
-    a, b, axis
-        As for `pcr5`.
+    *masses, axis
+        See `pcr5`.
     """
-    return _redistribute(a, b, axis, _in_proportion_to_sums)
+    return _redistribute(masses, axis, _in_proportion_to_sums)
 
 
-def pcr6_plus(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+@takes_masses()
+def pcr6_plus(*masses: Array, axis: int | None = None) -> Array:
     """Combine by PCR6+: as PCR6, but only to sources that take part in the conflict.
 
     A source whose part in a product is unknown has no share in its conflict, so the vacuous mass is neutral for
@@ -63,29 +67,30 @@ def pcr6_plus(a: Array, b: Array | None = None, *, axis: int | None = None) -> A
 
     Parameters
     ----------
-    a, b, axis
-        As for `pcr5`.
+    *masses, axis
+        See `pcr5`.
     """
-    return _redistribute(a, b, axis, _in_proportion_to_sums_of_the_conflicting)
+    return _redistribute(masses, axis, _in_proportion_to_sums_of_the_conflicting)
 
 
-def murphy(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+@takes_masses()
+def murphy(*masses: Array, axis: int | None = None) -> Array:
     """Combine by Murphy's rule: Dempster's rule on n copies of the mean of the n masses.
 
     Commutative, not associative, vacuous is not neutral. Total conflict cannot happen.
 
     Parameters
     ----------
-    a, b : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied). Without `b`, `a` is a stack of sources along `axis`.
+    *masses : (..., 2) float32 or float64, numpy or torch
+        Masses (free, occupied) of two or more sources, or one stack of sources along `axis`.
     axis : int, optional
-        The leading axis of `a` that counts the sources.
+        Leading axis of the stack that counts the sources.
 
     Returns
     -------
     (..., 2), the combined mass
     """
-    xp, parts = sources(a, b, axis)
+    xp, parts = sources(masses, axis)
     n = len(parts)
     free, occupied, unknown = (sum(numbers) / n for numbers in zip(*parts, strict=True))
     # Commonalities multiply; scaled by the greater one, n of them neither overflow nor vanish.
@@ -93,10 +98,11 @@ def murphy(a: Array, b: Array | None = None, *, axis: int | None = None) -> Arra
     q_free, q_occupied = ((free + unknown) / greater) ** n, ((occupied + unknown) / greater) ** n
     q_whole = (unknown / greater) ** n
     total = q_free + q_occupied - q_whole
-    return stack_last(xp, [(q_free - q_whole) / total, (q_occupied - q_whole) / total], a)
+    return stack_last(xp, [(q_free - q_whole) / total, (q_occupied - q_whole) / total], masses[0])
 
 
-def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+@takes_masses()
+def consensus_compromise(*masses: Array, axis: int | None = None) -> Array:
     """Fuse by consensus & compromise: keep what all agree on, redistribute the rest, turn conflict to unknown.
 
     Commutative and idempotent, vacuous is neutral for two sources; not associative. Discontinuous at
@@ -105,8 +111,8 @@ def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None =
 
     Parameters
     ----------
-    a, b, axis
-        As for `cumulative`; at most 12 sources, as the work doubles with each.
+    *masses, axis
+        See `cumulative`; at most 12 sources, as the work doubles with each.
 
     Notes
     -----
@@ -117,7 +123,7 @@ def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None =
       (1, 0), (1, 0) and a vacuous one: the mean of the dogmatic masses is returned. It is the limit of dogmatic
       sources whose residues give the same small share to the unknown.
     """
-    xp, parts = sources(a, b, axis)
+    xp, parts = sources(masses, axis)
     if len(parts) > 12:
         raise ValueError(f"consensus_compromise takes at most 12 sources, got {len(parts)}")
     # In float64, as the product of twelve unknowns of float32 may be too small for it.
@@ -125,7 +131,7 @@ def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None =
     # Step 1, consensus: the belief that every source has at least.
     agreed_free, agreed_occupied = (reduce(xp.minimum, [part[k] for part in parts]) for k in (0, 1))
     rests = [(free - agreed_free, occupied - agreed_occupied) for free, occupied, _ in parts]
-    unknowns = [unknown * (unknown > rounding(a)) for _, _, unknown in parts]
+    unknowns = [unknown * (unknown > rounding(masses[0])) for _, _, unknown in parts]
     # Step 2, compromise: a residue meets the unknown of all others, or their residues of the other state.
     free, occupied = (
         sum(_product([rest[k], *unknowns[:i], *unknowns[i + 1 :]]) for i, rest in enumerate(rests)) for k in (0, 1)
@@ -144,12 +150,12 @@ def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None =
     left = (1 - agreed_free - agreed_occupied - _product(unknowns)).clip(0)
     shared = free + occupied + both
     share = left / (shared + (shared == 0))
-    return stack_last(xp, [agreed_free + share * free, agreed_occupied + share * occupied], a)
+    return stack_last(xp, [agreed_free + share * free, agreed_occupied + share * occupied], masses[0])
 
 
-def _redistribute(a: Array, b: Array | None, axis: int | None, share: Callable[..., list[Any]]) -> Array:
+def _redistribute(masses: Sequence[Array], axis: int | None, share: Callable[..., list[Any]]) -> Array:
     """Sum over all ways in which every source picks a state; conflicting ones are distributed by `share`."""
-    xp, parts = sources(a, b, axis)
+    xp, parts = sources(masses, axis)
     if len(parts) > _MAX_SOURCES:
         raise ValueError(
             f"PCR takes at most {_MAX_SOURCES} sources, got {len(parts)}; combine in groups, or use an associative rule"
@@ -167,7 +173,7 @@ def _redistribute(a: Array, b: Array | None, axis: int | None, share: Callable[.
         elif 0 in states or 1 in states:  # agreement
             state = 0 if 0 in states else 1
             totals[state] = totals[state] + weight
-    return stack_last(xp, totals, a)
+    return stack_last(xp, totals, masses[0])
 
 
 def _groups(states: tuple[int, ...], picked: list[Any]) -> list[list[Any]]:

@@ -1,9 +1,9 @@
 """Dempster-Shafer rules for the frame {free, occupied}, in a closed world: pairs in, pairs out.
 
-Every rule takes two masses, ``rule(a, b)``, or a stack of sources and its axis, ``rule(stack, axis=0)``, with
-any leading shape. `dempster` is associative, so both ways agree wherever something survives; in cells of
-total conflict between dogmatic sources the policy `on_conflict` decides, and a chain of pairs may end elsewhere
-than a stack. The other rules combine a stack in one go, and a chain of pairs gives something else.
+Every rule takes n masses, ``rule(a, b, c)``, or a stack of sources and its axis, ``rule(stack, axis=0)``, with
+any leading shape, and of any kind: see `ogm.evidence.kinds`. `dempster` is associative, so a chain of pairs agrees
+wherever something survives; in cells of total conflict between dogmatic sources the policy `on_conflict` decides, and
+a chain may end elsewhere. The other rules combine all sources at once, and a chain of pairs gives something else.
 
 Sources: Dempster (1967); Shafer (1976); Yager, "On the Dempster-Shafer framework and new combination rules"
 (1987); Dubois and Prade, "Representation and combination of uncertainty with belief functions and possibility
@@ -15,15 +15,16 @@ from functools import reduce
 from typing import Any, Literal, get_args
 
 from ogm.evidence.arrays import Array, first_index, maybe_any, sources, stack_last, tolerance_of
+from ogm.evidence.base_rates import confidence_base_rate
+from ogm.evidence.kinds import takes_masses
 
 OnConflict = Literal["average", "vacuous", "nan", "raise"]
 SMOOTH_GAIN = 0.25  # share of a scan in the average of `smooth`
 OLD_OCCUPIED_LOSS, NEW_OCCUPIED_LOSS = 0.75, 0.5  # shares of a contradiction by which `revise` discounts occupied
 
 
-def dempster(
-    a: Array, b: Array | None = None, *, axis: int | None = None, on_conflict: OnConflict = "average"
-) -> Array:
+@takes_masses(rate=confidence_base_rate)
+def dempster(*masses: Array, axis: int | None = None, on_conflict: OnConflict = "average") -> Array:
     """Combine independent, reliable sources by Dempster's rule: agreement, normalised.
 
     ``free = (f1 f2 + f1 u2 + u1 f2) / (1 - C)``, occupied likewise, with the conflict C = f1 o2 + o1 f2; computed
@@ -32,10 +33,10 @@ def dempster(
 
     Parameters
     ----------
-    a, b : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied). Without `b`, `a` is a stack of sources along `axis`.
+    *masses : (..., 2) float32 or float64, numpy or torch
+        Masses (free, occupied) of two or more sources, or one stack of sources along `axis`.
     axis : int, optional
-        The leading axis of `a` that counts the sources.
+        Leading axis of the stack that counts the sources.
     on_conflict : {"average", "vacuous", "nan", "raise"}
         What to return in total conflict (dogmatically free against dogmatically occupied): the mean of the
         dogmatic sources, for two of them (0.5, 0.5), the limit of two equally strong ones; the vacuous mass; NaN;
@@ -46,7 +47,7 @@ def dempster(
     (..., 2), the combined mass
     """
     check_policy(on_conflict)
-    xp, parts = sources(a, b, axis)
+    xp, parts = sources(masses, axis)
     free, occupied, unknown = parts[0]
     for number, part in enumerate(parts[1:], start=2):
         free, occupied, unknown = agreement(free, occupied, unknown, *part)
@@ -55,11 +56,12 @@ def dempster(
         if number < len(parts):
             unknown = unknown / surviving
     if len(parts) == 1 or not maybe_any(xp, none):
-        return stack_last(xp, [free, occupied], a)
-    return resolve(xp, a, free, occupied, none, _mean_of_the_dogmatic(parts), on_conflict)
+        return stack_last(xp, [free, occupied], masses[0])
+    return resolve(xp, masses[0], free, occupied, none, _mean_of_the_dogmatic(parts), on_conflict)
 
 
-def yager(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+@takes_masses()
+def yager(*masses: Array, axis: int | None = None) -> Array:
     """Combine by Yager's rule: agreement survives, conflict becomes unknown.
 
     Commutative, vacuous is neutral, not associative: a stack is combined in one go (conjunctively, all
@@ -67,62 +69,66 @@ def yager(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array
 
     Parameters
     ----------
-    a, b : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied). Without `b`, `a` is a stack of sources along `axis`.
+    *masses : (..., 2) float32 or float64, numpy or torch
+        Masses (free, occupied) of two or more sources, or one stack of sources along `axis`.
     axis : int, optional
-        The leading axis of `a` that counts the sources.
+        Leading axis of the stack that counts the sources.
 
     Returns
     -------
     (..., 2), the combined mass
     """
-    xp, parts = sources(a, b, axis)
+    xp, parts = sources(masses, axis)
     free, occupied, unknown = parts[0]
     for part in parts[1:]:
         free, occupied, unknown = agreement(free, occupied, unknown, *part)
-    return stack_last(xp, [free, occupied], a)
+    return stack_last(xp, [free, occupied], masses[0])
 
 
-def dubois_prade(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+@takes_masses()
+def dubois_prade(*masses: Array, axis: int | None = None) -> Array:
     """Combine by Dubois and Prade's rule: the conflict of A and B goes to "A or B".
 
     With two states, "free or occupied" is everything, so this is exactly `yager`; in larger frames
     (`ogm.evidence.powerset`) the two differ.
     """
-    return yager(a, b, axis=axis)
+    return yager(*masses, axis=axis)
 
 
-def normalized_cautious(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
-    """Combine dependent sources by Denœux's cautious rule, normalised: the greatest evidence of each state.
+@takes_masses()
+def cautious(*masses: Array, axis: int | None = None) -> Array:
+    """Combine dependent sources by Denœux's cautious rule: the greatest evidence of each state.
 
     ``free / unknown = max(f1 / u1, f2 / u2)``, occupied likewise. Commutative, associative and idempotent; the
     vacuous mass is neutral. Repeated evidence, as from one scan to the next, adds nothing.
 
     Parameters
     ----------
-    a, b : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied). Without `b`, `a` is a stack of sources along `axis`.
+    *masses : (..., 2) float32 or float64, numpy or torch
+        Masses (free, occupied) of two or more sources, or one stack of sources along `axis`.
     axis : int, optional
-        The leading axis of `a` that counts the sources.
+        Leading axis of the stack that counts the sources.
 
     Returns
     -------
-    (..., 2), the combined mass: ``close_world(cautious(a, b))``, without its cancellation
+    (..., 2), the combined mass
 
     Notes
     -----
-    Normalising leaves the weights w = unknown / (belief + unknown) as they are, so the rule is the greatest Dirichlet
-    evidence of each state, max(2 free / unknown) and max(2 occupied / unknown), where `cumulative` takes the sum and
-    `averaging` the mean. Unknown is read as at least 1e-6 (float32) or 1e-12 (float64).
+    Normalised, as all rules of pairs; `ogm.evidence.powerset.cautious` keeps the conflict. Normalising leaves the
+    weights w = unknown / (belief + unknown) as they are, so the rule is the greatest Dirichlet evidence of each state,
+    max(2 free / unknown) and max(2 occupied / unknown), where `cumulative` takes the sum and `averaging` the mean.
+    Unknown is read as at least 1e-6 (float32) or 1e-12 (float64).
     """
-    xp, parts = sources(a, b, axis)
-    least = tolerance_of(a)
+    xp, parts = sources(masses, axis)
+    least = tolerance_of(masses[0])
     ratios = [(free / unknown.clip(least), occupied / unknown.clip(least)) for free, occupied, unknown in parts]
     for_free, for_occupied = (reduce(xp.maximum, column) for column in zip(*ratios, strict=True))
     total = 1 + for_free + for_occupied
-    return stack_last(xp, [for_free / total, for_occupied / total], a)
+    return stack_last(xp, [for_free / total, for_occupied / total], masses[0])
 
 
+@takes_masses("prior", "new")
 def revise(prior: Array, new: Array) -> Array:
     """Revise the masses of a map by those of a scan: free falls at the first contradiction, occupied by and by.
 
@@ -131,7 +137,7 @@ def revise(prior: Array, new: Array) -> Array:
         occupied = max(O (1 - 3/4 (f - F)+), o (1 - 1/2 (F - f)+))
         free = min(max(F (1 - (o - O)+), f (1 - (O - o)+)), 1 - occupied)
 
-    Each state keeps its greatest mass, as by `normalized_cautious`: claims that every scan repeats do not add up.
+    Each state keeps its greatest mass, as by `cautious`: claims that every scan repeats do not add up.
     Before, each mass is discounted by how much more the other side believes in the contrary: free by all of it,
     occupied of the map by three quarters, occupied of the scan by half. So one scan of occupied takes a cell of free
     0.9 to 0.1, and one scan of free takes a cell of occupied 0.9 to 0.29, which is unknown, and the next to free.
@@ -153,12 +159,13 @@ def revise(prior: Array, new: Array) -> Array:
     reliability in the belief function framework using contextual discounting" (2008). That the contradiction sets the
     rate, and the three shares, are our own, chosen on simulated validation drives (docs/fusion.md).
     """
-    xp, ((F, O, _), (f, o, _)) = sources(prior, new, None)  # noqa: N806, E741  as above
+    xp, ((F, O, _), (f, o, _)) = sources((prior, new), None)  # noqa: N806, E741  as above
     occupied = xp.maximum(O * (1 - OLD_OCCUPIED_LOSS * (f - F).clip(0)), o * (1 - NEW_OCCUPIED_LOSS * (F - f).clip(0)))
     free = xp.maximum(F * (1 - (o - O).clip(0)), f * (1 - (O - o).clip(0)))
     return stack_last(xp, [xp.minimum(free, 1 - occupied), occupied], prior)
 
 
+@takes_masses("prior", "new")
 def smooth(prior: Array, new: Array) -> Array:
     """Average occupied over the scans of a map, the last ones most, and lose free at the first contradiction.
 
@@ -188,7 +195,7 @@ def smooth(prior: Array, new: Array) -> Array:
     -----
     Our own; the gain was chosen on made halls with errors of ranges and poses (docs/fusion.md).
     """
-    xp, ((F, O, _), (f, o, _)) = sources(prior, new, None)  # noqa: N806, E741  as above
+    xp, ((F, O, _), (f, o, _)) = sources((prior, new), None)  # noqa: N806, E741  as above
     gain = (1 - (F + O) / SMOOTH_GAIN**2).clip(SMOOTH_GAIN)
     hit = o >= f
     occupied = xp.where(hit, O + gain * (o - O).clip(0), O * (1 - SMOOTH_GAIN * f))

@@ -5,12 +5,12 @@ fusion adds it, averaging fusion takes its mean, weighted fusion its mean weight
 mass with u = 0 (up to 4 units of rounding) has infinite evidence: it overrules all others, and several of them
 are averaged.
 
-Every operator takes two masses or a stack and its axis. Pairs and stacks agree for cumulative fusion alone, and
-there only in cells with at most two dogmatic sources: a chain of pairs loses the number of sources of a mean. For
-the others a chain of pairs is not the operator. `consensus_compromise` is in `ogm.evidence.proportional`.
+Every operator takes n masses, or a stack and its axis. A chain of pairs agrees for cumulative fusion alone, and
+there only in cells with at most two dogmatic sources, as it loses the number of sources of a mean.
+`consensus_compromise` is in `ogm.evidence.proportional`.
 
 Base rates are not part of a pair. Where all sources share one, so does the result; where they differ, use
-`cumulative_base_rate`, `confidence_base_rate`, or for averaging fusion the plain mean.
+`cumulative_base_rate`, `confidence_base_rate` or `averaging_base_rate`, as the operators do for opinions.
 
 Sources: Jøsang, *Subjective Logic* (2016), chapter 12; Jøsang, Wang and Zhang, "Multi-source fusion in
 subjective logic" (Fusion 2017); van der Heijden, Kopp and Kargl, "Multi-source fusion operations in
@@ -18,17 +18,14 @@ subjective logic" (Fusion 2018).
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ogm.evidence.arrays import (
     Array,
-    as_like,
     maybe_any,
     namespace,
-    per_cell,
     refuse,
     rounding,
     sources,
@@ -36,13 +33,16 @@ from ogm.evidence.arrays import (
     stack_last,
     tolerance_of,
 )
+from ogm.evidence.base_rates import averaging_base_rate, confidence_base_rate, cumulative_base_rate
+from ogm.evidence.kinds import takes_masses
 from ogm.evidence.probability import maximize_uncertainty
 from ogm.evidence.rules import OnConflict, dempster
 
+Combine = Callable[[Sequence[Any]], list[Any]]
 
-def cumulative(
-    a: Array, b: Array | None = None, *, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None
-) -> Array:
+
+@takes_masses(rate=cumulative_base_rate)
+def cumulative(*masses: Array, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None) -> Array:
     """Fuse independent observations by (aleatory) cumulative fusion: evidence adds.
 
     ``b = (b1 u2 + b2 u1) / (u1 + u2 - u1 u2)``. Commutative, and associative except where three or more sources are
@@ -50,10 +50,10 @@ def cumulative(
 
     Parameters
     ----------
-    a, b : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied). Without `b`, `a` is a stack of sources along `axis`.
+    *masses : (..., 2) float32 or float64, numpy or torch
+        Masses (free, occupied) of two or more sources, or one stack of sources along `axis`.
     axis : int, optional
-        The leading axis of `a` that counts the sources.
+        Leading axis of the stack that counts the sources.
     dogmatic_weights : one number per source, optional
         Relative weights for cells in which several sources are dogmatic; equal by default.
 
@@ -61,16 +61,17 @@ def cumulative(
     -------
     (..., 2), the fused mass
     """
-    xp, parts = sources(a, b, axis)
+    xp, parts = sources(masses, axis)
     if len(parts) == 2 and dogmatic_weights is None:
         (f, o, u), (g, p, v) = parts
         free, occupied, total = added_evidence(f, o, u, g, p, v)
-        both = (u <= rounding(a)) & (v <= rounding(a))
+        both = (u <= rounding(masses[0])) & (v <= rounding(masses[0]))
         if maybe_any(xp, both):  # two dogmatic masses: their mean
             free, occupied = xp.where(both, f + g, free), xp.where(both, o + p, occupied)
             total = xp.where(both, 2 + 0 * total, total)
-        return stack_last(xp, [free / total, occupied / total], a)
-    return _by_evidence(xp, a, parts, dogmatic_weights, _sum_of_evidence)
+        return stack_last(xp, [free / total, occupied / total], masses[0])
+    fused = fuse_by_evidence(xp, masses[0], parts, sum_of_evidence, dogmatic_weights)
+    return stack_last(xp, fused, masses[0])
 
 
 def added_evidence(f: Any, o: Any, u: Any, g: Any, p: Any, v: Any) -> tuple[Any, Any, Any]:
@@ -81,21 +82,23 @@ def added_evidence(f: Any, o: Any, u: Any, g: Any, p: Any, v: Any) -> tuple[Any,
     return f * v + g * u, o * v + p * u, u + v * (f + o)
 
 
-def cumulative_epistemic(a: Array, b: Array | None = None, *, axis: int | None = None, base_rate: Any = 0.5) -> Array:
+def cumulative_epistemic(*masses: Array, axis: int | None = None, base_rate: Any = None) -> Array:
     """Fuse opinions about one fixed fact: cumulative fusion, then maximal uncertainty.
 
     Not associative, and the vacuous mass is not neutral, as every result is uncertainty-maximised.
 
     Parameters
     ----------
-    a, b, axis
-        As for `cumulative`.
-    base_rate : float or (...) array
-        Prior probability of occupied, in [0, 1].
+    *masses, axis
+        See `cumulative`.
+    base_rate : float or (...) array, optional
+        Prior probability of occupied, in [0, 1]; by default that of the fused opinions, for masses 1/2.
     """
-    return maximize_uncertainty(cumulative(a, b, axis=axis), base_rate)
+    fused = cumulative(*masses, axis=axis)
+    return maximize_uncertainty(fused) if base_rate is None else maximize_uncertainty(fused, base_rate)
 
 
+@takes_masses("fused", "part")
 def cumulative_unfusion(fused: Array, part: Array) -> Array:
     """Return what was fused with `part` to give `fused`: evidence subtracts.
 
@@ -125,125 +128,106 @@ def cumulative_unfusion(fused: Array, part: Array) -> Array:
     return stack_last(xp, [free / total, occupied / total], fused)
 
 
-def averaging(
-    a: Array, b: Array | None = None, *, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None
-) -> Array:
+@takes_masses(rate=averaging_base_rate)
+def averaging(*masses: Array, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None) -> Array:
     """Fuse dependent observations by averaging fusion: the mean of the evidence.
 
     Commutative and idempotent, not associative (a stack is averaged in one go); vacuous is not neutral.
 
     Parameters
     ----------
-    a, b, axis, dogmatic_weights
-        As for `cumulative`.
+    *masses, axis, dogmatic_weights
+        See `cumulative`.
     """
-    xp, parts = sources(a, b, axis)
-    return _by_evidence(xp, a, parts, dogmatic_weights, partial(_sum_of_evidence, divisor=len(parts)))
+    xp, parts = sources(masses, axis)
+    fused = fuse_by_evidence(xp, masses[0], parts, mean_of_evidence, dogmatic_weights)
+    return stack_last(xp, fused, masses[0])
 
 
-def weighted(
-    a: Array, b: Array | None = None, *, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None
-) -> Array:
+@takes_masses(rate=confidence_base_rate)
+def weighted(*masses: Array, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None) -> Array:
     """Fuse by weighted belief fusion: the mean of the evidence, weighted by confidence 1 - u.
 
     Commutative and idempotent, vacuous is neutral; not associative (a stack is fused in one go).
 
     Parameters
     ----------
-    a, b, axis, dogmatic_weights
-        As for `cumulative`.
+    *masses, axis, dogmatic_weights
+        See `cumulative`.
     """
-    xp, parts = sources(a, b, axis)
-    return _by_evidence(xp, a, parts, dogmatic_weights, _confident_mean_of_evidence)
+    xp, parts = sources(masses, axis)
+    return stack_last(
+        xp, fuse_by_evidence(xp, masses[0], parts, confident_mean_of_evidence, dogmatic_weights), masses[0]
+    )
 
 
-def belief_constraint(
-    a: Array, b: Array | None = None, *, axis: int | None = None, on_conflict: OnConflict = "average"
-) -> Array:
+@takes_masses(rate=confidence_base_rate)
+def belief_constraint(*masses: Array, axis: int | None = None, on_conflict: OnConflict = "average") -> Array:
     """Fuse by belief constraint fusion: Dempster's rule under its name in subjective logic.
 
     Parameters
     ----------
-    a, b, axis, on_conflict
-        As for `dempster`. The base rate of the result is `confidence_base_rate`.
+    *masses, axis, on_conflict
+        See `dempster`. The base rate of the result is `confidence_base_rate`.
     """
-    return dempster(a, b, axis=axis, on_conflict=on_conflict)
+    return dempster(*masses, axis=axis, on_conflict=on_conflict)
 
 
-def cumulative_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any) -> Array:
-    """Return the base rate of the cumulative fusion of two masses with different base rates.
-
-    The mean weighted by evidence, (a_A u_B (1 - u_A) + a_B u_A (1 - u_B)) / (u_A + u_B - 2 u_A u_B); the
-    plain mean where both masses are vacuous or both dogmatic.
+def fuse_by_evidence(
+    xp: Any, mass: Any, parts: Sequence[Any], combine: Combine, dogmatic_weights: Sequence[float] | None = None
+) -> list[Any]:
+    """Return the beliefs of n fused sources in terms of b / u, evidence over prior weight.
 
     Parameters
     ----------
-    a, b : (..., 2) float32 or float64, numpy or torch
-    base_rate_a, base_rate_b : float or (...) array
-        Base rates of occupied, in [0, 1].
+    xp : module
+        Of numpy or torch.
+    mass : array
+        Of the dtype that decides which unknown counts as none.
+    parts : sequence of (belief, ..., unknown)
+        Columns of each source.
+    combine : function
+        Takes parts to beliefs: `sum_of_evidence`, `mean_of_evidence` or `confident_mean_of_evidence`.
+    dogmatic_weights : one number per source, optional
+        Relative weights for cells in which several sources are dogmatic; equal by default.
     """
-    (f, o, u), (g, p, v) = split_two(a, b)
-    return _weighted_rate(a, (base_rate_a, base_rate_b), (v * (f + o), u * (g + p)))
-
-
-def confidence_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any) -> Array:
-    """Return the base rate of the weighted or belief constraint fusion of two masses.
-
-    The mean weighted by confidence, (a_A (1 - u_A) + a_B (1 - u_B)) / (2 - u_A - u_B); the plain mean where
-    both masses are vacuous.
-
-    Parameters
-    ----------
-    a, b, base_rate_a, base_rate_b
-        As for `cumulative_base_rate`.
-    """
-    (f, o, _), (g, p, _) = split_two(a, b)
-    return _weighted_rate(a, (base_rate_a, base_rate_b), (f + o, g + p))
-
-
-def _weighted_rate(mass: Array, rates: tuple[Any, Any], weights: tuple[Any, Any]) -> Array:
-    xp = namespace(mass)
-    first, second = as_like(rates[0], weights[0], "base_rate_a"), as_like(rates[1], weights[0], "base_rate_b")
-    total = weights[0] + weights[1]
-    none = total <= rounding(mass)
-    mean = (weights[0] * first + weights[1] * second) / (total + none)
-    return per_cell(xp.where(none, 0.5 * (first + second) + 0 * total, mean), mass)
-
-
-def _by_evidence(
-    xp: Any,
-    mass: Array,
-    parts: list[tuple[Any, Any, Any]],
-    weights: Sequence[float] | None,
-    combine: Callable[[list[tuple[Any, Any, Any]]], tuple[Any, Any]],
-) -> Array:
-    """Fuse n sources in terms of b / u, evidence over prior weight; average the dogmatic ones, if any."""
-    weights = [1.0] * len(parts) if weights is None else list(weights)
+    weights = [1.0] * len(parts) if dogmatic_weights is None else list(dogmatic_weights)
     if len(weights) != len(parts) or not all(0 < weight < float("inf") for weight in weights):
         raise ValueError(f"dogmatic_weights must be {len(parts)} positive numbers, one per source, got {weights}")
-    dogmatic = [u <= rounding(mass) for _, _, u in parts]
+    dogmatic = [part[-1] <= rounding(mass) for part in parts]
     if not any(maybe_any(xp, here) for here in dogmatic):
-        return stack_last(xp, list(combine(parts)), mass)
+        return combine(parts)
     # Where some are dogmatic, their weighted mean; elsewhere the rule, with 1 in place of u = 0.
-    share = [weight * (here + 0 * u) for weight, here, (*_, u) in zip(weights, dogmatic, parts, strict=True)]
+    share = [weight * (here + 0 * part[-1]) for weight, here, part in zip(weights, dogmatic, parts, strict=True)]
     total: Any = sum(share)
     some = total > 0
     total = total + ~some
-    fused = combine([(f, o, u + here) for here, (f, o, u) in zip(dogmatic, parts, strict=True)])
-    means = [sum(s * part[k] for s, part in zip(share, parts, strict=True)) / total for k in (0, 1)]
-    return stack_last(xp, [xp.where(some, *pair) for pair in zip(means, fused, strict=True)], mass)
+    fused = combine([(*part[:-1], part[-1] + here) for here, part in zip(dogmatic, parts, strict=True)])
+    beliefs = zip(*(part[:-1] for part in parts), strict=True)
+    means = [sum(s * b for s, b in zip(share, column, strict=True)) / total for column in beliefs]
+    return [xp.where(some, *pair) for pair in zip(means, fused, strict=True)]
 
 
-def _sum_of_evidence(parts: list[tuple[Any, Any, Any]], divisor: int = 1) -> tuple[Any, Any]:
-    free = sum(f / u for f, _, u in parts) / divisor
-    occupied = sum(o / u for _, o, u in parts) / divisor
-    return free / (1 + free + occupied), occupied / (1 + free + occupied)
+def sum_of_evidence(parts: Sequence[Any], divisor: int = 1) -> list[Any]:
+    """Return the beliefs of the summed evidence of sources, over a divisor."""
+    columns = zip(*([b / part[-1] for b in part[:-1]] for part in parts), strict=True)
+    evidence = [sum(column) / divisor for column in columns]
+    total = 1 + sum(evidence)
+    return [one / total for one in evidence]
 
 
-def _confident_mean_of_evidence(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
-    confidence = sum(f + o for f, o, _ in parts)
-    free = sum((f + o) * f / u for f, o, u in parts)
-    occupied = sum((f + o) * o / u for f, o, u in parts)
-    total = confidence + free + occupied
+def mean_of_evidence(parts: Sequence[Any]) -> list[Any]:
+    """Return the beliefs of the mean evidence of sources."""
+    return sum_of_evidence(parts, len(parts))
+
+
+def confident_mean_of_evidence(parts: Sequence[Any]) -> list[Any]:
+    """Return the beliefs of the mean evidence of sources, weighted by their confidence 1 - u."""
+    confidence = [sum(part[:-1]) for part in parts]
+    columns = zip(
+        *([c * b / part[-1] for b in part[:-1]] for c, part in zip(confidence, parts, strict=True)), strict=True
+    )
+    evidence = [sum(column) for column in columns]
+    total = sum(confidence) + sum(evidence)
     total = total + (total == 0)
-    return free / total, occupied / total
+    return [one / total for one in evidence]

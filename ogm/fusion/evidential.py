@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, revise, smooth, yager
+from ogm.evidence import cautious, cumulative, dempster, discount, discount_evidence, revise, smooth, yager
 from ogm.fusion.kernels import (
     CAUTIOUS,
     CONFIRMED,
@@ -46,7 +46,7 @@ _COMPILED: dict[Rule, int] = {
         dempster: DEMPSTER,
         yager: YAGER,
         cumulative: CUMULATIVE,
-        normalized_cautious: CAUTIOUS,
+        cautious: CAUTIOUS,
         revise: REVISION,
         smooth: SMOOTHING,
     }
@@ -68,7 +68,7 @@ class EvidentialMapper(Mapper):
         The window: relative to the vehicle if it rolls, in map coordinates if it is fixed. The measurement grids may
         have other extents and resolutions.
     rule : function
-        Combines two masses, ``rule(map, scan)``. `ogm.evidence.normalized_cautious`, `dempster`, `yager` and
+        Combines two masses, ``rule(map, scan)``. `ogm.evidence.cautious`, `dempster`, `yager` and
         `cumulative` run as one compiled pass; any other function of two (..., 2) arrays works too, ten times and more
         slower. Rules in an open world give triples: close them, ``lambda a, b: close_world(conjunctive(a, b))``. The
         default treats scans as dependent, which they are: weak evidence that every scan repeats, such as rays that
@@ -337,7 +337,7 @@ class EvidentialMapper(Mapper):
         whole, plane = masses.get(PLAIN), masses.get(PLANE)
         if self._combine is not None:
             combined = self._combine([mass for part, mass in sorted(masses.items()) if part > PLAIN])
-            whole = combined if whole is None else normalized_cautious(combined, whole)
+            whole = combined if whole is None else cautious(combined, whole)
         if whole is None:
             return np.zeros((*shape, 2), np.float32) if plane is None else plane
         return whole if plane is None else _beside_plane(whole, plane)

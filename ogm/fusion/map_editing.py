@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.evidence import normalized_cautious
+from ogm.evidence import cautious
 from ogm.fusion.mapper import CONFLICT_LAYERS
 from ogm.fusion.resample import ResampleMethod, cells_at, lattice_offset, resample_to, values_at_centres, warp
 from ogm.fusion.window import affine_between, planar_transform
@@ -108,7 +108,7 @@ def merge(
     second: AnyGrid | PlacedGrid,
     T_first_second: ArrayLike | None = None,  # noqa: N803
     *,
-    rule: Callable[[Any, Any], Any] = normalized_cautious,
+    rule: Callable[[Any, Any], Any] = cautious,
     method: ResampleMethod = "worst",
 ) -> PlacedGrid:
     """Return two maps as one, on the cells of the first and as many more as the second needs.

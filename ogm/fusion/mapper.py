@@ -159,8 +159,8 @@ class Mapper(ABC):
         self,
         grid: EvidentialGrid,
         T_map_sensor: ArrayLike,  # noqa: N803
-        *,
         stamp: float | None = None,
+        *,
         T_vehicle_sensor: ArrayLike | None = None,  # noqa: N803
         reliability: float = 1.0,
         radial: RadialVelocities | None = None,

@@ -101,7 +101,7 @@ class HeightBandISM:
         points = Points(*to_vehicle_frame(scan.points, mount, footprint).T)
 
         # Returns in the band mark their cells, lines from the sensor clear those before
-        i, j = fine.index(x, y)
+        i, j = fine.index(x, y, unbounded=True)
         start = min(int(i), fine.shape[0] - 1), min(int(j), fine.shape[1] - 1)
         cells = Cells(*fine.origin, fine.resolution)
         band = HeightBand(ground + self.z_min, ground + self.z_max, float(self.min_range))

@@ -137,7 +137,7 @@ class CombinedISM:
         At least one; all with the same `spec`.
     rule : function
         Combines two masses, ``rule(a, b)``, or a stack, ``rule(stack, axis=0)``: `ogm.evidence.dempster`, `yager`, ...
-        Two models by `dempster`, `yager`, `cumulative` or `normalized_cautious` run as one compiled pass.
+        Two models by `dempster`, `yager`, `cumulative` or `cautious` run as one compiled pass.
     reliability : float, or one per model
         Shafer's reliability: a number, or a pair for free and occupied (`StateReliability`).
     free_gates : sequence of FreeGate or None, optional

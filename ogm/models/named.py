@@ -83,7 +83,7 @@ def default_model(spec: GridSpec, rule: str = "") -> tuple[str, str]:
 
 
 def load_model(
-    name: str, spec: GridSpec, mount: Mount | None = None, *, drop_ego_returns: bool = False
+    name: str, spec: GridSpec, mount: Mount | None = None, *, drop_ego_returns: bool = False, device: Any = "cpu"
 ) -> InverseSensorModel:
     """Return a sensor model by its name.
 
@@ -102,18 +102,22 @@ def load_model(
         height built in.
     drop_ego_returns : bool
         Of ``height-band``: ignore returns from the ego footprint, as all other models but the released one do.
+    device : str or torch.device
+        Where the network of lidars computes, ``"cpu"`` or ``"cuda"``: by torch, unless it is the CPU.
 
     Raises
     ------
     ValueError
-        If there is no such model, or it cannot fill the grid.
+        If there is no such model, it cannot fill the grid, or it has no network that computes on `device`.
     FileNotFoundError
         If there are no such weights.
     """
     if "+" in name:
         first, *others = name.split("+")
         beside = {_kind_of(part): load_model(part, spec, mount) for part in others}
-        return ModelsByKind(load_model(first, spec, mount, drop_ego_returns=drop_ego_returns), beside)
+        return ModelsByKind(load_model(first, spec, mount, drop_ego_returns=drop_ego_returns, device=device), beside)
+    if str(device) != "cpu" and (name in (*GEOMETRIC, *RADAR_MODELS) or _is_fitted(name)):
+        raise ValueError(f"{name} computes on the CPU, got device={str(device)!r}: leave device out, or load a network")
     if name in RADAR_MODELS:
         return load_radar_model(name, spec, mount)
     if name == RELEASED:
@@ -121,7 +125,8 @@ def load_model(
     if name == DEPTH:
         return depth_model(spec, mount)
     if name == COMBINED:
-        return CombinedISM([load_model(part, spec, mount) for part in (RAY, LITE)], **COMBINATION)
+        models = [load_model(RAY, spec, mount), load_model(LITE, spec, mount, device=device)]
+        return CombinedISM(models, **COMBINATION)
     if name in GEOMETRIC or _is_fitted(name):
         parameters: dict[str, Any] = {}
         if _is_fitted(name):
@@ -139,7 +144,7 @@ def load_model(
     from ogm.deep import DeepISM
     from ogm.deep.engines import load_engine
 
-    return DeepISM(load_engine(name), spec, mount)
+    return DeepISM(load_engine(name, device=device), spec, mount)
 
 
 def with_radar(name: str) -> str:

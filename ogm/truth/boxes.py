@@ -30,7 +30,7 @@ def _covers(boxes: Boxes, k: int, x: NDArray[np.floating], y: NDArray[np.floatin
 def cells_around(boxes: Boxes, k: int, spec: GridSpec) -> tuple[slice, slice]:
     """Return rows and columns of the cells around box k: all that it covers are among them."""
     (x, y), reach = boxes.center[k, :2], 0.5 * np.hypot(*boxes.size[k, :2]) + spec.resolution
-    window = spec.index(*np.array([[x - reach, x + reach], [y - reach, y + reach]]))
+    window = spec.index(*np.array([[x - reach, x + reach], [y - reach, y + reach]]), unbounded=True)
     rows, columns = (slice(max(first, 0), max(last + 1, 0)) for first, last in window)
     return rows, columns
 

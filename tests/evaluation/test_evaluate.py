@@ -1,5 +1,6 @@
 """`evaluate` with own models and frames in Python."""
 
+import dataclasses
 import io
 import json
 import zipfile
@@ -11,7 +12,16 @@ import numpy as np
 import pytest
 from cases import each, refused
 
-from ogm.evaluation import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod, evaluate, write_report
+from ogm import evidence
+from ogm.evaluation import (
+    FusedMethod,
+    MethodRunner,
+    PrecomputedGrids,
+    SingleScanMethod,
+    evaluate,
+    evaluate_agreement,
+    write_report,
+)
 from ogm.evaluation.cache import ResultCache
 from ogm.fusion import EvidentialMapper, PoseJump
 from ogm.grid import EvidentialGrid, GridSpec
@@ -68,6 +78,76 @@ def test_every_method_has_every_metric_in_every_frame() -> None:
     assert result.macro("flat")["mean_free"] == pytest.approx(0.2)
     known = 1 - result.truth[:, 3]
     assert result.micro("flat")["mean_free"] == pytest.approx(result.of("flat", "mean_free") @ known / known.sum())
+
+
+def test_a_table_has_means_of_methods_and_leaves_out_rows_without_a_value() -> None:
+    result = evaluate({"flat": Flat(), "high": Flat(height=3.0)}, FRAMES, SPEC)
+    table = result.table()
+    assert list(table) == ["flat", "high"]
+    assert table["high"] == pytest.approx(result.macro("high"), nan_ok=True)
+    missing = sum(np.isnan([one[metric] for one in table.values()]).all() for metric in METRICS)
+    assert missing > 0
+    lines = str(result).splitlines()
+    assert lines[-1] == f"({missing} metrics without a value in any of these frames)"
+    assert len(lines) == 2 + len(METRICS) - missing
+
+
+@dataclass
+class Drawn:
+    """A model with random masses; of another seed in every scan."""
+
+    spec: GridSpec = SPEC
+    seed: int = 0
+
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        rng = np.random.default_rng([self.seed, len(scan)])
+        return EvidentialGrid(self.spec, rng.dirichlet([1, 1, 1], self.spec.shape)[..., :2].astype(np.float32))
+
+
+def test_methods_are_compared_with_each_other_without_truth() -> None:
+    """Each metric by its definition, cell by cell; the reverse of a pair is the pair reversed."""
+    frames = [dataclasses.replace(one, truth=None) for one in FRAMES]
+    methods = {"a": Drawn(), "b": Drawn(seed=1), "unknown": Flat(height=0.0)}
+    result = evaluate_agreement(methods, frames, SPEC)
+    assert result.pairs == (("a", "b"), ("a", "unknown"), ("b", "unknown"))
+    for k, one in enumerate(frames):
+        a, b = (methods[name](one.scan).mass.reshape(-1, 2).astype(float) for name in ("a", "b"))
+        alphas = [2 * mass / (1 - mass.sum(-1, keepdims=True)) + 1 for mass in (a, b)]
+        expected = {
+            "conflict": np.mean(a[:, 0] * b[:, 1] + a[:, 1] * b[:, 0]),
+            "kl": evidence.dirichlet_kl(*alphas).mean(),
+            "kl_reverse": evidence.dirichlet_kl(*alphas[::-1]).mean(),
+        }
+        states = [np.where(m.max(-1) > 1 - m.sum(-1), 1 + m.argmax(-1), 0) for m in (a, b)]
+        known = np.maximum(*states) > 0
+        expected["agreement"] = (states[0] == states[1])[known].mean()
+        assert {name: rows[0, k] for name, rows in result.values.items()} == pytest.approx(expected, rel=1e-4)
+    assert result.interval("b", "a", "kl").value == pytest.approx(result.values["kl_reverse"][0].mean())
+    assert result.table()["a, unknown"]["agreement"] == 0
+    assert "a, b" in str(result)
+    same = evaluate_agreement({"a": Drawn(), "again": Drawn()}, frames, SPEC, frames=[1]).table()["a, again"]
+    assert (same["agreement"], same["kl"], same["kl_reverse"]) == (1, 0, 0)
+    nothing = evaluate_agreement({"a": Flat(height=0.0), "b": Flat(height=0.0)}, frames, SPEC)
+    assert np.isnan(nothing.values["agreement"]).all()
+    refused("give at least two, got a", evaluate_agreement, {"a": Drawn()}, frames, SPEC)
+    refused("evaluate_agreement", evaluate, {"a": Drawn()}, frames, SPEC)
+
+
+def test_maps_are_compared_with_each_other_after_the_frames_before() -> None:
+    drive = [dataclasses.replace(frame(k, x=float(k)), truth=None) for k in range(3)]
+    model = Flat()
+    fused = FusedMethod(model, lambda: EvidentialMapper(WIDE, half_life=float("inf"), max_speed=float("inf")))
+    found = evaluate_agreement({"scan": SingleScanMethod(model), "map": fused}, drive, SPEC, frames=[2])
+    assert len(model.scans) == 3
+    assert found.values["kl"].shape == (1, 1)
+
+
+def test_methods_may_be_a_list_of_names() -> None:
+    frames = [dataclasses.replace(FRAMES[0], truth=truth(0))]
+    found = evaluate(["height-band"], frames, SPEC)
+    assert found.methods == ("height-band",)
+    refused("a dict, name to method, or a list of models' names", evaluate, "ray", frames, SPEC, error=TypeError)
+    refused("a dict, name to method", evaluate, [Flat()], frames, SPEC, error=TypeError)
 
 
 def test_methods_are_compared_frame_by_frame() -> None:
@@ -204,6 +284,7 @@ def test_the_released_model_refuses_what_it_cannot_do() -> None:
     name = "height-band-released"
     refused("even number of cells along x and y, got 7 x 7", load_model, name, SPEC)
     even = GridSpec.centered(length=8, width=8, resolution=1)
+    refused("computes on the CPU, got device='cuda'", load_model, name, even, device="cuda")
     model, message = load_model(name, even), "points in the frame of a level sensor and a grid around the sensor"
     for mount in (Mount(1.7, pose(1.0, z=1.7)), Mount(1.7, pose(z=1.7), points_in="vehicle")):
         refused(message, load_model, name, even, mount)

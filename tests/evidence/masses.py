@@ -56,7 +56,7 @@ def arrays_of_masses(
             weights[..., 3] = np.maximum(weights[..., 3], least_conflict)
         weights[weights.sum(-1) == 0] = 1
         weights = weights / weights.sum(-1, keepdims=True)
-        result.append(np.delete(weights, 2, axis=-1).astype(dtype))
+        result.append(weights[..., :states].astype(dtype))
     return result[0] if count == 1 else tuple(result)
 
 
@@ -76,9 +76,7 @@ RULES = {
     "yager": Laws(False, True, False),
     "dubois_prade": Laws(False, True, False),
     "disjunctive": Laws(True, False, False, open_world=True),
-    "cautious": Laws(True, False, True, open_world=True),
-    "bold": Laws(True, False, True, open_world=True),
-    "normalized_cautious": Laws(True, True, True),
+    "cautious": Laws(True, True, True),
     "pcr5": Laws(False, True, False),
     "pcr6": Laws(False, True, False),
     "pcr6_plus": Laws(False, True, False),

@@ -9,7 +9,7 @@ from pathlib import Path
 from masses import RULES
 
 import ogm.evidence
-from ogm.evidence import powerset
+from ogm.evidence import kinds, map_rules, multinomial, opinion, powerset
 
 PAGE = Path(__file__).parents[2] / "docs" / "evidence.md"
 
@@ -21,7 +21,7 @@ def test_the_page_runs() -> None:
 
 
 def test_docstrings_run() -> None:
-    for module in (ogm.evidence, powerset):
+    for module in (ogm.evidence, kinds, map_rules, multinomial, opinion, powerset):
         assert doctest.testmod(module).failed == 0
 
 
@@ -46,7 +46,7 @@ def test_the_page_names_every_function() -> None:
 
 
 def test_every_export_has_documentation() -> None:
-    for module in (ogm.evidence, powerset):
+    for module in (ogm.evidence, multinomial, powerset):
         assert sorted(module.__all__) == list(module.__all__)
         for name in module.__all__:
             assert getattr(module, name).__doc__, name

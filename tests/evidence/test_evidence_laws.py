@@ -22,18 +22,11 @@ def same(actual: Any, expected: Any, times: float = 1) -> None:
     np.testing.assert_allclose(actual, expected, atol=times * tolerance(np.asarray(expected)), rtol=0)
 
 
-def drawn(count: int, least_unknown: int = 0) -> Any:
-    """Draw masses for all rules but the bold one, and for that one, which needs conflict."""
-    options = {"least_unknown": least_unknown}
-    closed = arrays_of_masses(count, **options)
-    return st.tuples(closed, arrays_of_masses(count, states=3, least_conflict=1, **options))
-
-
 @laws
-@given(masses=drawn(2), axis=st.integers(0, 2))
+@given(masses=arrays_of_masses(2), axis=st.integers(0, 2))
 @each("name", RULES)
 def test_rules_give_masses_in_any_order_of_sources_and_states(name: str, masses: Any, axis: int) -> None:
-    a, b = masses[name == "bold"]
+    a, b = masses
     result, axis = rule(name)(a, b), axis % a.ndim
     assert result.dtype == a.dtype
     assert result.shape[:-1] == a.shape[:-1]
@@ -45,16 +38,17 @@ def test_rules_give_masses_in_any_order_of_sources_and_states(name: str, masses:
 
 
 @three
-@given(masses=drawn(3, least_unknown=1))
+@given(masses=arrays_of_masses(3, least_unknown=1))
 @each("name", [name for name, law in RULES.items() if law.associative])
 def test_rules_are_associative(name: str, masses: Any) -> None:
     # Dempster's rule and cumulative fusion are not associative across cells without any unknown (their edge
     # policy).
-    a, b, c = masses[name == "bold"]
+    a, b, c = masses
     combine = rule(name)
     left, right = combine(combine(a, b), c), combine(a, combine(b, c))
     same(left, right, times=20)
     same(combine(np.stack([a, b, c]), axis=0), left, times=20)
+    same(combine(a, b, c), left, times=20)
 
 
 @each("name", [name for name, law in RULES.items() if not law.associative])
@@ -73,18 +67,15 @@ def test_vacuous_is_neutral(name: str, mass: np.ndarray) -> None:
 
 @each("name", [name for name, law in RULES.items() if not law.vacuous_is_neutral])
 def test_rules_that_claim_no_neutral_vacuous_have_none(name: str) -> None:
-    mass, vacuous = np.array([0.5, 0.2, 0.1]), np.array([0, 0, 1e-3])
-    if name != "bold":
-        mass, vacuous = mass[:2], vacuous[:2]
-    assert abs(rule(name)(mass, vacuous)[..., :2] - mass[:2]).max() > 1e-3
+    mass = np.array([0.5, 0.2])
+    assert abs(rule(name)(mass, 0 * mass)[..., :2] - mass).max() > 1e-3
 
 
 @laws
-@given(masses=drawn(1), some=drawn(1, least_unknown=1))
+@given(mass=arrays_of_masses())
 @each("name", [name for name, law in RULES.items() if law.idempotent])
-def test_rules_are_idempotent(name: str, masses: Any, some: Any) -> None:
-    mass = (masses if name in CLOSED else some)[name == "bold"]
-    same(rule(name)(mass, mass)[..., : mass.shape[-1]], mass)
+def test_rules_are_idempotent(name: str, mass: np.ndarray) -> None:
+    same(rule(name)(mass, mass), mass)
 
 
 @each("name", [name for name, law in RULES.items() if not law.idempotent])
@@ -149,7 +140,7 @@ def test_combining_never_adds_ignorance(masses: Any) -> None:
     least = np.minimum(evidence.unknown(a), evidence.unknown(b))
     assert (evidence.unknown(evidence.cumulative(a, b)) <= least + tolerance(a)).all()
     open_mass = evidence.conjunctive(a, b)
-    assert (1 - open_mass.sum(-1) <= least + tolerance(a)).all()
+    assert (open_mass[..., 2] <= least + tolerance(a)).all()
 
 
 @laws
@@ -158,7 +149,7 @@ def test_yager_is_the_conjunctive_rule_with_conflict_as_unknown(masses: Any) -> 
     a, b = masses
     open_mass = evidence.conjunctive(a, b)
     same(evidence.yager(a, b), open_mass[..., :2])
-    same(open_mass[..., 2], evidence.conflict(a, b))
+    same(1 - open_mass.sum(-1), evidence.conflict(a, b), times=5)
     same(evidence.close_world(open_mass), evidence.dempster(a, b), times=5)
 
 
@@ -349,7 +340,7 @@ def test_defaults_are_those_of_the_literature() -> None:
     for function in (getattr(evidence, name) for name in evidence.__all__ if callable(getattr(evidence, name))):
         for name, parameter in inspect.signature(function).parameters.items():
             name = name.removesuffix("_x").removesuffix("_y")
-            if name in wanted and parameter.default is not parameter.empty:
+            if name in wanted and parameter.default not in (parameter.empty, None):
                 assert parameter.default == wanted[name], (function, name)
                 found.add(name)
     assert found == set(wanted)
@@ -365,12 +356,12 @@ def test_count_masses_are_yagers_rule_on_simple_masses(hits: int, passes: int, m
 
 @laws
 @given(masses=arrays_of_masses(3, least_unknown=1))
-def test_the_normalized_cautious_rule_takes_the_greatest_evidence(masses: Any) -> None:
+def test_the_cautious_rule_takes_the_greatest_evidence(masses: Any) -> None:
     stack = np.stack(masses)
     expected = evidence.mass_to_evidence(stack).max(axis=0)
-    found = evidence.normalized_cautious(stack, axis=0)
+    found = evidence.cautious(stack, axis=0)
     np.testing.assert_allclose(found, evidence.evidence_to_mass(expected), atol=tolerance(found))
-    chain = evidence.normalized_cautious(evidence.normalized_cautious(masses[0], masses[1]), masses[2])
+    chain = evidence.cautious(evidence.cautious(masses[0], masses[1]), masses[2])
     np.testing.assert_allclose(chain, found, atol=20 * tolerance(found))
 
 

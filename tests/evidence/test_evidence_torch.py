@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from masses import RULES, arrays_of_masses, rule, tolerance
 
 from ogm import evidence
-from ogm.evidence import powerset
+from ogm.evidence import multinomial, powerset
 
 laws = settings(max_examples=15, deadline=None)
 
@@ -31,6 +31,7 @@ OF_ONE: dict[str, Callable[[Any], Any]] = {
     "discount_evidence": lambda mass: evidence.discount_evidence(mass, 0.7),
     "discount_over_time": lambda mass: evidence.discount_over_time(mass, mass[..., 0], 2.0),
     "contextual_discount": lambda mass: evidence.contextual_discount(mass, 0.7, mass[..., 1]),
+    "trust_discount_number": lambda mass: evidence.trust_discount(mass, 0.7),
     "counts_to_mass": lambda mass: evidence.counts_to_mass(mass[..., 0], mass[..., 1]),
     "probability_to_mass": lambda mass: evidence.probability_to_mass(mass[..., 0], 0.0),
     "alpha_to_evidence": lambda mass: evidence.alpha_to_evidence(mass + 1),
@@ -38,7 +39,7 @@ OF_ONE: dict[str, Callable[[Any], Any]] = {
     "close_world": lambda mass: evidence.close_world(evidence.conjunctive(mass, mass)),
 }  # fmt: skip
 OF_TWO: dict[str, Callable[[Any, Any], Any]] = (
-    {name: rule(name) for name in RULES if name != "bold"}
+    {name: rule(name) for name in RULES}
     | {
         name: getattr(evidence, name)
         for name in [
@@ -50,9 +51,14 @@ OF_TWO: dict[str, Callable[[Any, Any], Any]] = (
         "multiplication": lambda a, b: evidence.multiplication(a, b, 0.3, 0.6).mass,
         "comultiplication": lambda a, b: evidence.comultiplication(a, b, 0.3, 0.6).mass,
         "deduction": lambda a, b: evidence.deduction(a, b, a).mass,
+        "abduction": lambda a, b: evidence.abduction(a, b, a, 0.3).mass,
+        "kl_divergence": evidence.kl_divergence,
+        "degree_of_falsity": evidence.degree_of_falsity,
+        "reconciling_reliability": evidence.reconciling_reliability,
+        "projected_probability": lambda a, b: multinomial.projected_probability(a, [0.2, 0.8]) * b[..., :1],
         "unfusion": lambda a, b: evidence.cumulative_unfusion(evidence.cumulative(a, b), a),
-        "cumulative_base_rate": lambda a, b: evidence.cumulative_base_rate(a, b, 0.3, 0.6),
-        "confidence_base_rate": lambda a, b: evidence.confidence_base_rate(a, b, 0.3, 0.6),
+        "cumulative_base_rate": lambda a, b: evidence.cumulative_base_rate([a[..., 0], b[..., 0]], [0.3, 0.6]),
+        "confidence_base_rate": lambda a, b: evidence.confidence_base_rate([a[..., 0], b[..., 0]], [0.3, 0.6]),
         "dirichlet_kl": lambda a, b: evidence.dirichlet_kl(a * 30 + 0.1, b * 30 + 0.1),
     }
 )  # fmt: skip

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cases import each
+import torch
+from cases import each, refused
 from masses import C1, C2, C3, A, B, pair, triple
+from scipy import stats
 
 from ogm import evidence
-from ogm.evidence import powerset
+from ogm.evidence import Opinion, multinomial, powerset
+from ogm.state import CellState
 
 
 def opinion(b: float, d: float, u: float) -> tuple[float, float, float]:
@@ -93,8 +96,9 @@ def test_two_conflicting_sources(rule: str, expected: tuple) -> None:
 
 
 def test_two_conflicting_sources_in_the_open_world() -> None:
-    np.testing.assert_allclose(evidence.conjunctive(pair(A), pair(B)), (0.23, 0.36, 0.32))
-    np.testing.assert_allclose(evidence.cautious(pair(A), pair(B)), (0.25, 0.30, 0.30))
+    np.testing.assert_allclose(evidence.conjunctive(pair(A), pair(B)), (0.23, 0.36, 0.09))
+    general = powerset.cautious(powerset.from_pair(pair(A)), powerset.from_pair(pair(B)))
+    np.testing.assert_allclose(powerset.to_triple(general), (0.25, 0.30, 0.15))
     assert evidence.conflict(pair(A), pair(B)) == pytest.approx(0.32)
     np.testing.assert_allclose(evidence.conflict_direction(pair(A), pair(B)), (0.30, 0.02))
     np.testing.assert_allclose(
@@ -225,8 +229,8 @@ def test_go_golden_table(rule: str, expected: tuple) -> None:
 
 
 def test_go_golden_base_rates() -> None:
-    assert evidence.cumulative_base_rate(X, Y, 0.0, 0.4) == pytest.approx(0.08081395, abs=1e-8)
-    assert evidence.confidence_base_rate(X, Y, 0.0, 0.4) == pytest.approx(0.17429467, abs=1e-8)
+    assert evidence.cumulative_base_rate([0.1, 0.305], [0.0, 0.4]) == pytest.approx(0.08081395, abs=1e-8)
+    assert evidence.confidence_base_rate([0.1, 0.305], [0.0, 0.4]) == pytest.approx(0.17429467, abs=1e-8)
 
 
 def test_go_golden_trust() -> None:
@@ -262,6 +266,126 @@ def test_book_deduction() -> None:
     )
     near(mass, opinion(0.151429, 0.48, 0.368571))
     assert base_rate == pytest.approx(0.382353, abs=6e-7)
+
+
+# Josang (2016), sections 9.6 and 10.8, as printed; the crate subjective-logic (Apache-2.0) tests the same numbers.
+def test_book_multinomial_deduction() -> None:
+    """Match fixing: two states of the cause, three of the consequence."""
+    y = multinomial.deduction([0.9, 0.0], [[0.0, 0.8, 0.1], [0.7, 0.0, 0.1]], base_rate=[0.1, 0.9])
+    np.testing.assert_allclose(y.base_rate, (0.778, 0.099, 0.123), atol=5e-4)
+    np.testing.assert_allclose(y.mass, (0.063, 0.728, 0.100), atol=5e-4)
+    projected = multinomial.projected_probability(y.mass, y.base_rate)
+    np.testing.assert_allclose(projected, (0.148, 0.739, 0.113), atol=5e-4)
+
+
+def test_book_multinomial_abduction() -> None:
+    """Military intelligence: from movements that are seen to the plan.
+
+    The printed beliefs are of inverted conditionals of maximal uncertainty, as in Josang, "Conditional reasoning with
+    subjective logic" (2008), which the book's formula of relevance reduces; probabilities are the same.
+    """
+    conditionals, prior = np.array([[0.5, 0.25, 0.25], [0, 0.5, 0.5], [0, 0.25, 0.75]]), [0.7, 0.2, 0.1]
+    inverse = multinomial.inversion(conditionals, prior)
+    maximal = multinomial.maximize_uncertainty(inverse.mass, prior)
+    np.testing.assert_allclose(maximal, [(1, 0, 0), (0, 0.17, 0), (0, 0.14, 0.14)], atol=5e-3)
+    printed = multinomial.deduction([0, 0.43, 0], maximal, inverse.base_rate)
+    np.testing.assert_allclose(printed.mass, (0, 0.07, 0), atol=5e-3)
+    np.testing.assert_allclose(printed.base_rate, prior)
+    for found in (printed, multinomial.abduction([0, 0.43, 0], conditionals, prior)):
+        projected = multinomial.projected_probability(found.mass, found.base_rate)
+        np.testing.assert_allclose(projected, (0.65, 0.26, 0.09), atol=5e-3)
+    # The greatest unknown of the plan, 5/6 and 5/7, times the irrelevance of the movement, 0.75 and 0.5
+    np.testing.assert_allclose(1 - inverse.mass.sum(-1), (0, 5 / 6 * 0.75, 5 / 7 * 0.5), atol=1e-12)
+    # Certain movements: Bayes' theorem, with base rates of movements (0.35, 0.3, 0.35).
+    bayes = conditionals * [[0.7], [0.2], [0.1]]
+    for k, certain in enumerate(np.eye(3)):
+        x = multinomial.abduction(certain, conditionals, base_rate=[0.7, 0.2, 0.1])
+        expected = bayes[:, k] / bayes[:, k].sum()
+        np.testing.assert_allclose(multinomial.projected_probability(x.mass, x.base_rate), expected, atol=1e-12)
+    np.testing.assert_allclose(inverse.base_rate, bayes.sum(0))
+
+
+def test_abduction_of_a_detection_is_bayes_theorem_with_unknown() -> None:
+    """A detector that misses 20 % and has 5 % false alarms, and a prior of 1 %."""
+    hit, false_alarm = pair(opinion(0.8, 0.2, 0)), pair(opinion(0.05, 0.95, 0))
+    mass, rate = evidence.abduction(pair(opinion(1, 0, 0)), hit, false_alarm, base_rate_x=0.01)
+    assert evidence.mass_to_probability(mass, rate) == pytest.approx(0.01 * 0.8 / (0.01 * 0.8 + 0.99 * 0.05))
+    # An irrelevant detector says nothing, and neither does a vacuous one.
+    for either in (hit, np.zeros(2)):
+        near(evidence.abduction(pair(opinion(1, 0, 0)), either, either, 0.3).mass, (0, 0, 1), atol=1e-12)
+    # Unknown in the conditionals, and in the observation, is unknown in the conclusion.
+    unsure = evidence.abduction(pair(opinion(1, 0, 0)), 0.9 * hit, 0.9 * false_alarm, 0.3).mass
+    sure, vague = (evidence.abduction(one * pair(opinion(1, 0, 0)), hit, false_alarm, 0.3).mass for one in (1, 0.5))
+    assert evidence.unknown(sure) < min(evidence.unknown(unsure), evidence.unknown(vague))
+
+
+def test_multinomial_opinions_fuse_as_hyper_opinions() -> None:
+    """The crate subjective-logic: (0.98, 0.01, 0) and (0, 0.01, 0.90), as Zadeh's doctors with some doubt."""
+    doctors = [powerset.from_beliefs(np.array(one)) for one in ([0.98, 0.01, 0], [0, 0.01, 0.90])]
+    printed = (0.890, 0.010, 0.091), (0.882, 0.010, 0.090), (0.889, 0.010, 0.083)
+    for name, beliefs in zip(("cumulative", "averaging", "weighted"), printed, strict=True):
+        fused = powerset.to_beliefs(getattr(powerset, name)(*doctors))
+        np.testing.assert_allclose(fused, beliefs, atol=6e-4, err_msg=name)
+    epistemic = multinomial.maximize_uncertainty(powerset.to_beliefs(powerset.cumulative(*doctors)))
+    np.testing.assert_allclose(epistemic, (0.880, 0, 0.081), atol=6e-4)
+    projected = powerset.projected_probability(doctors[1], [0.5, 0.3, 0.2])
+    np.testing.assert_allclose(projected, multinomial.projected_probability([0, 0.01, 0.9], [0.5, 0.3, 0.2]))
+    np.testing.assert_allclose(projected, (0.045, 0.037, 0.918))
+    hyper = np.zeros(8)
+    hyper[powerset.subset(0, 1)], hyper[powerset.subset(2)] = 0.6, 0.4
+    np.testing.assert_allclose(powerset.projected_probability(hyper, [0.5, 0.25, 0.25]), (0.4, 0.2, 0.4))
+
+
+def test_multinomial_refuses_what_is_no_opinion() -> None:
+    refused("belief must be non-negative and sum to at most 1", multinomial.projected_probability, [0.9, 0.4, 0])
+    refused("3 prior probabilities with sum 1", multinomial.projected_probability, [0.1, 0.4, 0], [0.5, 0.4, 0.2])
+    refused("at least 2 states", multinomial.deduction, [0.1], [[0.5]])
+    refused("2 to 6 states", powerset.from_beliefs, np.zeros(7))
+    refused("one base rate per state, 2, got 1", powerset.projected_probability, np.array([0, 0, 0, 1.0]), [0.5])
+
+
+# Expected costs by torchbelief 0.3.0 (`decide`, utilities -cost): criteria maximin, pignistic, maximax.
+@each(("criterion", "costs", "expected"), [
+    ("belief", {}, (0, 2, 1, 0)), ("pignistic", {}, (1, 2, 1, 0)), ("plausibility", {}, (1, 2, 1, 2)),
+    ("belief", {"cost_false_free": 10}, (0, 2, 0, 0)), ("pignistic", {"cost_false_free": 10}, (0, 2, 0, 0)),
+    ("plausibility", {"cost_false_free": 10, "cost_abstention": 2}, (2, 2, 1, 2)),
+    ("pignistic", {"cost_false_occupied": 4, "cost_abstention": np.inf}, (1, 2, 1, 1)),
+])  # fmt: skip
+def test_decisions(criterion: Any, costs: Any, expected: tuple) -> None:
+    masses = np.array([(0.45, 0.2), (0.05, 0.9), (0.9, 0.05), (0, 0)])
+    for given in (masses, torch.tensor(masses)):
+        assert tuple(evidence.decide(given, criterion, **costs).tolist()) == expected
+    assert evidence.decide(Opinion(0.1, 0.3, base_rate=0.9), "pignistic") == CellState.OCCUPIED
+
+
+def test_blame_falls_on_the_source_that_contradicts_the_others() -> None:
+    """Schubert (2011): the conflict of all without a source, and with it; then the discount that reconciles it."""
+    sources = np.array([(0.0, 0.8), (0.1, 0.7), (0.9, 0.0), (0.0, 0.5)])
+    falsity = evidence.degree_of_falsity(sources, axis=0)
+    both = 1 - evidence.conjunctive(sources, axis=0).sum()
+    for k, found in enumerate(falsity):
+        without = 1 - evidence.conjunctive(np.delete(sources, k, axis=0), axis=0).sum()
+        assert found == pytest.approx((both - without) / (1 - without))
+    assert falsity.argmax() == 2
+    reliability = evidence.reconciling_reliability(*sources, remaining_conflict=0.2)
+    others = evidence.dempster(*np.delete(sources, 2, axis=0))
+    assert evidence.conflict(evidence.discount(sources[2], reliability[2]), others) == pytest.approx(0.2)
+    agreeing = evidence.reconciling_reliability(sources[0], sources[1], remaining_conflict=0.2)
+    np.testing.assert_array_equal(agreeing, 1)
+
+
+def test_divergence_of_masses_both_ways() -> None:
+    """KL of Beta densities by its definition; a dogmatic mass counts as an evidence of 1e5."""
+    a, b = pair(A), pair(B)
+    for first, second in ((a, b), (b, a)):
+        alpha, beta = ((2 * mass / evidence.unknown(mass) + 1) for mass in (first, second))
+        x = np.linspace(0, 1, 20001)[1:-1]
+        p, q = (stats.beta(one[1], one[0]) for one in (alpha, beta))
+        expected = np.trapezoid(p.pdf(x) * (p.logpdf(x) - q.logpdf(x)), x)
+        assert evidence.kl_divergence(first, second) == pytest.approx(expected, rel=1e-4)
+    assert evidence.kl_divergence(a, a) == 0
+    assert np.isfinite(evidence.kl_divergence([1, 0], [0, 1]))
+    assert evidence.kl_divergence(Opinion(*a), Opinion(*b)) == evidence.kl_divergence(a, b)
 
 
 def test_book_unfusion() -> None:

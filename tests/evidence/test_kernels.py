@@ -16,7 +16,7 @@ every_rule = each("name", CELL_RULES)
 
 
 def test_the_table_holds_rules_of_the_package() -> None:
-    assert list(RULES) == ["dempster", "yager", "cumulative", "normalized_cautious"]
+    assert list(RULES) == ["dempster", "yager", "cumulative", "cautious"]
     for name, rule in CELL_RULES.items():
         assert rule.arrays is getattr(evidence, name)
 

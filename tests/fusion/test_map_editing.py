@@ -11,7 +11,7 @@ from cases import each, refused
 from moving import street
 from random_grids import layers, noise
 
-from ogm.evidence import dempster, normalized_cautious, revise
+from ogm.evidence import cautious, dempster, revise
 from ogm.fusion import EvidentialMapper, crop, merge, resampled
 from ogm.grid import CombinedGrid, EvidentialGrid, GridSpec, LayeredGrid, PartialGrid
 from ogm.io import PlacedGrid, read_placed_grid, write_grid
@@ -22,15 +22,15 @@ WORLD = GridSpec(0.2, (100, 80), (-8.0, -8.0))
 SCANS = 8
 
 
-def cautious(masses: Any) -> Any:
-    return normalized_cautious(*masses)
+def cautiously(masses: Any) -> Any:
+    return cautious(*masses)
 
 
 def scan(k: int, kinds: str) -> EvidentialGrid:
     """Return a grid of one model (o), of two (t) or in a plane (p), by the letter of its number."""
     grid, kind = noise(SPEC, k), kinds[k % len(kinds)]
     if kind == "t":
-        return CombinedGrid.of_parts(SPEC, [grid.mass, noise(SPEC, k + 100).mass], cautious)
+        return CombinedGrid.of_parts(SPEC, [grid.mass, noise(SPEC, k + 100).mass], cautiously)
     return PartialGrid.of(SPEC, (2, 3), grid.mass[:20, :30], in_plane=True) if kind == "p" else grid
 
 
@@ -42,7 +42,7 @@ def drive(mapper: EvidentialMapper, numbers: range, kinds: str = "o") -> Evident
 
 @each("kinds, rule, half_life, window, ending", [
     ("o", dempster, (0.7, 1.5), "fixed", ".npz"), ("t", revise, 2.0, "rolling", ".npz"),
-    ("p", revise, 2.0, "rolling", ".nc"), ("po", normalized_cautious, math.inf, "rolling", ".tif"),
+    ("p", revise, 2.0, "rolling", ".nc"), ("po", cautious, math.inf, "rolling", ".tif"),
     ("tp", revise, math.inf, "fixed", ".npz"),
 ])  # fmt: skip
 def test_continuing_gives_the_map_of_one_run(
@@ -79,7 +79,7 @@ def test_a_map_of_a_single_model_goes_on_beside_several() -> None:
     saved = noise(SPEC)
     mapper = EvidentialMapper.from_grid(saved, half_life=math.inf, window="fixed", min_unknown=0)
     nothing = np.zeros((*SPEC.shape, 2), np.float32)
-    mapper.update(CombinedGrid.of_parts(SPEC, [nothing, nothing], cautious), np.eye(4))
+    mapper.update(CombinedGrid.of_parts(SPEC, [nothing, nothing], cautiously), np.eye(4))
     np.testing.assert_allclose(mapper.grid.mass, saved.mass, atol=1e-6)
 
 
@@ -107,7 +107,7 @@ def test_a_map_merged_with_itself_is_itself() -> None:
 
 
 @each("T", [pose(3.0, -1.2), pose(2.0, 5.0, yaw=math.pi / 2), pose(-9.0, 0.4, yaw=math.pi)])
-@each("rule", [normalized_cautious, dempster, revise])
+@each("rule", [cautious, dempster, revise])
 def test_merging_by_a_transform_is_mapping_with_transformed_poses(T: np.ndarray, rule: Any) -> None:
     options: dict[str, Any] = {"half_life": math.inf, "window": "fixed", "min_unknown": 0}
     first, second, both = (EvidentialMapper(WORLD, rule, **options) for _ in range(3))

@@ -11,7 +11,7 @@ import pytest
 from cases import each, refused
 from world_frames import RandomGrids, StraightDrive, grid_of
 
-from ogm.evidence import cumulative, dempster, discount, normalized_cautious
+from ogm.evidence import cautious, cumulative, dempster, discount
 from ogm.grid import GridSpec
 from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Frame, Mount, Scan
@@ -27,7 +27,7 @@ DRIVES = {
     "a": StraightDrive(24, (40.0, -10.0, 1.3), 2),
     "c": StraightDrive(20, (10.0, 20.0, -0.5), 3),
 }
-RULES = {"cautious": normalized_cautious, "dempster": dempster, "cumulative": cumulative}
+RULES = {"cautious": cautious, "dempster": dempster, "cumulative": cumulative}
 AROUND = GridSpec(0.5, (280, 280), (-60.0, -60.0))
 OPTIONS: dict[str, Any] = {"resolution": 0.5, "tile": 32, "rule": "dempster"}
 # no bound of certainty, which acts at other moments, and no discount
@@ -247,7 +247,7 @@ def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
         T = inverse(turn)
         back = [T[0, 0] * x + T[0, 1] * y + T[0, 3], T[1, 0] * x + T[1, 1] * y + T[1, 3]]
         inside = AROUND.contains(*back)
-        ix, iy = (index[inside] for index in AROUND.index(*back))
+        ix, iy = AROUND.index(*(one[inside] for one in back))
         np.testing.assert_array_equal(after.mass[inside], before.mass[ix, iy])
         np.testing.assert_array_equal(counted["count"][inside], layers["count"][ix, iy])
         assert (counted["count"] > 0).sum() > 3000

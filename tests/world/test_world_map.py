@@ -10,7 +10,7 @@ import pytest
 from cases import each, refused
 from world_reference import SlowMap
 
-from ogm.evidence import normalized_cautious
+from ogm.evidence import cautious
 from ogm.fusion import EvidentialMapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
@@ -79,7 +79,7 @@ def test_numbers_that_are_no_masses_change_no_map(tmp_path: Path, make_grid: Mak
 
 
 def test_a_map_in_tiles_is_that_of_the_mapper(tmp_path: Path, make_grid: MakeGrid) -> None:
-    mapper = EvidentialMapper(AROUND, normalized_cautious, float("inf"), window="fixed", max_speed=float("inf"))
+    mapper = EvidentialMapper(AROUND, cautious, float("inf"), window="fixed", max_speed=float("inf"))
     for k, T in enumerate(POSES):
         mapper.update(make_grid(k), T, stamp=10.0 + 7.5 * k)
     with made({"url": tmp_path / "map"}, make_grid, dtype="float32") as world:

@@ -6,7 +6,8 @@ hundred times faster on pairs, and are tested against these.
 The last axis is the power set: place ``A`` belongs to the set whose states are the bits of ``A``. With the
 states (free, static, dynamic), place 0b000 is the empty set, 0b001 is {free}, 0b110 is {static, dynamic} and
 0b111 is the whole frame; `subset` returns the places. For K = 2 and (free, occupied) the four numbers are
-(conflict, free, occupied, unknown). Arrays are float32 or float64, numpy or torch; rules combine two sources.
+(conflict, free, occupied, unknown). Arrays are float32 or float64, numpy or torch; rules combine any number of sources.
+Multinomial opinions, beliefs in single states, are converted by `from_beliefs` and `to_beliefs`.
 
 >>> import numpy as np
 >>> from ogm.evidence import powerset

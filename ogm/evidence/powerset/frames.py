@@ -8,7 +8,15 @@ import numpy as np
 from ogm.evidence.arrays import Array, as_like
 from ogm.evidence.powerset.transforms import MAX_STATES, masses_of, stack, subset
 
-__all__ = ["coarsen", "contextual_discount", "discount", "pignistic", "plausibility_transform", "refine"]
+__all__ = [
+    "coarsen",
+    "contextual_discount",
+    "discount",
+    "pignistic",
+    "plausibility_transform",
+    "projected_probability",
+    "refine",
+]
 
 
 def pignistic(mass: Array) -> Array:
@@ -16,10 +24,29 @@ def pignistic(mass: Array) -> Array:
 
     Conflict is normalised away; where all mass is conflict, the result is NaN.
     """
+    return projected_probability(mass)
+
+
+def projected_probability(mass: Array, base_rate: Sequence[Any] | None = None) -> Array:
+    """Return the projected probability of each state, (..., K): every mass shared in proportion to base rates.
+
+    Parameters
+    ----------
+    mass : (..., 2**K)
+        Hyper-opinion, see Jøsang (2016), section 3.6.
+    base_rate : K numbers or (...) arrays, optional
+        Prior probabilities of the states, greater than 0; by default equal, which gives the pignistic probability.
+    """
     columns = masses_of(mass)
+    states = range(_states(columns))
+    rates: Sequence[Any] = [1.0] * len(states) if base_rate is None else base_rate
+    if len(rates) != len(states):
+        raise ValueError(f"give one base rate per state, {len(states)}, got {len(rates)}")
+    rates = [as_like(rate, columns[0], f"base_rate[{state}]", low=1e-12) for state, rate in enumerate(rates)]
+    totals = [sum(rates[state] for state in states if place >> state & 1) for place in range(len(columns))]
     shares: list[Any] = [
-        sum(column / place.bit_count() for place, column in enumerate(columns) if place >> state & 1)
-        for state in range(_states(columns))
+        sum(rates[state] * column / totals[place] for place, column in enumerate(columns) if place >> state & 1)
+        for state in states
     ]
     with np.errstate(invalid="ignore"):
         return stack([share / columns[1:].sum(0) for share in shares], mass)

@@ -1,17 +1,27 @@
-"""Combination rules on frames of up to 6 states, two sources at a time.
+"""Combination rules on frames of up to 6 states, of n masses or of a stack of sources and its axis.
 
 The same rules as in `ogm.evidence`, from their general definitions: the reference that the rules on pairs are tested
 against. All take and return mass functions ``[..., 2**K]``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import reduce
 from itertools import product
+from operator import and_, mul, or_
 from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_alike, dtype_name, maybe_any, namespace, rounding, tolerance_of
-from ogm.evidence.open_world import refuse_no_conflict
+from ogm.evidence.arrays import (
+    Array,
+    check_float,
+    dtype_name,
+    each_source,
+    first_index,
+    maybe_any,
+    namespace,
+    tolerance_of,
+)
 from ogm.evidence.powerset.transforms import (
     difference_subsets,
     difference_supersets,
@@ -21,120 +31,131 @@ from ogm.evidence.powerset.transforms import (
     sum_supersets,
 )
 from ogm.evidence.rules import OnConflict, check_policy, refuse_total_conflict
+from ogm.evidence.subjective import (
+    Combine,
+    confident_mean_of_evidence,
+    fuse_by_evidence,
+    mean_of_evidence,
+    sum_of_evidence,
+)
 
 __all__ = [
     "averaging", "bold", "cautious", "conjunctive", "consensus_compromise", "cumulative", "dempster", "disjunctive",
-    "dubois_prade", "murphy", "pcr5", "weighted", "yager",
+    "dubois_prade", "murphy", "pcr5", "pcr6", "weighted", "yager",
 ]  # fmt: skip
 
+MAX_CHOICES = 2**16  # combinations of sets of all sources
 
-def conjunctive(a: Array, b: Array) -> Array:
+
+def conjunctive(*masses: Array, axis: int | None = None) -> Array:
     """Combine by the unnormalised conjunctive rule: commonalities multiply; conflict is at place 0."""
-    return stack(_conjunctive(*_two(a, b)), a)
+    return stack(_conjunctive(_each(masses, axis)), masses[0])
 
 
-def disjunctive(a: Array, b: Array) -> Array:
+def disjunctive(*masses: Array, axis: int | None = None) -> Array:
     """Combine by the disjunctive rule: implicabilities multiply."""
-    first, second = _two(a, b)
-    return stack(difference_subsets(sum_subsets(first) * sum_subsets(second)).clip(0), a)
+    together = _product(map(sum_subsets, _each(masses, axis)))
+    return stack(difference_subsets(together).clip(0), masses[0])
 
 
-def dempster(a: Array, b: Array, *, on_conflict: OnConflict = "average") -> Array:
+def dempster(*masses: Array, axis: int | None = None, on_conflict: OnConflict = "average") -> Array:
     """Combine by Dempster's rule: conjunctive, divided by the sum of the surviving masses.
 
     In total conflict `on_conflict` decides: "average" is the mean of the sources, "vacuous" all mass on the
     frame, "nan" NaN, and "raise" an error.
     """
     check_policy(on_conflict)
-    first, second = _two(a, b)
-    xp = namespace(a)
-    joint = _conjunctive(first, second)
-    surviving = joint[1:].sum(0)
-    none = surviving <= len(joint) * np.finfo(dtype_name(a)).eps  # the transforms leave rounding in place of 0
+    parts, xp = _each(masses, axis), namespace(masses[0])
+    result, none = parts[0], parts[0][0] < 0  # a single source stays as it is
+    for part in parts[1:]:  # normalised at once, so that many sources do not underflow
+        joint = _conjunctive([result, part])
+        surviving = joint[1:].sum(0)
+        # The transforms leave rounding in place of 0
+        total = surviving <= len(joint) * np.finfo(dtype_name(masses[0])).eps
+        result = xp.stack([0 * surviving, *(joint[1:] / xp.where(total, 1 + 0 * surviving, surviving))])
+        none = none | total
     refuse_total_conflict(none, on_conflict)
-    result = [0 * surviving, *(joint[1:] / xp.where(none, 1 + 0 * surviving, surviving))]
+    columns = list(result)
     if maybe_any(xp, none):
-        whole = len(result) - 1
-        for place in range(len(result)):
-            fill = float("nan") if on_conflict == "nan" else float(place == whole)
-            average = 0.5 * (first[place] + second[place])
-            result[place] = xp.where(none, average if on_conflict == "average" else fill + 0 * surviving, result[place])
-    return stack(result, a)
+        average = sum(parts) / len(parts)
+        for place in range(len(columns)):
+            fill = float("nan") if on_conflict == "nan" else float(place == len(columns) - 1)
+            instead = average[place] if on_conflict == "average" else fill + 0 * columns[place]
+            columns[place] = xp.where(none, instead, columns[place])
+    return stack(columns, masses[0])
 
 
-def yager(a: Array, b: Array) -> Array:
+def yager(*masses: Array, axis: int | None = None) -> Array:
     """Combine by Yager's rule: conflict goes to the whole frame."""
-    joint = _conjunctive(*_two(a, b))
-    return stack([0 * joint[0], *joint[1:-1], joint[-1] + joint[0]], a)
+    joint = _conjunctive(_each(masses, axis))
+    return stack([0 * joint[0], *joint[1:-1], joint[-1] + joint[0]], masses[0])
 
 
-def dubois_prade(a: Array, b: Array) -> Array:
-    """Combine by Dubois and Prade's rule: the conflict of A and B goes to their union."""
-    first, second = _two(a, b)
-    result = [0 * column for column in first]
-    for (i, p), (j, q) in product(enumerate(first), enumerate(second)):
-        place = i & j or i | j
-        result[place] = result[place] + p * q
-    return stack(result, a)
+def dubois_prade(*masses: Array, axis: int | None = None) -> Array:
+    """Combine by Dubois and Prade's rule: the conflict of disjoint sets goes to their union."""
+    parts = _each(masses, axis)
+    result = [0 * column for column in parts[0]]
+    for places, picked in _choices(parts):
+        place = reduce(and_, places) or reduce(or_, places)
+        result[place] = result[place] + _product(picked)
+    return stack(result, masses[0])
 
 
-def pcr5(a: Array, b: Array) -> Array:
-    """Combine by PCR5 (= PCR6 = PCR6+ for two sources): conflict goes back to its two sets, in proportion."""
-    first, second = _two(a, b)
-    result = list(_conjunctive(first, second))
-    result[0] = first[0] + second[0] - first[0] * second[0]  # conflict of the sources themselves has no parties
-    for (i, p), (j, q) in product(enumerate(first), enumerate(second)):
-        if i and j and not i & j:
-            share = p * q / (p + q + (p + q == 0))
-            result[i], result[j] = result[i] + share * p, result[j] + share * q
-    return stack(result, a)
+def pcr5(*masses: Array, axis: int | None = None) -> Array:
+    """Combine by PCR5: conflict goes back to its sets, in proportion to the products of their masses."""
+    return _redistributed(masses, axis, _grouped)
 
 
-def murphy(a: Array, b: Array) -> Array:
-    """Combine by Murphy's rule: the mean of both, combined with itself by Dempster's rule."""
-    first, second = _two(a, b)
-    mean = stack(0.5 * (first + second), a)
-    return dempster(mean, mean)
+def pcr6(*masses: Array, axis: int | None = None) -> Array:
+    """Combine by PCR6: conflict goes back to its sets, in proportion to the mass of each source; for two, as PCR5."""
+    return _redistributed(masses, axis, zip)
 
 
-def cautious(a: Array, b: Array) -> Array:
-    """Combine by the cautious rule: the smaller of the conjunctive weights; not normalised.
+def murphy(*masses: Array, axis: int | None = None) -> Array:
+    """Combine by Murphy's rule: the mean of all, combined with itself by Dempster's rule as often as there are more."""
+    parts = _each(masses, axis)
+    mean = stack(sum(parts) / len(parts), masses[0])
+    return dempster(*[mean] * len(parts)) if len(parts) > 1 else mean
+
+
+def cautious(*masses: Array, axis: int | None = None) -> Array:
+    """Combine by the cautious rule: the smallest of the conjunctive weights; not normalised.
 
     As in `ogm.evidence.cautious`, the mass of the frame is read as at least 1e-6 (float32) or 1e-12 (float64).
     """
-    return stack(_cautious(*_two(a, b), a), a)
+    return stack(_cautious(_each(masses, axis), masses[0]), masses[0])
 
 
-def bold(a: Array, b: Array) -> Array:
-    """Combine by the bold disjunctive rule: `cautious` on complements. Needs conflict > 0 in both."""
-    first, second = (list(reversed(columns)) for columns in _two(a, b))
-    xp = namespace(a)
+def bold(*masses: Array, axis: int | None = None) -> Array:
+    """Combine by Denœux's bold disjunctive rule: `cautious` on complements. Needs conflict > 0 in all sources."""
+    xp, parts = namespace(masses[0]), _each(masses, axis)
     if xp is np:
-        refuse_no_conflict([first[-1], second[-1]])
-    return stack(reversed(_cautious(xp.stack(first), xp.stack(second), a)), a)
+        _refuse_no_conflict([part[0] for part in parts])
+    complements = [xp.stack(list(part)[::-1]) for part in parts]
+    return stack(list(_cautious(complements, masses[0]))[::-1], masses[0])
 
 
-def cumulative(a: Array, b: Array) -> Array:
+def cumulative(*masses: Array, axis: int | None = None) -> Array:
     """Fuse hyper-opinions by cumulative fusion; the mass of the whole frame is their unknown."""
-    return _fuse(a, b, lambda u, v: (v, u, u + v - u * v))
+    return _fused(masses, axis, sum_of_evidence)
 
 
-def averaging(a: Array, b: Array) -> Array:
+def averaging(*masses: Array, axis: int | None = None) -> Array:
     """Fuse hyper-opinions by averaging fusion; the mass of the whole frame is their unknown."""
-    return _fuse(a, b, lambda u, v: (v, u, u + v))
+    return _fused(masses, axis, mean_of_evidence)
 
 
-def weighted(a: Array, b: Array) -> Array:
+def weighted(*masses: Array, axis: int | None = None) -> Array:
     """Fuse hyper-opinions by weighted fusion; the mass of the whole frame is their unknown."""
-    return _fuse(a, b, lambda u, v: ((1 - u) * v, (1 - v) * u, u + v - 2 * u * v))
+    return _fused(masses, axis, confident_mean_of_evidence)
 
 
 def consensus_compromise(a: Array, b: Array) -> Array:
-    """Fuse hyper-opinions by consensus & compromise, with relative base rates |A and B| / |B|.
+    """Fuse two hyper-opinions by consensus & compromise, with relative base rates |A and B| / |B|.
 
     van der Heijden, Kopp and Kargl (2018); where no residue is left to share, the rest is unknown.
     """
-    first, second = _two(a, b)
+    first, second = _each([a, b], None)
     agreed = namespace(a).minimum(first, second)[:-1]
     rest_a, rest_b = first[:-1] - agreed, second[:-1] - agreed
     compromise = [*(rest_a * second[-1] + rest_b * first[-1]), 0 * first[-1]]
@@ -150,27 +171,82 @@ def consensus_compromise(a: Array, b: Array) -> Array:
     return _with_unknown([c + share * x for c, x in zip(agreed, compromise[:-1], strict=True)], a)
 
 
-def _two(a: Any, b: Any) -> tuple[Any, Any]:
-    first, second = masses_of(a, "a"), masses_of(b, "b")
-    check_alike(a, b)
-    if len(first) != len(second):
-        raise ValueError(f"a and b must be on one frame, got {len(first)} and {len(second)} subsets on their last axes")
-    if tuple(a.shape) == tuple(b.shape):
-        return first, second
-    xp = namespace(a)
-    both = xp.broadcast_arrays(a, b) if xp is np else xp.broadcast_tensors(a, b)
-    return xp.moveaxis(both[0], -1, 0), xp.moveaxis(both[1], -1, 0)
+def _each(masses: Sequence[Any], axis: int | None) -> list[Any]:
+    """Return the columns of each source, (2**K, ...), of one shape."""
+    xp, sources = each_source(masses, axis, check_float, masses_of)
+    counts = [len(source) for source in sources]
+    if len(set(counts)) > 1:
+        raise ValueError(
+            f"a and b must be on one frame, got {' and '.join(map(str, counts))} subsets on their last axes"
+        )
+    shapes = [tuple(source[0].shape) for source in sources]
+    shape = np.broadcast_shapes(*shapes)
+    if all(one == shape for one in shapes):
+        return [xp.stack(list(source)) for source in sources]
+    return [xp.stack([xp.broadcast_to(column, shape) for column in source]) for source in sources]
 
 
-def _conjunctive(first: Any, second: Any) -> Any:
+def _product(factors: Iterable[Any]) -> Any:
+    return reduce(mul, factors)
+
+
+def _conjunctive(parts: Sequence[Any]) -> Any:
     # The exact result is a sum of products: differences below zero are rounding.
-    return difference_supersets(sum_supersets(first) * sum_supersets(second)).clip(0)
+    return difference_supersets(_product(map(sum_supersets, parts))).clip(0)
 
 
-def _cautious(first: Any, second: Any, mass: Any) -> Any:
+def _choices(parts: Sequence[Any]) -> Iterator[tuple[tuple[int, ...], list[Any]]]:
+    """Yield all ways in which each source picks a set: their places, and the masses of the sources."""
+    count = len(parts[0]) ** len(parts)
+    if count > MAX_CHOICES:
+        raise ValueError(
+            f"{len(parts)} sources on {len(parts[0])} sets have {count} combinations of sets, more than {MAX_CHOICES}: "
+            "combine fewer sources, or coarsen the frame"
+        )
+    for places in product(range(len(parts[0])), repeat=len(parts)):
+        yield places, [part[place] for part, place in zip(parts, places, strict=True)]
+
+
+def _redistributed(
+    masses: Sequence[Array], axis: int | None, shared: Callable[..., Iterable[tuple[int, Any]]]
+) -> Array:
+    """Share conflicting products among their sets; `shared` takes places and masses to places and shares."""
+    parts = _each(masses, axis)
+    result = list(_conjunctive(parts))
+    result[0] = 1 - _product(1 - part[0] for part in parts)  # conflict of the sources themselves has no parties
+    for places, picked in _choices(parts):
+        if all(places) and not reduce(and_, places):
+            shares = list(shared(places, picked))
+            whole: Any = sum(share for _, share in shares)
+            weight = _product(picked) / (whole + (whole == 0))
+            for place, share in shares:
+                result[place] = result[place] + weight * share
+    return stack(result, masses[0])
+
+
+def _grouped(places: Sequence[int], picked: Sequence[Any]) -> list[tuple[int, Any]]:
+    """Return the product of the masses of each set."""
+    groups: dict[int, Any] = {}
+    for place, mass in zip(places, picked, strict=True):
+        groups[place] = groups[place] * mass if place in groups else mass
+    return list(groups.items())
+
+
+def _refuse_no_conflict(conflicts: Sequence[Any]) -> None:
+    """Raise if a source of the bold rule, given by its conflict in every cell, has none somewhere."""
+    for number, conflict in enumerate(conflicts):
+        none = ~(np.asarray(conflict) > 0)
+        if none.any():
+            raise ValueError(
+                f"the bold rule needs conflict > 0 in every cell of every source, but source {number} has none in "
+                f"{int(none.sum())} cells, the first at {first_index(none)}; use disjunctive without conflict"
+            )
+
+
+def _cautious(parts: Sequence[Any], mass: Any) -> Any:
     xp = namespace(mass)
     # Simple mass functions A^w with the least w; one has commonality 1 inside A and w elsewhere.
-    least = xp.minimum(_log_weights(first, mass), _log_weights(second, mass))
+    least = reduce(xp.minimum, [_log_weights(part, mass) for part in parts])
     inside = sum_supersets(least)
     return difference_supersets(xp.exp(inside[0] - inside)).clip(0)
 
@@ -183,16 +259,9 @@ def _log_weights(columns: Any, mass: Any) -> Any:
     return xp.stack([*-difference_supersets(logs)[:-1], 0 * logs[0]])
 
 
-def _fuse(a: Array, b: Array, weights: Callable[[Any, Any], tuple[Any, Any, Any]]) -> Array:
-    """Weight beliefs by the other's unknown; two dogmatic sources have equal weight, two vacuous stay so."""
-    first, second = _two(a, b)
-    u, v = first[-1], second[-1]
-    dogmatic = (u <= rounding(a)) & (v <= rounding(a))
-    weight_a, weight_b, total = (
-        namespace(a).where(dogmatic, instead + 0 * u, number)
-        for instead, number in zip((1, 1, 2), weights(u, v), strict=True)
-    )
-    return _with_unknown(list((weight_a * first[:-1] + weight_b * second[:-1]) / (total + (total == 0))), a)
+def _fused(masses: Sequence[Array], axis: int | None, combine: Combine) -> Array:
+    xp, parts = namespace(masses[0]), _each(masses, axis)
+    return _with_unknown(fuse_by_evidence(xp, masses[0], parts, combine), masses[0])
 
 
 def _with_unknown(beliefs: list[Any], mass: Array) -> Array:

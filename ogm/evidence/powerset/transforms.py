@@ -11,9 +11,9 @@ import numpy as np
 from ogm.evidence.arrays import Array, check_float, namespace, refuse_worst, split_open, tolerance_of
 
 __all__ = [
-    "belief_to_mass", "check_powerset", "commonality_to_mass", "from_pair", "implicability_to_mass", "mass_to_belief",
-    "mass_to_commonality", "mass_to_implicability", "mass_to_plausibility", "plausibility_to_mass", "subset", "to_pair",
-    "to_triple",
+    "belief_to_mass", "check_powerset", "commonality_to_mass", "from_beliefs", "from_pair", "implicability_to_mass",
+    "mass_to_belief", "mass_to_commonality", "mass_to_implicability", "mass_to_plausibility", "plausibility_to_mass",
+    "subset", "to_beliefs", "to_pair", "to_triple",
 ]  # fmt: skip
 
 MAX_STATES = 6
@@ -55,9 +55,32 @@ def to_pair(mass: Array) -> Array:
 
 
 def to_triple(mass: Array) -> Array:
-    """Return the open-world triple (free, occupied, conflict) of a mass function on two states."""
-    conflict, free, occupied, _ = masses_of(mass, states=2)
-    return stack([free, occupied, conflict], mass)
+    """Return the open-world triple (free, occupied, unknown) of a mass function on two states; the rest is conflict."""
+    _, free, occupied, unknown = masses_of(mass, states=2)
+    return stack([free, occupied, unknown], mass)
+
+
+def from_beliefs(belief: Array) -> Array:
+    """Return the mass function of a multinomial opinion (..., K): beliefs in single states, the rest unknown."""
+    xp = check_float(belief, "belief")
+    given: Any = belief
+    states = given.shape[-1] if given.ndim else 0
+    if not 2 <= states <= MAX_STATES:
+        raise ValueError(f"belief must be in 2 to {MAX_STATES} states on its last axis, got shape {tuple(given.shape)}")
+    columns = [0 * given[..., 0]] * (1 << states)
+    for state in range(states):
+        columns[1 << state] = given[..., state]
+    columns[-1] = 1 - given.sum(-1)
+    mass = stack(columns, belief)
+    if xp is np:
+        check_powerset(mass, name="the mass function of belief")
+    return mass
+
+
+def to_beliefs(mass: Array) -> Array:
+    """Return the beliefs in single states (..., K) of a mass function; the mass of all other sets becomes unknown."""
+    columns = masses_of(mass)
+    return stack([columns[1 << state] for state in range(len(columns).bit_length() - 1)], mass)
 
 
 def mass_to_commonality(mass: Array) -> Array:

@@ -70,7 +70,7 @@ def height_band_mass(xyz: NDArray[Any], ism: HeightBandISM) -> NDArray[np.float3
 
 
 def cell_of(spec: GridSpec, x: float, y: float) -> tuple[int, int]:
-    i, j = spec.index(x, y)
+    i, j = spec.index(x, y, unbounded=True)
     return int(i), int(j)
 
 
