@@ -12,8 +12,7 @@ import numpy as np
 
 from ogm import Frame, GridSpec, Mount, load_model
 from ogm.fusion import make_mapper, rolling_window, update_map
-from ogm.io import messages
-from ogm.io.depth import T_OPTICAL_BODY
+from ogm.io import T_OPTICAL_BODY, messages
 from ogm.io.transforms import ExtrapolationError, TransformBuffer
 from ogm.live import warm_up
 

@@ -236,7 +236,7 @@ def _scan(sample: SimulatedSample) -> Scan:
 
 
 def _depth_scan(sample: SimulatedSample) -> Scan:
-    """Return the scan of a depth camera: rows from the highest on, as those of its image."""
+    """Return the scan of a depth camera: rows from the highest on, as its image has them."""
     beams = sample.beams
     rows, columns = beams.shape
     depth = sample.steps * np.float32(RANGE_STEP) * beams.directions[..., 0]

@@ -176,7 +176,7 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: Ints, *, salt: int = 
 def _view(here: SceneSetup) -> View | None:
     """Return where a scan can see that was taken by a recipe, or not by a lidar; None for all round.
 
-    The truth of a planar laser is that of all heights in its sector, as its own plane tells nothing of the ground.
+    The truth of a planar laser holds all heights in its sector, as its own plane tells nothing of the ground.
     """
     spec, chosen = here.spec, here.conditions
     reach = (spec.range_min, spec.range_max, spec.reach)
@@ -222,9 +222,7 @@ def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
     """
     specs = [sensor_spec(name) for name in dict.fromkeys(mount.lidar for mount in plan.mounts)]
     if plan.truth == "hd" and (flat := [spec.name for spec in specs if spec.kind]):
-        raise ValueError(
-            f'truth "hd" is that of lidars with more layers, {flat[0]} has none such; take "aimed" or "none"'
-        )
+        raise ValueError(f'truth "hd" needs a lidar with more layers, got {flat[0]}; take "aimed" or "none"')
     return tuple(map(beams_of, specs))
 
 

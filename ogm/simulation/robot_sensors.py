@@ -39,7 +39,7 @@ def planar_laser(name: str, view: float, step: float, **numbers: Any) -> LidarSp
 def depth_camera(name: str, width: int, height: int, focal_length: float, **numbers: Any) -> LidarSpec:
     """Return a depth camera that looks ahead.
 
-    Its depths are those of a matched or coded pattern: they hardly depend on what reflects. Between two surfaces there
+    It matches images or patterns, so that depths hardly depend on reflectivity. Between two surfaces there
     are pixels with a mixture of both depths.
 
     Parameters

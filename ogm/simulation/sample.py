@@ -165,7 +165,7 @@ class Beams:
     origin : tuple of (x, y, z)
         Where each layer's beams start in the sensor's frame [m].
     kind : {"", "planar", "depth"}
-        See `ogm.scan.Scan.kind`. The layers of a depth camera are the rows of its image, `elevation` is that of the
+        See `ogm.scan.Scan.kind`. The layers of a depth camera are the rows of its image, `elevation` counts in the
         middle column, and `step` counts from pixel to pixel of an image at distance 1.
     range_min, range_max : float
         Least and greatest range of a planar laser or depth camera [m]; not kept of lidars.

@@ -326,7 +326,7 @@ def _image_rays(elevations: tuple[float, ...], step: float, columns: int) -> Flo
     rays = np.ones((len(elevations), columns, 3))
     rays[..., 1] = _first_azimuth(step, columns) - step * np.arange(columns)
     rays[..., 2] = np.tan(elevations)[:, None]
-    result = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
+    result: Floats32 = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
     result.flags.writeable = False
     return result
 

@@ -152,7 +152,7 @@ def test_numbers_that_describe_no_sensor_are_refused() -> None:
     refused("height of d435", only, "d435@9")
     from ogm.simulation import dataset
 
-    refused('truth "hd" is that of lidars', dataset.lidars, DatasetPlan(mounts=only("d435"), truth="hd"))
+    refused('truth "hd" needs a lidar', dataset.lidars, DatasetPlan(mounts=only("d435"), truth="hd"))
     beams = dataset.beams_of(ROBOT_SENSORS["d435"]).to_dict()
     assert Beams.from_dict(beams) == dataset.beams_of(ROBOT_SENSORS["d435"])
     for odd in ({"kind": "cone"}, {"range_max": 0.1}, {"step": 0.1}, {"elevation": [2.0] * 240}):

@@ -89,9 +89,9 @@ class DynamicMapper(Mapper):
     of the same moment ages and moves nothing. A late scan moves and makes no particles: it counts as much as ageing
     would have left of it, in cells that hold more free or static than dynamic. After an error the map is as it was.
 
-    Planes. A cell has one mass of free: that of a laser in its plane alone (`EvidentialGrid.in_plane`) would clear what
-    other sensors see above and below. So it counts in maps of planar lasers alone. At the first scan of another sensor
-    it is forgotten, and from then on planar scans only mark, with a warning; `EvidentialMapper` keeps both.
+    Planes. A cell has one mass of free: a laser that is free in its plane alone (`EvidentialGrid.in_plane`) would clear
+    what other sensors see above and below. So it counts in maps of planar lasers alone. At the first scan of another
+    sensor it is forgotten, and from then on planar scans only mark, with a warning; `EvidentialMapper` keeps both.
 
     Radial velocities (`update`) are measurements of one component of the velocity of the cells that they lie in. A scan
     that comes with them, also with none that moves, is taken for a radar's: it is not matched with earlier scans, nor
@@ -152,7 +152,7 @@ class DynamicMapper(Mapper):
         self._tracker: ObjectTracker | None = None  # from the first time on that objects are asked for
         self._objects: Objects | None = None
         self._beyond_plane = False  # whether a scan was fused that is not free in a plane alone
-        self._told = False  # whether it was told that planar scans only mark
+        self._warned = False  # whether the warning about planar scans was logged
 
     def __repr__(self) -> str:
         return f"DynamicMapper({self.filter}, {self.particles} particles, {self.scans} scans, {self.spec})"
@@ -267,8 +267,8 @@ class DynamicMapper(Mapper):
     def _usable(self, grid: EvidentialGrid) -> NDArray[np.float32]:
         """Return the masses of a scan, and forget free of planes at the first one of another sensor."""
         if grid.in_plane and self._beyond_plane:
-            if not self._told:
-                self._told = True
+            if not self._warned:
+                self._warned = True
                 _log.warning(
                     "a dynamic map of a planar laser and other sensors: the laser marks, but its free cells are left "
                     "out, as they would clear what others see above and below its plane; evidential rules keep both"
