@@ -28,7 +28,7 @@ from ogm.io.transforms import TransformBuffer
 from ogm.pose import inverse, pose, transform_points
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-MOUNT = Mount(1.8)
+SPEC, MOUNT = GridSpec.centered(length=20, width=20, resolution=0.25), Mount(1.8)
 CLOUD, TF, GRID = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/OccupancyGrid"
 T_BASE_LIDAR = pose(0.5, 0.0, 1.8)
 
