@@ -13,6 +13,7 @@ from commands import completed
 from scipy.ndimage import binary_dilation
 
 from ogm import GridSpec, open_dataset
+from ogm.cli.evaluate_command import usual_models
 from ogm.models import load_model
 from ogm.models.named import for_all_kinds
 from ogm.pose import pose, transform_points
@@ -141,6 +142,8 @@ def test_commands_read_a_planar_drive_by_default(drive: Callable[..., Path], tmp
     assert "planar, free at 0.30 m" in result.output + result.stderr
     result = completed("fuse", path, "--out", tmp_path / "map.npz")
     assert "0.05" in result.output + result.stderr
+    assert usual_models(GridSpec.centered(), open_dataset(path)[0]) == ["planar"]
+    assert usual_models(GridSpec.centered(), open_dataset(drive("d435"))[0]) == ["depth"]
 
 
 def test_numbers_that_describe_no_sensor_are_refused() -> None:
