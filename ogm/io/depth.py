@@ -24,8 +24,8 @@ EDGE = math.radians(3)  # angle between a surface and the ray to it, below which
 APART = math.radians(0.5)  # [rad] between points that are left by default
 MOST_PIXELS = 3  # along a side of the squares that one point each is left of, by default
 LEAST, GREATEST = 0.05, 100.0  # [m] within which the median depth of any camera lies
+# Takes x forward, y left, z up to a camera's optical axes: x right, y down, z forward
 T_OPTICAL_BODY = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
-"""Takes x forward, y left, z up to a camera's optical axes: x right, y down, z forward."""
 
 
 class Intrinsics(NamedTuple):
