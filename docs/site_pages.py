@@ -29,8 +29,8 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "Simulation": tuple(
         f"ogm.simulation.{name}"
         for name in (
-            *("plan", "recipe", "dataset", "sample", "store", "sensors", "lidar", "mounts", "radars", "radar"),
-            *("scene", "hand_built_scenes", "mesh", "materials"),
+            *("plan", "recipe", "dataset", "sample", "store", "sensors", "robot_sensors", "lidar", "mounts", "radars"),
+            *("radar", "scene", "hand_built_scenes", "mesh", "materials"),
         )
     ),
 }

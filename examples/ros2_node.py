@@ -1,72 +1,71 @@
-"""A ROS 2 node around the converters: PointCloud2 and tf in, OccupancyGrid out.
+"""A ROS 2 node around the converters: clouds, laser scans, depth images and tf in, OccupancyGrid out.
 
-    python3 examples/ros2_node.py --ros-args -r points:=/lidar/points -p sensor_height:=1.8 -p map_frame:=odom
+    python3 examples/ros2_node.py --ros-args -r points:=/lidar/points -p map_frame:=odom -p base_frame:=base_footprint
 
-`map_cloud` is all that it does with a message; it needs no ROS.
+The base frame lies on the ground. `read_frame` is all that it does with a message; it needs no ROS.
 """
 
-from types import SimpleNamespace
+from functools import partial
 from typing import Any
 
-from ogm import Frame, GridSpec, Mount
-from ogm.fusion import EvidentialMapper, rolling_window, update_map
-from ogm.geometric import RayISM
-from ogm.io.messages import fill_message, occupancy_grid, scan_from_point_cloud2, transforms_from_tf
+import numpy as np
+
+from ogm import Frame, GridSpec, Mount, load_model
+from ogm.fusion import make_mapper, rolling_window, update_map
+from ogm.io import T_OPTICAL_BODY, messages
 from ogm.io.transforms import ExtrapolationError, TransformBuffer
 from ogm.live import warm_up
 
 
-def map_cloud(
-    cloud: Any, transforms: TransformBuffer, ism: RayISM, mapper: EvidentialMapper, map_frame: str
-) -> SimpleNamespace:
-    """Fuse a PointCloud2 into the map, and return the map as an OccupancyGrid."""
-    scan = scan_from_point_cloud2(cloud)
-    T_map_sensor = transforms.lookup(map_frame, cloud.header.frame_id.lstrip("/"), scan.stamp)
-    frame = Frame(scan, ism.mount, None, None, T_map_sensor=T_map_sensor, stamp=scan.stamp)
-    update_map(mapper, ism(scan), frame)
-    return occupancy_grid(mapper.grid, frame_id=map_frame, stamp=scan.stamp)
+def read_frame(kept: dict[str, Any], topic: str, tf: TransformBuffer, frames: list[str]) -> Frame:
+    """Return the scan of a topic with its place in the frames of the map and of the vehicle."""
+    message, T = kept[topic], T_OPTICAL_BODY if topic == "depth" else np.eye(4)
+    if topic == "depth":
+        scan = messages.scan_from_depth_image(message, messages.intrinsics_from_camera_info(kept.get("camera_info")))
+    else:
+        scan = (messages.scan_from_laser_scan if topic == "scan" else messages.scan_from_point_cloud2)(message)
+    sensor = message.header.frame_id.lstrip("/")
+    T_map_sensor, T_base_sensor = (tf.lookup(frame, sensor, scan.stamp) @ T for frame in frames)
+    return Frame(scan, Mount(T_base_sensor[2, 3], T_base_sensor), T_map_sensor=T_map_sensor, stamp=scan.stamp)
 
 
 def main() -> None:
     import rclpy
     from nav_msgs.msg import OccupancyGrid
-    from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-    from sensor_msgs.msg import PointCloud2
+    from rclpy import qos
+    from sensor_msgs import msg
     from tf2_msgs.msg import TFMessage
 
     rclpy.init()
-    node = rclpy.create_node("ogm")
-    map_frame = node.declare_parameter("map_frame", "odom").value
-    spec, mount = GridSpec.centered(), Mount(node.declare_parameter("sensor_height", 1.8).value)
-    ism, mapper, transforms = RayISM(spec, mount), EvidentialMapper(rolling_window(spec)), TransformBuffer(keep=10.0)
+    node, kept = rclpy.create_node("ogm"), dict[str, Any]()  # the newest message of each topic, until tf has its time
+    frames = [node.declare_parameter(*one).value for one in (("map_frame", "odom"), ("base_frame", "base_link"))]
+    spec, tf = GridSpec.centered(), TransformBuffer(keep=10.0)
+    ism, mapper = load_model("ray+planar+depth", spec), make_mapper("revise", rolling_window(spec))
     warm_up(ism, mapper)
-    latched, static = (QoSProfile(depth=n, durability=DurabilityPolicy.TRANSIENT_LOCAL) for n in (1, 100))
+    latched, static = (qos.QoSProfile(depth=n, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL) for n in (1, 100))
     publisher = node.create_publisher(OccupancyGrid, "map", latched)
-    waiting: list[Any] = []  # the newest cloud, until tf has its time
 
-    def map_waiting() -> None:
-        try:
-            if waiting:
-                plain = map_cloud(waiting[0], transforms, ism, mapper, map_frame)
-                publisher.publish(fill_message(OccupancyGrid(), plain))
-                waiting.clear()
-        except ValueError as error:
-            if not isinstance(error, ExtrapolationError) or error.seconds <= 0:  # else tf comes a little later
-                node.get_logger().warning(f"a cloud is skipped: {error}", throttle_duration_sec=5.0)
-                waiting.clear()
+    def take(topic: str, message: Any) -> None:
+        for transform in messages.transforms_from_tf(message) if "tf" in topic else ():
+            tf.add(transform, topic == "/tf_static")
+        kept[topic] = message
+        for key in [one for one in ("points", "scan", "depth") if one in kept]:
+            try:
+                frame = read_frame(kept, key, tf, frames)
+                update_map(mapper, ism(frame.scan), frame)
+                plain = messages.occupancy_grid(mapper.grid, frame_id=frames[0], stamp=frame.stamp)
+                publisher.publish(messages.fill_message(OccupancyGrid(), plain))
+            except ValueError as error:
+                if isinstance(error, ExtrapolationError) and error.seconds > 0:
+                    continue  # tf comes a little later
+                node.get_logger().warning(f"a scan is skipped: {error}", throttle_duration_sec=5.0)
+            del kept[key]
 
-    def take_tf(message: TFMessage, static: bool = False) -> None:
-        for transform in transforms_from_tf(message):
-            transforms.add(transform, static)
-        map_waiting()
-
-    def take_cloud(cloud: PointCloud2) -> None:
-        waiting[:] = [cloud]
-        map_waiting()
-
-    node.create_subscription(TFMessage, "/tf", take_tf, 100)
-    node.create_subscription(TFMessage, "/tf_static", lambda message: take_tf(message, True), static)
-    node.create_subscription(PointCloud2, "points", take_cloud, qos_profile_sensor_data)
+    for topic, n in (("/tf", 100), ("/tf_static", static)):
+        node.create_subscription(TFMessage, topic, partial(take, topic), n)
+    kinds = {"points": msg.PointCloud2, "scan": msg.LaserScan, "depth": msg.Image, "camera_info": msg.CameraInfo}
+    for topic, kind in kinds.items():
+        node.create_subscription(kind, topic, partial(take, topic), qos.qos_profile_sensor_data)
     rclpy.spin(node)
 
 

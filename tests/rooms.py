@@ -1,9 +1,11 @@
 """Rooms of boxes: depths and ranges by analytic ray casting, and depth images as messages."""
 
+from io import BytesIO
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from ogm.io import Intrinsics
 from ogm.io.messages.plain import header
@@ -45,6 +47,10 @@ def looking(height: float, pitch: float = 0.0, yaw: float = 0.0) -> np.ndarray:
 
 def image_message(depth: np.ndarray, encoding: str, frame: str, stamp: float) -> Any:
     pixels = (depth * 1000).round().astype(np.uint16) if encoding != "32FC1" else depth.astype(np.float32)
+    if "compressedDepth" in encoding:
+        Image.fromarray(pixels).save(png := BytesIO(), "PNG")
+        data = np.frombuffer(bytes(12) + png.getvalue(), np.uint8)
+        return SimpleNamespace(header=header(stamp, frame), format=encoding, data=data)
     data = pixels.view(np.uint8).reshape(-1)
     sizes = {"height": len(depth), "width": depth.shape[1], "step": pixels.strides[0]}
     return SimpleNamespace(header=header(stamp, frame), encoding=encoding, is_bigendian=0, data=data, **sizes)

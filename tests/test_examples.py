@@ -13,15 +13,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import refused
 from foxglove_client import Client, grid_fields
+from rooms import CAMERA, image_message, info_message
 
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan
 from ogm.fusion import EvidentialMapper, fuse, rolling_window
 from ogm.geometric import RayISM
-from ogm.io import read_grid, read_placed_grid
+from ogm.io import T_OPTICAL_BODY, read_grid, read_placed_grid
 from ogm.io.messages import StampedTransform, occupancy_grid, point_cloud2, tf_message
 from ogm.io.messages.grids import occupancy_values
-from ogm.io.transforms import ExtrapolationError, TransformBuffer
+from ogm.io.messages.plain import header
+from ogm.io.transforms import TransformBuffer
 from ogm.pose import inverse, pose, transform_points
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -86,14 +89,14 @@ def messages() -> Iterator[tuple[str, Any]]:
         yield "tf", as_rosbags(tf_message([StampedTransform("odom", "base_link", 100 + 0.1 * k, T_map_base(k))]), TF)
 
 
-def direct(spec: GridSpec = SPEC) -> SimpleNamespace:
+def direct(spec: GridSpec, mount: Mount = MOUNT) -> SimpleNamespace:
     """Return the map of the same scans, without any message between."""
     mapper = EvidentialMapper(rolling_window(spec))
     frames = [
-        Frame(scan(k), MOUNT, None, None, T_map_sensor=T_map_base(k) @ T_BASE_LIDAR, stamp=100 + 0.1 * k)
+        Frame(scan(k), mount, None, None, T_map_sensor=T_map_base(k) @ T_BASE_LIDAR, stamp=100 + 0.1 * k)
         for k in range(5)
     ]
-    steps = list(fuse(frames, RayISM(spec, MOUNT), mapper))
+    steps = list(fuse(frames, RayISM(spec), mapper))
     assert all(step.grid is not None for step in steps)
     return occupancy_grid(mapper.grid, frame_id="odom", stamp=100.4)
 
@@ -175,23 +178,30 @@ def test_an_own_driver_is_served() -> None:
 # The node.
 
 
-def test_the_node_makes_the_map_of_its_scans() -> None:
+def test_the_node_reads_scans_of_every_sensor() -> None:
     """The plain function, on messages of rosbags."""
-    node, transforms = example("ros2_node"), TransformBuffer()
-    ism, mapper = RayISM(SPEC, MOUNT), EvidentialMapper(rolling_window(SPEC))
-    result = None
-    for topic, message in list(messages()):
-        if topic == "points":
-            with pytest.raises(ExtrapolationError):
-                node.map_cloud(message, transforms, ism, mapper, "odom")
-            waiting = message
-            continue
-        for transform in node.transforms_from_tf(message):
-            transforms.add(transform, topic == "tf_static")
-        if topic == "tf" and message.transforms[0].header.stamp.sec >= 100:
-            result = node.map_cloud(waiting, transforms, ism, mapper, "odom")
-    assert_same(result, direct())
-    assert_same(as_rosbags(result, GRID), direct())
+    node, tf = example("ros2_node"), TransformBuffer()
+    optical = T_BASE_LIDAR @ inverse(T_OPTICAL_BODY)
+    for static, one in (
+        (True, StampedTransform("base_link", "lidar", 0.0, T_BASE_LIDAR)),
+        (True, StampedTransform("base_link", "optical", 0.0, optical)),
+        *((False, StampedTransform("odom", "base_link", stamp, T_map_base(1))) for stamp in (99.0, 101.0)),
+    ):
+        tf.add(one, static)
+    kept = {
+        "points": point_cloud2(scan(0), frame_id="/lidar"),
+        "scan": SimpleNamespace(header=header(100.0, "lidar"), ranges=[5.0] * 5, intensities=[], angle_min=-1.0,
+            angle_max=1.0, angle_increment=0.5, time_increment=0.0, scan_time=0.1, range_min=0.1, range_max=9.0),
+        "depth": image_message(np.full((CAMERA.height, CAMERA.width), 2.0), "16UC1", "optical", 100.0),
+        "camera_info": info_message("optical", 100.0, ros1=False),
+    }  # fmt: skip
+    for topic, kind in (("points", ""), ("scan", "planar"), ("depth", "depth")):
+        frame = node.read_frame(kept, topic, tf, ["odom", "base_link"])
+        assert frame.scan.kind == kind
+        assert (len(frame.scan) > 0, frame.stamp) == (True, 100.0)
+        np.testing.assert_allclose(frame.T_map_sensor, T_map_base(1) @ T_BASE_LIDAR, atol=1e-12)
+        np.testing.assert_allclose(frame.mount.T_vehicle_sensor, T_BASE_LIDAR, atol=1e-12)
+    refused("CameraInfo must have a header", node.read_frame, {"depth": kept["depth"]}, "depth", tf, ["odom"])
 
 
 class FakeNode:
@@ -229,12 +239,13 @@ def fake_ros(monkeypatch: pytest.MonkeyPatch, spin: Callable[[FakeNode], None]) 
             super().__init__(header=SimpleNamespace(stamp=stamp, frame_id=""), info=info, data=[])
 
     policy = SimpleNamespace(TRANSIENT_LOCAL=1)
+    qos = {"DurabilityPolicy": policy, "QoSProfile": SimpleNamespace, "qos_profile_sensor_data": object()}
     found = {
-        "rclpy": {"init": lambda: None, "create_node": FakeNode, "spin": spin},
-        "rclpy.qos": {"DurabilityPolicy": policy, "QoSProfile": SimpleNamespace, "qos_profile_sensor_data": object()},
+        "rclpy": {"qos": SimpleNamespace(**qos), "init": lambda: None, "create_node": FakeNode, "spin": spin},
+        "rclpy.qos": qos,
         **{name: {} for name in ("nav_msgs", "sensor_msgs", "tf2_msgs")},
         "nav_msgs.msg": {"OccupancyGrid": OccupancyGrid},
-        "sensor_msgs.msg": {"PointCloud2": object},
+        "sensor_msgs.msg": dict.fromkeys(("PointCloud2", "LaserScan", "Image", "CameraInfo"), object),
         "tf2_msgs.msg": {"TFMessage": object},
     }
     for name, content in found.items():
@@ -254,9 +265,9 @@ def test_the_node_publishes_a_map_for_every_cloud(monkeypatch: pytest.MonkeyPatc
     fake_ros(monkeypatch, spin)
     runpy.run_path(str(EXAMPLES / "ros2_node.py"), run_name="__main__")
     node = FakeNode.last
-    assert set(node.subscriptions) == {"tf", "tf_static", "points"}
+    assert set(node.subscriptions) == {"tf", "tf_static", "points", "scan", "depth", "camera_info"}
     assert len(node.published) == 5
-    assert_same(node.published[-1], direct(GridSpec.centered()))
+    assert_same(node.published[-1], direct(GridSpec.centered(), Mount(1.8, T_BASE_LIDAR)))
     assert len(node.warnings) == 1
     assert "cut short" in node.warnings[0]
 
@@ -344,7 +355,7 @@ def test_the_bridge_maps_clouds_of_another_session() -> None:
     assert len(grids) == 5
     assert_same(grids[-1], direct(GridSpec.centered()))
     assert (reports[0].mapped, reports[0].dropped, reports[0].failed) == (5, 0, 0)
-    assert "a cloud is skipped" in lines[0]
+    assert "a scan is skipped" in lines[0]
 
 
 def free_port() -> int:

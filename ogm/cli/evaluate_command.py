@@ -28,6 +28,7 @@ from ogm.cli.options import (
 from ogm.cli.sensor_options import SensorOptions, sensor_options
 from ogm.evidence.map_rules import MAP_RULES
 from ogm.grid import GridSpec
+from ogm.scan import Frame
 from ogm.storage.locks import locked
 from ogm.storage.remote import as_path
 
@@ -94,7 +95,7 @@ def evaluate(
         Option(
             help="Models: height-band, height-band-released, ray, lite, combined, radar, deep-radar, weights that `ogm "
             "train` wrote (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite "
-            "combined, unless --grids are given]",
+            "combined, or planar or depth for such sensors, unless --grids are given]",
             metavar="NAME [NAME]...",
         ),
     ] = None,
@@ -159,6 +160,7 @@ def evaluate(
     from ogm.evaluation import write_report
     from ogm.evaluation.runner import REPORT_FILES, choose_frames, named_methods
     from ogm.extras import import_extra
+    from ogm.workflows.buildings import first_readable
 
     for package in ("scipy", "matplotlib"):  # before hours of work
         import_extra(package, "evaluate")
@@ -184,8 +186,8 @@ def evaluate(
     if agreement:
         _check_needless("--agreement needs no truth and compares methods with each other", **unused)
     spec = GridSpec.centered()
-    names = [*(ism or []), *(more or [])] or ([] if grids or beams else usual_models(spec))
-    if rules and not names and not beams:
+    names = [*(ism or []), *(more or [])]
+    if rules and grids and not names and not beams:
         raise ValueError("--fused fuses the scans of models; give --ism NAME too")
     others = "later" if rules else "all"
     log = {"topic": topic or (), "frame": fixed_frame, "sensors": sensor or ()}
@@ -204,6 +206,7 @@ def evaluate(
     if beams:
         evaluate_dataset_beams(dataset, names, rules, resolution, out_folder)
         return
+    names = names or ([] if grids else usual_models(spec, first_readable(dataset)))
     numbers = choose_frames(dataset, samples, every, seed, truth=not agreement)
     methods = named_methods(names, rules, grids or [], spec, resample)
     if agreement:
@@ -232,8 +235,16 @@ def evaluate(
     out.print(f"written {written}", markup=False, soft_wrap=True)
 
 
-def usual_models(spec: GridSpec) -> list[str]:
-    """Return the models that are evaluated where none is named: geometric ones, and the default of other commands."""
+def usual_models(spec: GridSpec, frame: Frame | None) -> list[str]:
+    """Return the models that are evaluated where none is named.
+
+    Of planar lasers, sonars and depth cameras it is the only one for the kind of the first scan, else geometric models
+    and the default of other commands.
+    """
+    from ogm.models.named import RAY, for_all_kinds, part_for
+
+    if frame is not None and (part := part_for(for_all_kinds(RAY), frame.scan)) != RAY:
+        return [part]
     usual = chosen_model(None, spec).partition("+")[0]
     return list(MODELS[:2]) if usual in MODELS else [*MODELS, usual]
 

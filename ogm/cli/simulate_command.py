@@ -34,7 +34,14 @@ def simulate(
     validation: Annotated[int | None, Option(help="Samples of other traffic. [default: samples / 10, or 1]")] = None,
     test: Annotated[int | None, Option(help="Samples of another town. [default: samples / 100]")] = None,
     sequences: Annotated[int | None, Option(help="Pieces of 10 s at 10 Hz, 100 samples each. [default: 0]")] = None,
-    lidar: Annotated[str | None, Option(help="Lidar of all samples. [default: a mix, 85 % vlp-32c]")] = None,
+    lidar: Annotated[
+        str | None,
+        Option(
+            help="Sensor of all samples: a lidar (vlp-32c), planar laser (utm-30lx, lds-01), depth camera (d435), also "
+            "with its height [m] (utm-30lx@0.5). [default: a mix of lidars, 85 % vlp-32c]",
+            metavar="NAME[@HEIGHT]",
+        ),
+    ] = None,
     radar: Annotated[
         list[str] | None,
         Option(

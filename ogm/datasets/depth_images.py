@@ -14,7 +14,7 @@ from ogm.datasets.scans import clock_stamps, in_order
 from ogm.datasets.sensor_setup import setup_of
 from ogm.io import read_poses
 from ogm.io.depth import T_OPTICAL_BODY, Intrinsics, depth_scan, is_intrinsics, read_intrinsics
-from ogm.io.images import open_image
+from ogm.io.images import deep_pixels
 from ogm.io.poses import frame_numbers
 from ogm.io.scan_table import rotation_to_flu
 from ogm.storage.files import OgmError, error_context
@@ -114,10 +114,7 @@ def read_depths(path: Path, rotated: bool = False) -> NDArray[np.uint16]:
     rotated : bool
         Whether the bits are rotated by 3, as those of the SUN RGB-D data are.
     """
-    with open_image(path) as image:
-        if not image.mode.startswith("I"):
-            raise OgmError(f"{path} is a PNG of {image.mode}, wanted one of 16-bit grey values, as depths have")
-        pixels = np.asarray(image).astype(np.uint16)
+    pixels = deep_pixels(path)
     return (pixels >> 3 | pixels << 13).astype(np.uint16) if rotated else pixels
 
 

@@ -31,14 +31,21 @@ RADAR_TYPES = (
 )  # fmt: skip
 PLANAR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 CONE_TYPES = ("sensor_msgs/msg/Range",)
-IMAGE, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"  # of images those with depths: `scan_topics`
-_BY_DEFAULT = (_LIDAR_TYPES, PLANAR_TYPES, (IMAGE,), RADAR_TYPES, CONE_TYPES)  # the first kind that a log has is used
+_IMAGE, _PACKED, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
+IMAGE_TYPES = _IMAGE, _PACKED  # of images those with depths: `scan_topics`
+_BY_DEFAULT = (
+    _LIDAR_TYPES,
+    PLANAR_TYPES,
+    (_IMAGE,),
+    (_PACKED,),
+    RADAR_TYPES,
+    CONE_TYPES,
+)  # the first kind that a log has is used
 SCAN_TYPES = tuple(name for types in _BY_DEFAULT for name in types)
 PACKET_TYPES = (  # what sensors send, as it came
     "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg", "hesai_ros_driver/msg/UdpFrame",
     "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets", "pandar_msgs/msg/PandarScan",
 )  # fmt: skip
-_COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _RADAR = re.compile(r"radar|continental|(?<![a-z])(ars|srr|umrr)", re.IGNORECASE)  # in names and types of topics
 _HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, as `Mount` has it around one
 NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)  # planar lasers and depth cameras seldom see their robots, which are small
@@ -92,7 +99,7 @@ class LogScans:
         self.transforms = LogTransforms(log, self.topics)
         self.assumes_height = False  # known with `places`
         self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
-        self.cameras = {name: camera_of(log, name) for name in self.topics if log.topics[name].type == IMAGE}
+        self.cameras = {name: camera_of(log, name) for name in self.topics if log.topics[name].type in IMAGE_TYPES}
         self.transforms.heads = self._with_bodies(self.transforms.heads)
         named = [(log.topic_of(ref), head.frame) for ref, head in self.transforms.heads]
         frames = {
@@ -209,6 +216,9 @@ class LogScans:
             notes.append((f"{text} assumed, which names the plane of free cells (--sensor-height)", ""))
         for topic, ref in {ref.topic: ref for ref in self.refs}.items():
             if topic in self.cameras:
+                if self.cameras[topic].distortion:
+                    text = f"the images of {topic}, not named as rectified (rect), are so by the lens of camera_info"
+                    notes.append((text, ""))
                 if note := self.transforms.cameras.get(ref.cloud):
                     way = "--sensors states the place of the camera's body, x forward, y left, z up, as mount"
                     notes.append((f"the images of {topic} are in {ref.cloud.removesuffix('_body')}, {note}", way))
@@ -389,14 +399,15 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
 def scan_topics(log: LogReader) -> list[str]:
     """Return the topics of a log that have scans: of images, those with depths."""
     there = [name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and facts.count]
-    return [name for name in there if log.topics[name].type != IMAGE or image_encoding(log, name) in DEPTH_ENCODINGS]
+    return [name for name in there if image_encoding(log, name).partition(";")[0] in ("", *DEPTH_ENCODINGS)]
 
 
 def image_encoding(log: LogReader, topic: str) -> str:
-    """Return the encoding of the first image of a topic that can be read; "" for other topics."""
-    if log.topics[topic].type != IMAGE:
+    """Return the encoding of the first image of a topic that can be read, or its format; "" for other topics."""
+    if log.topics[topic].type not in IMAGE_TYPES:
         return ""
-    return next((str(message.encoding) for message in _messages(log, topic) if hasattr(message, "encoding")), "unknown")
+    name = "encoding" if log.topics[topic].type == _IMAGE else "format"
+    return next((str(getattr(one, name)) for one in _messages(log, topic) if getattr(one, name, "")), "unknown")
 
 
 def camera_of(log: LogReader, topic: str) -> Intrinsics:
@@ -407,14 +418,15 @@ def camera_of(log: LogReader, topic: str) -> Intrinsics:
     OgmError
         If there is no such topic, or no message of a calibrated camera.
     """
-    path, folder = log.paths[0], topic.rpartition("/")[0]
+    path, image = log.paths[0], topic.removesuffix("/compressedDepth").removesuffix("/compressed")
+    folder = image.rpartition("/")[0]
     infos = [name for name, facts in log.topics.items() if facts.type == CAMERA and facts.count]
-    beside = [name for name in infos if name in (f"{folder}/camera_info", f"{topic}/camera_info")]
+    beside = [name for name in infos if name in (f"{folder}/camera_info", f"{image}/camera_info")]
     found, reason = dict[str, Intrinsics](), ""
     for name in beside or infos:
         for message in _messages(log, name):
             try:
-                found[name] = intrinsics_from_camera_info(message)
+                found[name] = intrinsics_from_camera_info(message, rectified="rect" in image.rpartition("/")[2])
                 break
             except OgmError as error:
                 reason = f" ({error})"
@@ -442,9 +454,6 @@ def _decoded(log: LogReader, names: Iterable[str]) -> str:
         return f". {', '.join(radars)}: radars are mapped by {wanted}; record what their driver decodes"
     if packets := [name for name, kind in types.items() if kind in PACKET_TYPES]:
         return f". {', '.join(packets)}: packets are not decoded; record the {CLOUD} of their driver"
-    if pictures := [name for name, kind in types.items() if kind == _COMPRESSED]:
-        way = f"`image_transport republish` makes {IMAGE} of them"
-        return f". {', '.join(pictures)}: compressed images are not decoded; {way}"
     if coloured := [name for name in names if image_encoding(log, name)]:
         return f". {', '.join(coloured)}: of images, those with depths are scans ({', '.join(DEPTH_ENCODINGS)})"
     return ""

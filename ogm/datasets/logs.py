@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.frames import FrameRef, RawFrame, SensorPlace
-from ogm.datasets.log_scans import CLOUD, CONE_TYPES, IMAGE, PLANAR_TYPES, RADAR_TYPES, LogScans, scan_topics
+from ogm.datasets.log_scans import CLOUD, CONE_TYPES, IMAGE_TYPES, PLANAR_TYPES, RADAR_TYPES, LogScans, scan_topics
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.recording import OpenOptions, Recording
 from ogm.datasets.scans import ending_of
@@ -125,7 +125,7 @@ class LogRecording(Recording):
         ref = self._scans[n]
         message = self.log.message(ref.ref)
         try:
-            if message.type == IMAGE:
+            if message.type in IMAGE_TYPES:
                 scale = self.setup(n).depth_scale
                 scan = scan_from_depth_image(message.decode(), self._cameras[message.topic], scale=scale)
             else:

@@ -1,6 +1,7 @@
 """The simulator's store: samples with truth, boxes and poses."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 
 from ogm.datasets.frames import EGO, FrameRef, RawFrame
 from ogm.datasets.recording import OpenOptions, Recording
+from ogm.io.depth import Intrinsics, depth_scan
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes, Mount, Scan
 from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.radars import RADARS
-from ogm.simulation.sample import LABELS, PlacedSweep, SimulatedSample
+from ogm.simulation.sample import LABELS, RANGE_STEP, PlacedSweep, SimulatedSample
 from ogm.simulation.store import FACTS, SHARD, Store
 from ogm.state import CellState, Truth
 from ogm.storage.files import OgmError
@@ -59,6 +61,8 @@ class SimulatedRecording(Recording):
         self._T_world_lidar, self._T_vehicle_lidar = poses
         self._lidar_place = self._T_vehicle_lidar[:, :2, 3].copy()
         self._T_vehicle_lidar[:, :2, 3] = 0.0  # the grids lie around the lidar, those of radars too
+        kinds = [one.kind for one in store.beams]
+        self._kinds = [kinds[int(n)] for n in facts[:, FACTS.index("lidar")]]
         self._stamps = facts[:, FACTS.index("stamp")].tolist()
         scenarios = facts[:, FACTS.index("scenario")].astype(int).tolist()
         lidar, radars = LIDAR in (options.sensors or (LIDAR,)), _radars_of(store, options.sensors)
@@ -149,8 +153,9 @@ class SimulatedRecording(Recording):
         """Return the mount of the sensor; all sensors of a sample have one vehicle frame."""
         source = self._sources[n]
         if source.radar < 0:
-            T = self._T_vehicle_lidar[source.sample]
-            return Mount(T[2, 3], T)
+            T, (x, y) = self._T_vehicle_lidar[source.sample], self._lidar_place[source.sample]
+            box = (EGO[0] - x, EGO[1] - x, EGO[2] - y, EGO[3] - y) if self._kinds[source.sample] else None
+            return Mount(T[2, 3], T, box)  # type: ignore[arg-type]
         radar, (x, y) = self._radars[source.radar], self._lidar_place[source.sample]
         return Mount(radar.z, pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw), EGO)
 
@@ -213,8 +218,10 @@ def _no_sample(store: Store, name: str | None) -> str:
 
 
 def _scan(sample: SimulatedSample) -> Scan:
-    """Return a sample's scan; beams of its range image without range are those without echo."""
+    """Return a sample's scan; beams of its range image without range are those without echo, but of depth cameras."""
     beams, echo = sample.beams, sample.steps > 0
+    if beams.kind == "depth":
+        return replace(_depth_scan(sample), sensor=sample.lidar)
     layers = len(beams.elevation)
     return Scan(
         sample.points,
@@ -223,7 +230,21 @@ def _scan(sample: SimulatedSample) -> Scan:
         ring=np.repeat(np.arange(layers, dtype=np.uint16), np.count_nonzero(echo, axis=1)),
         no_returns=sample.no_returns,
         sensor=sample.lidar,
+        kind=beams.kind,
+        max_range=beams.range_max or None,
     )
+
+
+def _depth_scan(sample: SimulatedSample) -> Scan:
+    """Return the scan of a depth camera: rows from the highest on, as its image has them."""
+    beams = sample.beams
+    rows, columns = beams.shape
+    depth = sample.steps * np.float32(RANGE_STEP) * beams.directions[..., 0]
+    across, up = np.tan(beams.azimuth[0]) / abs(beams.step), np.tan(beams.elevation)
+    focal = (rows - 1) / (up[-1] - up[0]) if rows > 1 else 1 / abs(beams.step)
+    camera = Intrinsics(columns, rows, 1 / abs(beams.step), focal, across, up[-1] * focal)
+    limits = {"min_range": beams.range_min, "max_range": beams.range_max}
+    return depth_scan(depth[::-1], camera.check(beams.name), 1.0, stride=1, stamp=sample.stamp, **limits)
 
 
 def _boxes(objects: NDArray[Any]) -> Boxes:

@@ -43,7 +43,9 @@ class BinaryBayesMapper(Mapper):
 
     Notes
     -----
-    Stamps, poses, jumps and threads are treated as `EvidentialMapper` does.
+    Stamps, poses, jumps, threads and planes are treated as `EvidentialMapper` does: log-odds of scans that are free in
+    the plane of a laser alone add up by themselves. Of both sums the one counts that is more for occupied, or, if both
+    are for free, the one that is more for free.
     """
 
     half_life: float
@@ -74,22 +76,28 @@ class BinaryBayesMapper(Mapper):
         forgets = self.half_life != math.inf
         super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=forgets))
         self._log_odds = np.zeros(spec.shape, np.float32)
+        self._plane: NDArray[np.float32] | None = None  # of `EvidentialGrid.in_plane`, from the first such scan on
 
     @property
     def _layers(self) -> Sequence[NDArray[np.float32]]:
-        return (self._log_odds,)
+        return (self._log_odds,) if self._plane is None else (self._log_odds, self._plane)
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
         mass = np.ascontiguousarray(grid.mass) * np.float32(reliability)
         log_odds: NDArray[np.float32] = np.empty(grid.spec.shape, np.float32)
         low, high = (math.log(p / (1 - p)) for p in self.limits)
         log_odds_of(mass.reshape(-1, 2), self.match == "plausibility", max(-low, high), log_odds.reshape(-1))
-        self._window.move_to(scan.corner, self._log_odds)
+        if grid.in_plane and self._plane is None:
+            self._plane = np.zeros_like(self._log_odds)
+        layers = self._layers
+        self._window.move_to(scan.corner, *layers)
         keep = 0.5 ** (abs(scan.elapsed) / self.half_life)
         if scan.elapsed < 0:  # late: what ageing would have left of it
             log_odds, keep = log_odds * np.float32(keep), 1.0
         lookup = ScanLookup(log_odds, scan.affine, scan.samples)
-        bayes_update(self._log_odds, self._window.ring, lookup, keep, self.forget == "observed", (low, high))
+        bayes_update(layers[grid.in_plane], self._window.ring, lookup, keep, self.forget == "observed", (low, high))
+        if self._plane is not None and self.forget == "everywhere" and keep < 1:
+            layers[not grid.in_plane][:] *= np.float32(keep)
 
     def __repr__(self) -> str:
         memory = "never forgets" if math.isinf(self.half_life) else f"half-life {self.half_life:g} s"
@@ -99,7 +107,12 @@ class BinaryBayesMapper(Mapper):
     @locked
     def probability(self) -> NDArray[np.float32]:
         """Probability of occupied, (nx, ny), on the cells of `grid`."""
-        p: NDArray[np.float32] = np.exp(-np.logaddexp(0, -self._window.unrolled(self._log_odds)))
+        log_odds = self._window.unrolled(self._log_odds)
+        if self._plane is not None:
+            plane = self._window.unrolled(self._plane)
+            higher = np.maximum(log_odds, plane)
+            log_odds = np.where(higher > 0, higher, np.minimum(log_odds, plane))
+        p: NDArray[np.float32] = np.exp(-np.logaddexp(0, -log_odds))
         return p
 
     @property

@@ -13,7 +13,7 @@ array([[1., 0.],
        [0., 1.]], dtype=float32)
 """
 
-from ogm.io.depth import Intrinsics, depth_scan, read_intrinsics
+from ogm.io.depth import T_OPTICAL_BODY, Intrinsics, depth_scan, read_intrinsics
 from ogm.io.grids.files import read_any_grid, read_grid, read_placed_grid, write_grid
 from ogm.io.grids.logged import GridLog
 from ogm.io.grids.placed import PlacedGrid
@@ -28,8 +28,8 @@ from ogm.io.scan_table import AXES, Axes, FileFacts
 from ogm.io.transforms import StampedTransform, TransformBuffer
 
 __all__ = [
-    "AXES", "Axes", "FileFacts", "GridLog", "Intrinsics", "PlacedGrid", "Poses", "StampedTransform", "TransformBuffer",
-    "depth_scan", "describe", "estimate_sensor_height", "from_xarray", "grid_from_layer", "occupancy_from_costs",
-    "read_any_grid", "read_calibration", "read_grid", "read_intrinsics", "read_placed_grid", "read_points",
-    "read_poses", "read_scan", "read_scan_file", "to_xarray", "write_grid", "write_poses",
+    "AXES", "T_OPTICAL_BODY", "Axes", "FileFacts", "GridLog", "Intrinsics", "PlacedGrid", "Poses", "StampedTransform",
+    "TransformBuffer", "depth_scan", "describe", "estimate_sensor_height", "from_xarray", "grid_from_layer",
+    "occupancy_from_costs", "read_any_grid", "read_calibration", "read_grid", "read_intrinsics", "read_placed_grid",
+    "read_points", "read_poses", "read_scan", "read_scan_file", "to_xarray", "write_grid", "write_poses",
 ]  # fmt: skip

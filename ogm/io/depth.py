@@ -9,6 +9,7 @@
 """
 
 import math
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,8 +24,8 @@ EDGE = math.radians(3)  # angle between a surface and the ray to it, below which
 APART = math.radians(0.5)  # [rad] between points that are left by default
 MOST_PIXELS = 3  # along a side of the squares that one point each is left of, by default
 LEAST, GREATEST = 0.05, 100.0  # [m] within which the median depth of any camera lies
+# Takes x forward, y left, z up to a camera's optical axes: x right, y down, z forward
 T_OPTICAL_BODY = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
-"""Takes x forward, y left, z up to a camera's optical axes: x right, y down, z forward."""
 
 
 class Intrinsics(NamedTuple):
@@ -38,6 +39,9 @@ class Intrinsics(NamedTuple):
         Focal lengths [pixel].
     cx, cy : float
         Principal point [pixel]; (0, 0) is the middle of the upper left pixel.
+    distortion : tuple of float
+        Coefficients of the lens as OpenCV orders them, k1, k2, p1, p2, k3, and of the rational model k4, k5, k6; empty
+        for a rectified image.
     """
 
     width: int
@@ -46,15 +50,16 @@ class Intrinsics(NamedTuple):
     fy: float
     cx: float
     cy: float
+    distortion: tuple[float, ...] = ()
 
     def check(self, where: object) -> "Intrinsics":
         """Return them, or raise an OgmError that names their origin where they are no camera's."""
-        finite = np.isfinite(self).all()
-        if not finite or min(self) <= 0 or not (self.cx < self.width and self.cy < self.height):
+        finite = np.isfinite([*self[:6], *self.distortion]).all()
+        if not finite or min(self[:6]) <= 0 or not (self.cx < self.width and self.cy < self.height):
             raise OgmError(
                 f"{where} must have a width and a height, focal lengths above 0 and a principal point in the image, "
-                f"got {self.width} x {self.height}, fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}: "
-                "is the camera calibrated?"
+                f"got {self.width} x {self.height}, fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}"
+                f"{f', distortion {self.distortion}' if self.distortion else ''}: is the camera calibrated?"
             )
         return self
 
@@ -123,6 +128,8 @@ def depth_scan(
     stamp : float, optional
         [s]
 
+    The image of a lens with distortion is rectified before, by nearest pixels.
+
     Returns
     -------
     Scan
@@ -153,6 +160,8 @@ def depth_scan(
             f"the image has {image.shape[1]} x {image.shape[0]} pixels, its intrinsics are of {intrinsics.width} x "
             f"{intrinsics.height}: give those of this image"
         )
+    if intrinsics.distortion:
+        image = np.append(image, image.dtype.type(0))[source_pixels(intrinsics)]
     with np.errstate(invalid="ignore", over="ignore"):
         metres = np.multiply(image, np.float32(1 / scale), dtype=np.float32)
     _check_depths(metres, scale)
@@ -169,6 +178,43 @@ def depth_scan(
     )
     width = min(stride / min(intrinsics.fx, intrinsics.fy), math.pi)
     return Scan(points, stamp=stamp, kind="depth", max_range=float(max_range), beam_width=width)
+
+
+@lru_cache(maxsize=8)
+def source_pixels(intrinsics: Intrinsics) -> NDArray[np.int64]:
+    """Return the pixel of a distorted image that lies nearest to each pixel of the rectified one, (height, width).
+
+    Pixels are numbered row by row; ``height * width`` stands for none: beyond the image, or beyond the angle from which
+    on the polynomial of the lens no longer grows.
+
+    Parameters
+    ----------
+    intrinsics : Intrinsics
+        With distortion (Brown 1966, as OpenCV has it: plumb bob, or rational with eight coefficients).
+    """
+    width, height, fx, fy, cx, cy, given = intrinsics
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*given, *(0.0,) * (8 - len(given)))
+    x, y = (np.arange(width) - cx) / fx, ((np.arange(height) - cy) / fy)[:, np.newaxis]
+
+    def radial(square: NDArray[np.float64]) -> NDArray[np.float64]:
+        above, below = (1 + square * (a + square * (b + square * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+        return np.asarray(above / below)
+
+    with np.errstate(all="ignore"):
+        square = x * x + y * y
+        radius = np.linspace(0, math.sqrt(float(square.max())), 1024)
+        grows = np.diff(radius * radial(radius**2)) > 0
+        last = math.inf if grows.all() else float(radius[np.argmin(grows)])
+        factor = radial(square)
+        column = cx + fx * (x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x))
+        row = cy + fy * (y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y)
+        inside = (
+            (square <= last**2)
+            & (abs(column - (width - 1) / 2) < width / 2)
+            & (abs(row - (height - 1) / 2) < height / 2)
+        )
+        pixels = np.where(inside, np.rint(row) * width + np.rint(column), width * height)
+    return pixels.astype(np.int64)
 
 
 def _check_depths(metres: NDArray[np.float32], scale: float) -> None:

@@ -4,7 +4,11 @@ import os
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ogm.storage.files import FilePath, OgmError
 from ogm.storage.limits import current_limits, too_large
@@ -13,15 +17,18 @@ _BYTES = {"1": 1, "L": 1, "P": 1, "LA": 2, "PA": 2, "I;16": 2, "RGB": 4, "I": 4,
 
 
 @contextmanager
-def open_image(path: FilePath, formats: Sequence[str] = ("PNG",)) -> Iterator[Any]:
+def open_image(path: FilePath, formats: Sequence[str] = ("PNG",), data: bytes | None = None) -> Iterator[Any]:
     """Open an image for a ``with`` block, in which it may be decoded: errors of the block are those of the file.
 
     Parameters
     ----------
     path : path
+        With `data`, the name of the image in errors.
     formats : sequence of str
         Decoders of Pillow that may be used, whatever the file begins with: others start programs (EPS), or hold
         several pictures.
+    data : bytes, optional
+        The image itself, of a message.
 
     Raises
     ------
@@ -34,8 +41,8 @@ def open_image(path: FilePath, formats: Sequence[str] = ("PNG",)) -> Iterator[An
 
     try:
         if "PNG" in formats:
-            _check_chunks(path)
-        with Image.open(path, formats=tuple(formats)) as image:
+            _check_chunks(path if data is None else BytesIO(data))
+        with Image.open(path if data is None else BytesIO(data), formats=tuple(formats)) as image:
             size = image.width * image.height * _BYTES.get(image.mode, 4)
             if size > current_limits().image:
                 raise too_large(path, size, "image")
@@ -49,10 +56,30 @@ def open_image(path: FilePath, formats: Sequence[str] = ("PNG",)) -> Iterator[An
         raise OgmError(f"{path} is damaged or no image that Pillow decodes: {error}") from error
 
 
-def _check_chunks(path: FilePath) -> None:
+def deep_pixels(path: FilePath, data: bytes | None = None) -> NDArray[np.uint16]:
+    """Return the pixels of a PNG of 16-bit grey values, (height, width), as depths have them.
+
+    Parameters
+    ----------
+    path, data
+        See `open_image`.
+
+    Raises
+    ------
+    OgmError
+        If it is another image, or damaged.
+    """
+    with open_image(path, data=data) as image:
+        if not image.mode.startswith("I"):
+            raise OgmError(f"{path} is a PNG of {image.mode}, wanted one of 16-bit grey values, as depths have")
+        return np.asarray(image).astype(np.uint16)
+
+
+def _check_chunks(source: FilePath | BytesIO) -> None:
     """Raise if a chunk of a PNG claims more bytes than the file has: they would be allocated before they are read."""
-    with open(path, "rb") as file:
-        size = os.fstat(file.fileno()).st_size
+    with source if isinstance(source, BytesIO) else open(source, "rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(0)
         if file.read(8) != b"\x89PNG\r\n\x1a\n":
             return  # another format
         while len(head := file.read(8)) == 8:

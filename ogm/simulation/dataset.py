@@ -25,8 +25,9 @@ from ogm.scan import Boxes
 from ogm.simulation.conditions import draw_weather
 from ogm.simulation.mesh import Array, Ints
 from ogm.simulation.plan import DatasetPlan, moment, sample_rng
+from ogm.simulation.robot_sensors import sensor_spec
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
-from ogm.simulation.sensors import LIDARS, beams_of, hd_directions
+from ogm.simulation.sensors import beams_of, hd_directions
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, swept, workers_that_fit
 from ogm.state import Truth
@@ -168,16 +169,24 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: Ints, *, salt: int = 
     known, limits = Known(_boxes(here), returns, ego), Limits(_view(here), here.steepest)
     if plan.truth == "hd":
         return hd_truth(scene, below, hd_directions(here.spec, plan.hd_layers), known, salt=salt, limits=limits)
-    ends = here.spec.elevations[0], here.spec.elevations[-1]
+    ends = (-np.pi / 2, np.pi / 2) if here.spec.kind else (here.spec.elevations[0], here.spec.elevations[-1])
     return aimed_truth(scene, below, ends, known, salt=salt, limits=limits)
 
 
 def _view(here: SceneSetup) -> View | None:
-    """Return where a scan taken by a recipe can see."""
-    if here.conditions is None:
-        return None
+    """Return where a scan can see that was taken by a recipe, or not by a lidar; None for all round.
+
+    The truth of a planar laser holds all heights in its sector, as its own plane tells nothing of the ground.
+    """
     spec, chosen = here.spec, here.conditions
     reach = (spec.range_min, spec.range_max, spec.reach)
+    if spec.kind:
+        ways = spec.directions()
+        if spec.kind == "planar":
+            ways = np.concatenate([ways * [1, 1, 0] + [0, 0, up] for up in (-1, 1)]).astype(np.float32)
+        return make_view(ways, np.ones(ways.shape[:2], np.bool_), reach, 0.0, np.zeros((0, 5)))
+    if chosen is None:
+        return None
     return make_view(spec.directions(), chosen.seeing, reach, air_of(chosen.weather).extinction, chosen.dust)
 
 
@@ -209,12 +218,12 @@ def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
     Raises
     ------
     ValueError
-        If there is no lidar of such a name.
+        If there is no lidar of such a name, or one has no truth of that kind.
     """
-    for mount in plan.mounts:
-        if mount.lidar not in LIDARS:
-            raise ValueError(f"there is no lidar {mount.lidar!r}; there are {', '.join(LIDARS)}")
-    return tuple(beams_of(LIDARS[name]) for name in dict.fromkeys(mount.lidar for mount in plan.mounts))
+    specs = [sensor_spec(name) for name in dict.fromkeys(mount.lidar for mount in plan.mounts)]
+    if plan.truth == "hd" and (flat := [spec.name for spec in specs if spec.kind]):
+        raise ValueError(f'truth "hd" needs a lidar with more layers, got {flat[0]}; take "aimed" or "none"')
+    return tuple(map(beams_of, specs))
 
 
 def versions() -> dict[str, str]:

@@ -47,6 +47,8 @@ class Device(NamedTuple):
         `LidarSpec.range_noise` [m], `range_step` [m] and `divergence` [rad].
     bias, gain : (layers,) float64
         Fixed error of the range [m] and factor of the strength, see `LidarSpec.errors`.
+    turns : bool
+        Whether the last column is the first one's neighbour.
     """
 
     layers: int
@@ -62,6 +64,7 @@ class Device(NamedTuple):
     divergence: float
     bias: Floats
     gain: Floats
+    turns: bool
 
 
 class Air(NamedTuple):
@@ -162,6 +165,8 @@ def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
         other = layer * columns + (column + 2 * side - 1) % columns
         pair = 2 * min(i, other)
         if abs(i - other) > 1:
+            if not device.turns:
+                return i, 0, 0.0
             pair = 2 * max(i, other)
         return other, pair, device.sideways
     above = layer if side == 2 else layer - 1

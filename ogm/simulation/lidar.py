@@ -108,10 +108,23 @@ def scan(
         hits.material[scattered], hits.object[scattered], hits.cosine[scattered] = NOTHING, STATIC, 1
     image = RangeImage._make(np.empty(len(rays), dtype) for dtype in ("f4", "f4", "i4", "u1"))
     receive(hits, strength, _device(spec), air_of(weather), _STEADY, seed, image)
+    if spec.noise_growth:
+        _blur_depths(image, rays, spec, rng)
     if seeing is not None:  # drops right before the sensor, and light from beside the edge
         blind = ~seeing.ravel()
         image.range[blind], image.intensity[blind], image.object[blind], image.material[blind] = 0, 0, STATIC, NOTHING
     return RangeImage._make(column.reshape(spec.shape) for column in image)
+
+
+def _blur_depths(image: RangeImage, rays: Floats32, spec: LidarSpec, rng: Generator) -> None:
+    """Add the noise of a depth camera, which grows with the square of the depth."""
+    along = rays[:, 0].astype(np.float64)
+    depth = image.range * along
+    depth += spec.noise_growth * depth**2 * rng.standard_normal(len(depth))
+    distance = np.round(depth / along / spec.range_step) * spec.range_step
+    lost = (image.range == 0) | (distance < spec.range_min) | (distance > spec.range_max)
+    image.range[:] = np.where(lost, 0, distance)
+    image.intensity[lost], image.object[lost], image.material[lost] = 0, STATIC, NOTHING
 
 
 def _moving_rays(spec: LidarSpec, T: Floats, velocity: Floats, yaw_rate: float) -> tuple[Floats32, Floats32]:
@@ -143,7 +156,7 @@ def _device(spec: LidarSpec) -> Device:
     sideways = spec.divergence / 2 / spec.azimuth_step
     limits = (spec.range_min, spec.range_max, spec.reach)
     numbers = map(float, (*limits, spec.range_noise, spec.range_step, spec.divergence))
-    rest: Any = (*numbers, *spec.errors)
+    rest: Any = (*numbers, *spec.errors, not spec.columns)
     return Device(*spec.shape, sideways, upwards, shift, *rest)
 
 

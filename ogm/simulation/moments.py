@@ -16,9 +16,10 @@ from ogm.simulation.plan import PERIOD, SEQUENCE, SPLITS, DatasetPlan, Moment, m
 from ogm.simulation.radar import sweep
 from ogm.simulation.radars import RADARS
 from ogm.simulation.recipe import RECIPES, Country, DataRecipe
+from ogm.simulation.robot_sensors import sensor_spec
 from ogm.simulation.sample import PlacedSweep
 from ogm.simulation.scene import Scene
-from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of
+from ogm.simulation.sensors import LidarSpec, beams_of
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic.bodies import ego_body
 from ogm.simulation.traffic.departure import Object
@@ -89,7 +90,7 @@ def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> Scene
     near = put_in_place(world, state)
     mount, (height, forward, roll, pitch) = draw_mount(plan, split, index)
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
-    spec = replace(LIDARS[mount.lidar], unit=at.traffic)  # another vehicle, another sensor of this kind
+    spec = replace(sensor_spec(mount.lidar), unit=at.traffic)  # another vehicle, another sensor of this kind
     here = SceneSetup(world, state, near, spec, T_vehicle_sensor, state.ego @ T_vehicle_sensor)
     return here if recipe is None else _by_recipe(here, recipe, mount.view, _sequence_rng(plan, split, index, 2))
 
@@ -103,7 +104,7 @@ def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, t
     shares = np.cumsum([mount.share for mount in plan.mounts])
     choice = int(np.searchsorted(shares, rng.random() * shares[-1], side="right"))
     mount = plan.mounts[min(choice, len(plan.mounts) - 1)]
-    low, high = mount.height or (LIDARS[mount.lidar].height,) * 2
+    low, high = mount.height or (sensor_spec(mount.lidar).height,) * 2
     height, forward = rng.uniform(low, high), rng.uniform(*mount.forward)
     roll, pitch = rng.uniform(-mount.tilt, mount.tilt, 2)
     return mount, (height, forward, roll, pitch)

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ogm.simulation.radars import RADARS
+from ogm.simulation.robot_sensors import sensor_spec
 
 __all__ = ["FULL_TURN", "MOUNTS", "PLACES", "LidarMount", "RadarMount", "only", "radars_at"]
 
@@ -18,12 +19,12 @@ FULL_TURN = 2 * math.pi
 
 @dataclass(frozen=True)
 class LidarMount:
-    """A lidar, how it is mounted, and how often.
+    """A lidar, planar laser or depth camera, how it is mounted, and how often.
 
     Parameters
     ----------
     lidar : str
-        Name in `ogm.simulation.sensors.LIDARS`.
+        Name in `ogm.simulation.sensors.LIDARS` or `ogm.simulation.robot_sensors.ROBOT_SENSORS`.
     share : float
         Share of the samples taken with it, relative to that of the other mounts.
     height : (float, float), optional
@@ -51,7 +52,7 @@ class LidarMount:
         object.__setattr__(self, "forward", tuple(map(float, self.forward)))
         if not (self.share > 0 and math.isfinite(self.share)):
             raise ValueError(f"the share of {self.lidar} must be positive, got {self.share}")
-        for name, pair, low, high in (("height", self.height, 0.3, 5.0), ("forward", self.forward, -3.0, 3.0)):
+        for name, pair, low, high in (("height", self.height, 0.1, 5.0), ("forward", self.forward, -3.0, 3.0)):
             if pair is not None and (len(pair) != 2 or not low <= pair[0] <= pair[1] <= high):
                 raise ValueError(
                     f"{name} of {self.lidar} must be two numbers, rising, in {low} ... {high} m, got {pair}"
@@ -74,8 +75,25 @@ MOUNTS = (
 
 
 def only(lidar: str) -> tuple[LidarMount, ...]:
-    """Return the mounts of a data set that has one lidar, mounted as the paper's: mid-roof and level."""
-    return (LidarMount(lidar),)
+    """Return the mounts of a data set that has one sensor, level: a lidar mid-roof as the paper's, others at the front.
+
+    Parameters
+    ----------
+    lidar : str
+        A name of `LidarMount`, and perhaps ``@`` and a height above the ground [m], as ``utm-30lx@0.5``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such sensor, or the height is none.
+    """
+    name, at, height = lidar.partition("@")
+    forward = sensor_spec(name).forward
+    try:
+        heights = (float(height),) * 2 if at else None
+    except ValueError:
+        raise ValueError(f"after @ of {name} stands a height above the ground [m], got {height!r}") from None
+    return (LidarMount(name, height=heights, forward=(forward, forward)),)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ Weather(rain=0.0, fog=50.0, wet=0.0, dust=0.0)
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -140,6 +140,11 @@ class Weather(NamedTuple):
     dust: float = 0.0
 
 
+def shown_share(kind: str, columns: int, step: float) -> float:
+    """Return the share of a turn's time in which a sensor measures: 0 for a camera."""
+    return 0.0 if kind == "depth" else min(abs(step) * columns / (2 * np.pi), 1.0)
+
+
 @dataclass(frozen=True)
 class Beams:
     """Where the beams of a lidar point: enough to turn a range image into points.
@@ -159,6 +164,11 @@ class Beams:
         Turns per second [Hz].
     origin : tuple of (x, y, z)
         Where each layer's beams start in the sensor's frame [m].
+    kind : {"", "planar", "depth"}
+        See `ogm.scan.Scan.kind`. The layers of a depth camera are the rows of its image, `elevation` counts in the
+        middle column, and `step` counts from pixel to pixel of an image at distance 1.
+    range_min, range_max : float
+        Least and greatest range of a planar laser or depth camera [m]; not kept of lidars.
     """
 
     name: str
@@ -168,6 +178,9 @@ class Beams:
     columns: int
     rate: float
     origin: tuple[tuple[float, float, float], ...]
+    kind: str = ""
+    range_min: float = 0.0
+    range_max: float = 0.0
 
     def __post_init__(self) -> None:
         layers = len(self.elevation)
@@ -177,6 +190,13 @@ class Beams:
         angles = (*self.elevation, *self.azimuth, self.step, self.rate, *sum(self.origin, ()))
         if not np.isfinite(angles).all():
             raise ValueError(f"angles, places and rate of {self.name} must be finite")
+        if self.kind not in ("", "planar", "depth") or bool(self.kind) != (0 <= self.range_min < self.range_max < 1e4):
+            limits = f"{self.range_min:g} ... {self.range_max:g} m"
+            raise ValueError(f"{self.name} must be a lidar, planar or depth with limits, got {self.kind!r}, {limits}")
+        if self.kind == "depth" and not (
+            np.abs((*self.elevation, *self.azimuth)).max() < np.pi / 2 and len({*self.azimuth}) == 1 and self.step < 0
+        ):
+            raise ValueError(f"{self.name} must have angles within a right angle and columns from left to right")
         if self.columns < 1 or not self.rate > 0:
             raise ValueError(f"columns and rate of {self.name} must be positive, got {self.columns} and {self.rate}")
 
@@ -189,6 +209,10 @@ class Beams:
     def directions(self) -> Floats32:
         """Unit directions in the sensor's frame, (layers, columns, 3)."""
         elevation = np.array(self.elevation)[:, None]
+        if self.kind == "depth":
+            across = np.tan(self.azimuth)[:, None] + self.step * np.arange(self.columns)
+            ways = np.stack(np.broadcast_arrays(1.0, across, np.tan(elevation)), axis=-1)
+            return np.asarray(ways / np.linalg.norm(ways, axis=-1, keepdims=True), np.float32)
         azimuth = np.array(self.azimuth)[:, None] + self.step * np.arange(self.columns)
         return np.stack(
             [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation) + 0 * azimuth],
@@ -203,11 +227,19 @@ class Beams:
     @cached_property
     def times(self) -> Floats32:
         """When each column is measured [s], (columns,) float32; 0 is the middle of the turn."""
-        return (((np.arange(self.columns) + 0.5) / self.columns - 0.5) / self.rate).astype(np.float32)
+        times = ((np.arange(self.columns) + 0.5) / self.columns - 0.5) / self.rate
+        if self.kind:
+            times = times * shown_share(self.kind, self.columns, self.step)
+        return times.astype(np.float32)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what `from_dict` takes; lidars have no kind and no limits."""
+        numbers = asdict(self)
+        return numbers if self.kind else {name: numbers[name] for name in list(numbers)[:-3]}
 
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "Beams":
-        """Make from what `dataclasses.asdict` returned, or from what JSON made of it."""
+        """Make from what `to_dict` returned, or from what JSON made of it."""
         angles = {name: tuple(map(float, numbers[name])) for name in ("elevation", "azimuth")}
         origin = tuple((float(x), float(y), float(z)) for x, y, z in numbers["origin"])
         return cls(**{**numbers, **angles, "origin": origin})
@@ -284,7 +316,9 @@ class SimulatedSample:
 
     @property
     def no_returns(self) -> Floats32:
-        """Unit directions of the beams that were measured and gave no return, (M, 3) float32."""
+        """Unit directions of the beams that were measured and gave no return, (M, 3) float32; none of depth cameras."""
+        if self.beams.kind == "depth":
+            return np.zeros((0, 3), np.float32)
         silent = self.steps == 0
         return np.asarray(self.beams.directions[silent if self.measured is None else silent & self.measured])
 

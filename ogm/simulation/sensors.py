@@ -1,4 +1,4 @@
-"""Lidars by their numbers: where the beams point, how far and how exactly they measure.
+"""Lidars and other range sensors by their numbers: where the beams point, how far and how exactly they measure.
 
 >>> from ogm.simulation.sensors import LIDARS
 >>> LIDARS["vlp-32c"].shape, LIDARS["vlp-32c"].directions().shape           # layers and columns of a turn
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ogm.simulation.mesh import Floats, Floats32
-from ogm.simulation.sample import Beams
+from ogm.simulation.sample import Beams, shown_share
 
 __all__ = ["LIDARS", "LidarSpec", "beams_of", "hd_directions"]
 
@@ -106,10 +106,10 @@ _BOUNDS: dict[str, tuple[float, float]] = {  # lowest and highest value of a `Li
 
 @dataclass(frozen=True)
 class LidarSpec:
-    """A spinning lidar.
+    """A spinning lidar, a laser in one plane, or a depth camera.
 
-    It turns clockwise, seen from above, as Velodyne's and Ouster's do. A turn begins straight behind, so that
-    the sensor faces ahead in the middle of it.
+    A lidar turns clockwise, seen from above, as Velodyne's and Ouster's do. A turn begins straight behind, so that
+    the sensor faces ahead in the middle of it. Other sensors: `ogm.simulation.robot_sensors`.
 
     Parameters
     ----------
@@ -119,7 +119,8 @@ class LidarSpec:
     azimuth_offsets : tuple of float
         How far each layer points to the left of the column's azimuth [rad].
     azimuth_step : float
-        Between columns [rad]; a whole number of them makes a turn.
+        Between columns [rad]; a whole number of them makes a turn. Of a depth camera the inverse of its focal length
+        in pixels: columns are evenly apart in the image.
     rate : float
         Turns per second [Hz].
     range_min, range_max : float
@@ -148,6 +149,14 @@ class LidarSpec:
         for not at all.
     range_errors : tuple of float
         Fixed error of each layer's range [m], instead of one drawn by `range_bias` and `unit`; empty for that.
+    kind : {"", "planar", "depth"}
+        See `ogm.scan.Scan.kind`; "" for lidars.
+    columns : int
+        Columns of a sensor that does not look all round, half of them on each side; 0 for a whole turn.
+    noise_growth : float
+        Standard deviation of depths per square of depth [1/m], of depth cameras.
+    forward : float
+        Usual place ahead of the middle of the vehicle [m].
 
     Raises
     ------
@@ -175,6 +184,10 @@ class LidarSpec:
     unit: int = 0
     elevation_errors: tuple[float, ...] = ()
     range_errors: tuple[float, ...] = ()
+    kind: str = ""
+    columns: int = 0
+    noise_growth: float = 0.0
+    forward: float = 0.0
 
     def __post_init__(self) -> None:
         layers = len(self.elevations)
@@ -203,8 +216,13 @@ class LidarSpec:
         for name, (low, high) in (_BOUNDS | {"range_max": (self.range_min, 2000)}).items():
             if not low <= getattr(self, name) <= high:  # NaN fails too
                 raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
+        if self.kind not in ("", "planar", "depth"):
+            raise ValueError(f'{self.name}: kind must be "", "planar" or "depth", got {self.kind!r}')
         columns = 2 * math.pi / self.azimuth_step
-        if abs(columns - round(columns)) > 1e-6 * columns:
+        if self.columns or self.kind == "depth":
+            if not 2 <= self.columns <= (math.inf if self.kind == "depth" else columns + 1e-6):
+                raise ValueError(f"{self.name}: columns must be 2 or more within a turn, got {self.columns}")
+        elif abs(columns - round(columns)) > 1e-6 * columns:
             way = f"take 2 * pi / {round(columns)}"
             raise ValueError(f"{self.name}: azimuth_step must divide a full turn, got it / {columns:.6g}; {way}")
 
@@ -215,8 +233,8 @@ class LidarSpec:
 
     @property
     def azimuths(self) -> int:
-        """Columns: firings of each layer in a turn."""
-        return round(2 * math.pi / self.azimuth_step)
+        """Columns: firings of each layer in a turn, or a sector."""
+        return self.columns or round(2 * math.pi / self.azimuth_step)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -225,8 +243,9 @@ class LidarSpec:
 
     @cached_property
     def times(self) -> Floats:
-        """When each column fires [s], (azimuths,); 0 is the middle of the turn."""
-        return ((np.arange(self.azimuths) + 0.5) / self.azimuths - 0.5) / self.rate
+        """When each column fires [s], (azimuths,); 0 is the middle of the turn, and the time of an image."""
+        times = ((np.arange(self.azimuths) + 0.5) / self.azimuths - 0.5) / self.rate
+        return times if not self.columns else times * shown_share(self.kind, self.columns, self.azimuth_step)
 
     @cached_property
     def errors(self) -> tuple[Floats, Floats]:
@@ -237,21 +256,28 @@ class LidarSpec:
 
     def directions(self) -> Floats32:
         """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
-        return _shared_rays(self.elevations, self.azimuth_offsets, self.azimuth_step)
+        return self._rays_at(self.elevations)
 
     def aims(self) -> Floats32:
         """Return where the beams really point: `directions` but for `elevation_errors`; read-only too."""
         errors = self.elevation_errors or (0.0,) * self.layers
         real = tuple(a + b for a, b in zip(self.elevations, errors, strict=True))
-        return _shared_rays(real, self.azimuth_offsets, self.azimuth_step)
+        return self._rays_at(real)
+
+    def _rays_at(self, elevations: tuple[float, ...]) -> Floats32:
+        if self.kind == "depth":
+            return _image_rays(elevations, self.azimuth_step, self.columns)
+        return _shared_rays(elevations, self.azimuth_offsets, self.azimuth_step, self.columns)
 
 
 @lru_cache(maxsize=64)
 def beams_of(spec: LidarSpec) -> Beams:
     """Return what turns a lidar's range images into points, without the simulator."""
-    azimuth = tuple(_first_azimuth(spec.azimuth_step) + offset for offset in spec.azimuth_offsets)
+    first = _first_azimuth(spec.azimuth_step, spec.columns)
+    azimuth = tuple((math.atan(first) if spec.kind == "depth" else first) + offset for offset in spec.azimuth_offsets)
     origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
-    return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
+    limits = (spec.kind, spec.range_min, spec.range_max) if spec.kind else ()
+    return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin, *limits)
 
 
 @lru_cache(maxsize=2)
@@ -275,9 +301,9 @@ def hd_directions(spec: LidarSpec, layers: int = 3000) -> Floats32:
     return _rays(tuple(elevations.tolist()), (0.0,) * layers, spec.azimuth_step)
 
 
-def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float) -> Floats32:
+def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float, columns: int = 0) -> Floats32:
     elevation, offset = np.array(elevations)[:, None], np.array(offsets)[:, None]
-    azimuth = _first_azimuth(step) - step * np.arange(round(2 * math.pi / step))
+    azimuth = _first_azimuth(step, columns) - step * np.arange(columns or round(2 * math.pi / step))
     # the sum of two angles, so that 5 million rays need few sines
     cosine = np.cos(azimuth) * np.cos(offset) - np.sin(azimuth) * np.sin(offset)
     sine = np.sin(azimuth) * np.cos(offset) + np.cos(azimuth) * np.sin(offset)
@@ -289,9 +315,20 @@ def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float
     return rays
 
 
-def _first_azimuth(step: float) -> float:
+def _first_azimuth(step: float, columns: int = 0) -> float:
     """Return the azimuth of column 0 for a layer without offset [rad]; column k is k * step further right."""
-    return math.pi - step / 2
+    return step * (columns - 1) / 2 if columns else math.pi - step / 2
+
+
+@lru_cache(maxsize=4)
+def _image_rays(elevations: tuple[float, ...], step: float, columns: int) -> Floats32:
+    """Return the rays of the pixels of an image, rows from the lowest to the highest, columns to the right."""
+    rays = np.ones((len(elevations), columns, 3))
+    rays[..., 1] = _first_azimuth(step, columns) - step * np.arange(columns)
+    rays[..., 2] = np.tan(elevations)[:, None]
+    result: Floats32 = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
+    result.flags.writeable = False
+    return result
 
 
 _shared_rays = lru_cache(maxsize=16)(_rays)

@@ -16,7 +16,6 @@ same bytes.
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +40,7 @@ FORMAT = "ogm.samples/3"
 OLDER = "ogm.samples/2"  # without heights: is read, but not written
 GAPS = "ogm.samples/4"  # of recipes: some beams were not measured
 SWEEPS = "ogm.samples/5"  # with radars, of recipes or not
+KINDS = "ogm.samples/6"  # with planar lasers or depth cameras, which are no recipe's, with radars or not
 BEGUN = "ogm.samples/begun"  # format of a data set until all its arrays are created
 MOST = 1_000_000  # samples of a split
 _LEVEL = 5  # of zstd: above it, files shrink by 2 % and writing takes four times as long
@@ -55,7 +55,8 @@ class Store:
         self.plan: dict[str, Any] = dict(attributes["plan"])
         self.versions: dict[str, str] = dict(attributes["versions"])
         self.beams = tuple(Beams.from_dict(one) for one in attributes["lidars"])
-        self.radars = tuple(map(StoredRadar.from_dict, attributes["radars"])) if self.format == SWEEPS else ()
+        radars = attributes["radars"] if self.format == SWEEPS or "radars" in attributes else ()
+        self.radars = tuple(map(StoredRadar.from_dict, radars))
         self.counts = _counts(attributes["splits"])
         if not self.beams:
             raise ValueError("it names no lidars")
@@ -87,10 +88,10 @@ class Store:
             raise FileNotFoundError(
                 f"{place} holds no data set yet: making it was stopped at once; `ogm simulate {place}` begins again"
             )
-        if found not in (FORMAT, GAPS, SWEEPS, OLDER):
+        if found not in (FORMAT, GAPS, SWEEPS, KINDS, OLDER):
             raise OgmError(
-                f"{place} has the format {found}, this version of ogm reads {FORMAT} to {SWEEPS}"
-                + (update_hint(found, FORMAT, SWEEPS) or "; make the data set anew, or use the version that made it")
+                f"{place} has the format {found}, this version of ogm reads {FORMAT} to {KINDS}"
+                + (update_hint(found, FORMAT, KINDS) or "; make the data set anew, or use the version that made it")
             )
         try:
             store = cls(place, attributes)
@@ -171,8 +172,9 @@ class Store:
         for name, count in counts.items():
             _grow(root, name, count, Contents(tuple(beams), radars, gaps=gaps))
         # Last: until then it is no data set, and is begun again.
-        made: dict[str, Any] = {"format": SWEEPS if radars else GAPS if gaps else FORMAT, "plan": dict(plan)}
-        made |= {"splits": counts, "lidars": [asdict(one) for one in beams]}
+        kinds = any(one.kind for one in beams)
+        made: dict[str, Any] = {"format": KINDS if kinds else SWEEPS if radars else GAPS if gaps else FORMAT}
+        made |= {"plan": dict(plan), "splits": counts, "lidars": [one.to_dict() for one in beams]}
         made |= {"radars": [one._asdict() for one in radars]} if radars else {}
         made |= {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)}
         root.attrs.put(made | {"sha256": attributes_checksum(made)})

@@ -19,6 +19,7 @@ from ogm.pose import inverse, pose, transform_points
 
 needs("rosbags", "mcap")
 IMAGE, INFO, TF = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
+PACKED, PACKED_IMAGE = "/depth/image/compressedDepth", "sensor_msgs/msg/CompressedImage"
 FRAME = "camera_optical_frame"
 T_BODY_OPTICAL = inverse(T_OPTICAL_BODY)
 T_BASE_CAMERA = pose(0.1, 0.0, 0.8) @ pose(pitch=np.radians(12))
@@ -33,7 +34,8 @@ def write(
         for k in range(3):
             stamp, T = 100 + k / 8, pose(0.2 * k, 0.1)
             depth = depths(T @ T_BASE_CAMERA, TABLE)
-            log.write("/depth/image", IMAGE, image_message(depth, encoding, frame, stamp), stamp)
+            topic, kind = (PACKED, PACKED_IMAGE) if "compressed" in encoding else ("/depth/image", IMAGE)
+            log.write(topic, kind, image_message(depth, encoding, frame, stamp), stamp)
             log.write("/colour/image", IMAGE, image_message(depth, "rgb8", "colour_optical_frame", stamp), stamp)
             if "info" not in left_out:
                 log.write("/depth/camera_info", INFO, info_message(frame, stamp, ros1), stamp)
@@ -58,10 +60,13 @@ def in_room(points: np.ndarray) -> bool:
     return bool((walls | table).all())
 
 
-@each("name, encoding", [("a.mcap", "16UC1"), ("a.db3", "32FC1"), ("a.bag", "16UC1")])
+@each(
+    "name, encoding",
+    [("a.mcap", "16UC1"), ("a.db3", "32FC1"), ("a.bag", "16UC1"), ("b.mcap", "16UC1; compressedDepth png")],
+)
 def test_a_log_with_depth_images_is_a_drive(name: str, encoding: str, tmp_path: Path) -> None:
     dataset = open_dataset(write(tmp_path / name, encoding), sensor_height=0.8)
-    assert dataset.facts["topics"] == ["/depth/image"]
+    assert dataset.facts["topics"] == [PACKED if "compressed" in encoding else "/depth/image"]
     assert all(in_room(room_points(dataset, n)) for n in range(3))
     assert dataset[0].scan.kind == "depth"
     assert dataset[0].mount.ego_footprint == (0, 0, 0, 0)

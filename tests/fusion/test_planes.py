@@ -13,7 +13,8 @@ from commands import completed
 from rooms import CAMERA, MAN, ROOM, TABLE, depths, image_message, info_message, looking, ranges
 
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan, fuse, load_model
-from ogm.fusion import EvidentialMapper, make_mapper
+from ogm.evidence.map_rules import BAYES, DYNAMIC
+from ogm.fusion import make_mapper
 from ogm.io import depth_scan
 from ogm.io.depth import T_OPTICAL_BODY
 from ogm.io.logs import LogWriter
@@ -42,23 +43,41 @@ def frames(order: str) -> list[Frame]:
     return found
 
 
-@each("order, model", itertools.product(("dllllllll", "lllldllll", "lllllllld"), ("ray+planar+depth",)))
-def test_a_laser_between_the_legs_of_a_table_does_not_clear_its_top(order: str, model: str) -> None:
-    mapper = EvidentialMapper(SPEC, half_life=np.inf, window="fixed")
-    for step in fuse(frames(order), load_model(model, SPEC), mapper):
+def mapped(rule: str, order: str) -> EvidentialGrid:
+    """Return the map of frames by a rule, in a fixed window."""
+    mapper = make_mapper(rule, SPEC, None if rule == DYNAMIC else np.inf, "fixed", particles=20_000)
+    for step in fuse(frames(order), load_model("ray+planar+depth", SPEC), mapper):
         assert step.grid is not None
-    grid = mapper.grid
+    return mapper.grid
+
+
+TABLE_CELLS = np.s_[55:64, 25:35]  # inside of the edges of the top
+
+
+@each("rule, order", itertools.product(("revise", BAYES, DYNAMIC), ("dllllllll", "lllldllll", "lllllllld")))
+def test_a_laser_between_the_legs_of_a_table_does_not_clear_its_top(
+    rule: str, order: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.clear()
+    grid = mapped(rule, order)
     x, y = np.broadcast_arrays(*SPEC.cell_centers)
-    table = (x > 2.0) & (x < 2.9) & (abs(y) < 0.5)
-    assert grid.occupied[table].min() > 0.5
-    assert grid.free[table].max() < 0.5
-    assert grid.occupied[(x > 1.7) & (x < 1.9) & (y > 0.85) & (y < 1.05)].max() > 0.9  # the man
-    assert grid.free[(x > 0.2) & (x < 0.8) & (abs(y - 2) < 0.5)].min() > 0.5  # beside the view, in the laser's plane
+    assert (x[TABLE_CELLS].min(), x[TABLE_CELLS].max(), abs(y[TABLE_CELLS]).max()) == pytest.approx((2.05, 2.85, 0.45))
+    assert grid.free[TABLE_CELLS].max() < 0.5
+    beside = (x > 0.2) & (x < 0.8) & (abs(y - 2) < 0.5)  # the view of the camera, in the plane of the laser
     assert (grid.mass.sum(-1) <= 1 + 1e-6).all()
-    only = EvidentialMapper(SPEC, half_life=np.inf, window="fixed")
-    for _ in fuse([one for one in frames(order) if one.scan.kind == "planar"], load_model(model, SPEC), only):
-        pass
-    assert only.grid.free[table].max() > 0.7
+    told = [one.message for one in caplog.records if "the laser marks" in one.message]
+    if rule == DYNAMIC:  # the laser only marks, and a line says so
+        assert len(told) == (order != "lllllllld")
+        return
+    assert not told
+    assert grid.free[beside].min() > 0.5
+    assert grid.occupied[TABLE_CELLS].min() > 0.5
+    assert grid.occupied[(x > 1.7) & (x < 1.9) & (y > 0.85) & (y < 1.05)].max() > 0.9  # the man
+
+
+@each("rule", ["revise", BAYES, DYNAMIC])
+def test_a_laser_alone_clears_between_the_legs(rule: str) -> None:
+    assert mapped(rule, "llllllll").free[TABLE_CELLS].max() > 0.7
 
 
 PLACES = [pose(-1.0 + 0.2 * k, -0.3, yaw=0.05 * k) for k in range(6)]

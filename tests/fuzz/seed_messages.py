@@ -1,13 +1,16 @@
 """Targets: the bytes of messages, decoded as those of a log, and made scans, transforms and grids."""
 
 import json
+import struct
 from collections.abc import Callable
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from PIL import Image
 from seed_grids import dynamic, evidential
 from seed_logs import CLOUD, START, TF, packets
 from targets import Target, check_grid, check_poses, check_scan, cloud
@@ -97,9 +100,15 @@ def _depth_image() -> Any:
     return SimpleNamespace(header=HEADER, data=pixels, **sizes)
 
 
+def _packed_image(encoding: str) -> Any:
+    Image.fromarray(np.arange(1000, 1048, dtype=np.uint16).reshape(6, 8)).save(png := BytesIO(), "PNG")
+    data = np.frombuffer(struct.pack("<iff", 0, 5000.0, -100.0) + png.getvalue(), np.uint8)
+    return SimpleNamespace(header=HEADER, format=f"{encoding}; compressedDepth png", data=data)
+
+
 def _camera() -> Any:
     k = np.array([50, 0, 3.5, 0, 50, 2.5, 0, 0, 1.0])
-    matrices = {"d": np.zeros(5), "k": k, "r": np.eye(3).ravel(), "p": np.zeros(12)}
+    matrices = {"d": np.array([0.1, -0.2, 0.001, -0.001, 0.05]), "k": k, "r": np.eye(3).ravel(), "p": np.zeros(12)}
     roi = SimpleNamespace(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     sizes = {"height": 6, "width": 8, "distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0}
     return SimpleNamespace(header=HEADER, roi=roi, **matrices, **sizes)
@@ -199,6 +208,7 @@ def _transforms() -> Any:
     return tf_message([StampedTransform("map", "base_link", START, pose(x=k, yaw=0.1 * k)) for k in range(3)])
 
 
+_CAMERA = Intrinsics(8, 6, 50.0, 50.0, 3.5, 2.5)
 _GRIDS: dict[str, Any] = {"frame_id": "map", "stamp": START, "T_frame_grid": pose(1.0, 2.0, yaw=0.5)}
 _MESSAGES: dict[str, tuple[str, Callable[[], Any], Callable[[Any], object]]] = {
     "cloud": (CLOUD, _cloud, lambda message: check_scan(scan_from_point_cloud2(message))),
@@ -214,11 +224,21 @@ _MESSAGES: dict[str, tuple[str, Callable[[], Any], Callable[[Any], object]]] = {
     ),
     "range": ("sensor_msgs/msg/Range", _range, lambda message: check_scan(scan_from_range(message))),
     "depth": (
-        "sensor_msgs/msg/Image",
-        _depth_image,
-        lambda message: check_scan(scan_from_depth_image(message, Intrinsics(8, 6, 50.0, 50.0, 3.5, 2.5))),
+        "sensor_msgs/msg/Image", _depth_image, lambda message: check_scan(scan_from_depth_image(message, _CAMERA)),
     ),
-    "camera": ("sensor_msgs/msg/CameraInfo", _camera, intrinsics_from_camera_info),
+    **{
+        f"depth-{encoding.lower()}": (
+            "sensor_msgs/msg/CompressedImage",
+            partial(_packed_image, encoding),
+            lambda message: check_scan(scan_from_depth_image(message, _CAMERA)),
+        )
+        for encoding in ("16UC1", "32FC1")
+    },
+    "camera": (
+        "sensor_msgs/msg/CameraInfo",
+        _camera,
+        lambda message: check_scan(scan_from_depth_image(_depth_image(), intrinsics_from_camera_info(message))),
+    ),
     "tf": (TF, _transforms, lambda message: _tf(transforms_from_tf(message))),
     "odometry": ("nav_msgs/msg/Odometry", _odometry, lambda message: _tf([transform_from_odometry(message)])),
     "occupancy": (

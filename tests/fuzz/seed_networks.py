@@ -1,12 +1,13 @@
 """Targets: weights, exported networks, simulated data sets, kept frames of an evaluation, calibrations."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from targets import Target
+from targets import Target, check_scan
 
-from ogm import GridSpec
+from ogm import GridSpec, open_dataset
 from ogm.evaluation.cache import FrameResult, ResultCache
 from ogm.metrics import ConfusionSums
 from ogm.models import Calibration
@@ -50,13 +51,15 @@ def _engine(folder: Path) -> Target:
     return Target({"net.onnx": (SEEDS / "net.onnx").read_bytes()}, read)
 
 
-def _store(folder: Path) -> Target:
+def _store(kind: str, folder: Path) -> Target:
     from ogm.simulation.sample import OBJECT, Beams, SimulatedSample
     from ogm.simulation.store import Store
     from ogm.state import Truth
     from ogm.truth import TRUTH_SPEC
 
-    beams = Beams("tiny", (-0.2, 0.0), (0.0, 0.0), -0.4, 15, 10.0, ((0.0, 0.0, 0.0),) * 2)
+    limits = (kind, 0.3, 8.0) if kind else ()
+    angles = ((-0.1, 0.1), (0.3, 0.3), -0.05) if kind else ((-0.2, 0.0), (0.0, 0.0), -0.4)
+    beams = Beams("tiny", *angles, 15, 10.0, ((0.0, 0.0, 0.0),) * 2, *limits)
     state = np.zeros(TRUTH_SPEC.shape, np.uint8)
     state[100:200] = 1
 
@@ -81,6 +84,9 @@ def _store(folder: Path) -> Target:
             sample = split[k]
             assert np.isfinite(sample.points).all(), "points not finite"
             assert sample.truth.state.max(initial=0) <= 3, "truth"
+        if kind:
+            for frame in open_dataset(folder, split=split.name)[:2]:
+                check_scan(frame.scan)
 
     return Target(files, read)
 
@@ -107,6 +113,7 @@ def _calibration(folder: Path) -> Target:
 
 
 TARGETS: dict[str, Callable[[Path], Target]] = {
-    "weights": _weights, "onnx-file": _exported, "onnx-engine": _engine, "store": _store, "cache": _frames,
+    "weights": _weights, "onnx-file": _exported, "onnx-engine": _engine, "cache": _frames,
+    "store": partial(_store, ""), "store-depth": partial(_store, "depth"),
     "calibration-of-model": _calibration,
 }  # fmt: skip

@@ -9,6 +9,7 @@ static mass beside particles: Nègre, Rummelhard and Laugier, "Hybrid sampling B
 Tanzmeister and Wollherr, "Evidential grid-based tracking and mapping" (2017).
 """
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -45,6 +46,8 @@ from ogm.fusion.mapper import Mapper, locked
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
+
+_log = logging.getLogger(__name__)
 
 DynamicFilter = Literal["hybrid", "nuss"]
 MAX_PARTICLES = 2**25  # 1.2 GB
@@ -85,6 +88,10 @@ class DynamicMapper(Mapper):
     Stamps, poses, jumps and threads that read are treated as `EvidentialMapper` does; every scan needs a stamp. A scan
     of the same moment ages and moves nothing. A late scan moves and makes no particles: it counts as much as ageing
     would have left of it, in cells that hold more free or static than dynamic. After an error the map is as it was.
+
+    Planes. A cell has one mass of free: a laser that is free in its plane alone (`EvidentialGrid.in_plane`) would clear
+    what other sensors see above and below. So it counts in maps of planar lasers alone. At the first scan of another
+    sensor it is forgotten, and from then on planar scans only mark, with a warning; `EvidentialMapper` keeps both.
 
     Radial velocities (`update`) are measurements of one component of the velocity of the cells that they lie in. A scan
     that comes with them, also with none that moves, is taken for a radar's: it is not matched with earlier scans, nor
@@ -144,6 +151,8 @@ class DynamicMapper(Mapper):
         self._history = ScanHistory(0.6, 0.04)
         self._tracker: ObjectTracker | None = None  # from the first time on that objects are asked for
         self._objects: Objects | None = None
+        self._beyond_plane = False  # whether a scan was fused that is not free in a plane alone
+        self._warned = False  # whether the warning about planar scans was logged
 
     def __repr__(self) -> str:
         return f"DynamicMapper({self.filter}, {self.particles} particles, {self.scans} scans, {self.spec})"
@@ -153,7 +162,7 @@ class DynamicMapper(Mapper):
         """Forget everything: the next scan begins a new map."""
         super().reset()
         self._history.clear()
-        self._objects = None
+        self._objects, self._beyond_plane = None, False
         if self._tracker is not None:
             self._tracker.reset()
 
@@ -216,7 +225,7 @@ class DynamicMapper(Mapper):
             self._objects = self._tracker.update(find_objects(self.dynamic_grid), stamp)
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
-        lookup = ScanLookup(np.ascontiguousarray(grid.mass), scan.affine, scan.samples)
+        lookup = ScanLookup(self._usable(grid), scan.affine, scan.samples)
         if scan.elapsed < 0:
             self._fuse_late(lookup, -scan.elapsed, reliability)
             return
@@ -254,6 +263,21 @@ class DynamicMapper(Mapper):
             if states is not None:
                 self._history.add(scan.stamp, scan.corner, states)
         self._update_objects(scan.stamp)
+
+    def _usable(self, grid: EvidentialGrid) -> NDArray[np.float32]:
+        """Return the masses of a scan, and forget free of planes at the first one of another sensor."""
+        if grid.in_plane and self._beyond_plane:
+            if not self._warned:
+                self._warned = True
+                _log.warning(
+                    "a dynamic map of a planar laser and other sensors: the laser marks, but its free cells are left "
+                    "out, as they would clear what others see above and below its plane; evidential rules keep both"
+                )
+            return grid.mass * np.array([0, 1], np.float32)
+        if not (grid.in_plane or self._beyond_plane):
+            self._cells.free[:] = 0  # by a plane alone, if there is any
+            self._beyond_plane = True
+        return np.ascontiguousarray(grid.mass)
 
     def _begin_anew_beyond_border(self, scan: CheckedScan, new: CellOutput) -> None:
         """Divide what is occupied in cells that no earlier scan reached as if it had appeared there.

@@ -1,32 +1,34 @@
-"""Depth images: ``Image`` with ``CameraInfo`` to a scan."""
+"""Depth images: ``Image`` or ``CompressedImage`` with ``CameraInfo`` to a scan."""
 
-import logging
+import struct
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.io.depth import Intrinsics, depth_scan
+from ogm.io.images import deep_pixels
 from ogm.io.messages.plain import as_bytes, describe_message, reads_message, stamp_seconds
-from ogm.io.notices import notice
 from ogm.scan import Scan
 from ogm.storage.files import OgmError, error_context
-
-log: logging.Logger = logging.getLogger(__name__)
 
 DEPTH_ENCODINGS = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}  # REP 118: type of a pixel, its value at 1 m
 _ALSO = {"mono16": "u2", "16SC1": "i2", "64FC1": "f8"}  # may be depths, of no common scale
 _DISTORTED = 1e-3  # largest coefficient of a lens whose distortion is less than a pixel
+_LENSES = {"plumb_bob": 5, "rational_polynomial": 8}  # most coefficients
+_HEADER = struct.Struct("<iff")  # of compressed_depth_image_transport: format, quantisation A and B
+_PNG = b"\x89PNG"
 
 
 @reads_message
 def scan_from_depth_image(message: Any, intrinsics: Intrinsics, *, scale: float | None = None) -> Scan:
-    """Return the scan of a ``sensor_msgs/Image`` with depths.
+    """Return the scan of a ``sensor_msgs/Image`` or ``sensor_msgs/CompressedImage`` with depths.
 
     Parameters
     ----------
     message : object
-        With the fields of the message. Rows may be padded, and bytes in either order.
+        With the fields of the message. Rows may be padded, and bytes in either order. Compressed are depths as PNG, by
+        compressed_depth_image_transport, whose float depths are quantised, or by compressed_image_transport.
     intrinsics : Intrinsics
         See `intrinsics_from_camera_info`.
     scale : float, optional
@@ -44,8 +46,9 @@ def scan_from_depth_image(message: Any, intrinsics: Intrinsics, *, scale: float 
     OgmError
         If the encoding has no depths, or the bytes do not fit the size.
     """
-    where = describe_message(message, "Image")
-    encoding = str(message.encoding)
+    packed = hasattr(message, "format")
+    where = describe_message(message, "CompressedImage" if packed else "Image")
+    encoding = str(message.format).partition(";")[0].strip() if packed else str(message.encoding)
     kind, usual = DEPTH_ENCODINGS.get(encoding, (_ALSO.get(encoding, ""), None))
     wanted = f"wanted depths ({', '.join(DEPTH_ENCODINGS)})"
     if not kind:
@@ -54,7 +57,7 @@ def scan_from_depth_image(message: Any, intrinsics: Intrinsics, *, scale: float 
         raise OgmError(
             f"{where} has the encoding {encoding}, {wanted}: if it has depths, give --depth-scale, 1000 for mm"
         )
-    image = _pixels(message, kind, where)
+    image = _unpacked(message, kind, where) if packed else _pixels(message, kind, where)
     with error_context(where, ValueError):
         return depth_scan(image, intrinsics, scale, stamp=stamp_seconds(message.header.stamp))
 
@@ -75,23 +78,63 @@ def _pixels(message: Any, kind: str, where: str) -> NDArray[Any]:
     return np.ndarray((height, width), pixel, data, 0, (step, pixel.itemsize))
 
 
-@reads_message
-def intrinsics_from_camera_info(message: Any) -> Intrinsics:
-    """Return the camera of a ``sensor_msgs/CameraInfo``, by its matrix K, binning and region of interest.
+def _unpacked(message: Any, kind: str, where: str) -> NDArray[Any]:
+    """Return the pixels of a compressed image, (height, width): float depths [m] from their quantised inverse."""
+    data = as_bytes(message.data, where).tobytes()
+    a, b = 0.0, 0.0
+    if not data.startswith(_PNG):
+        if not data[_HEADER.size :].startswith(_PNG):
+            way = "the Image itself" if kind == "f4" else "compressed, which is PNG too"
+            raise OgmError(
+                f"{where} has the format {str(message.format)!r}, wanted depths as PNG: record PNG (the parameter "
+                f"format of compressedDepth), or {way}"
+            )
+        _, a, b = _HEADER.unpack_from(data)
+        data = data[_HEADER.size :]
+    pixels = deep_pixels(where, data)
+    if np.dtype(kind).kind != "f":
+        return pixels
+    if not (np.isfinite((a, b)).all() and a > 0):
+        raise OgmError(f"{where} has depths quantised by {a:g} and {b:g}, wanted numbers, the first above 0")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(pixels > 0, np.float32(a) / (pixels - np.float32(b)), np.float32(np.nan))
 
-    The distortion of a lens is neglected, with a notice: drivers give depths of rectified images.
+
+@reads_message
+def intrinsics_from_camera_info(message: Any, *, rectified: bool = False) -> Intrinsics:
+    """Return the camera of a ``sensor_msgs/CameraInfo``, with binning and region of interest.
+
+    Parameters
+    ----------
+    message : object
+        With the fields of the message.
+    rectified : bool
+        Whether the images are rectified: then the matrix P counts, where there is one, else K and the distortion of
+        the lens. As ROS has it, the topics of rectified images hold ``rect`` in their name.
 
     Raises
     ------
     OgmError
-        If it is no calibrated camera.
+        If it is no calibrated camera, or has a lens of another model than plumb bob and rational polynomial.
     """
     where = describe_message(message, "CameraInfo")
     with error_context(f"{where} has a matrix of no numbers", TypeError, ValueError, OverflowError):
-        matrix = np.array(message.K if hasattr(message, "K") else message.k, np.float64).reshape(3, 3)
-        lens = np.array(message.D if hasattr(message, "D") else message.d, np.float64)
-    if np.abs(lens[np.isfinite(lens)]).max(initial=0) > _DISTORTED:
-        notice(log, "lens distortion", "%s states a distortion of its lens, which is neglected", where)
+        matrix, lens, projection = (
+            np.array(getattr(message, name if hasattr(message, name) else name.lower()), np.float64) for name in "KDP"
+        )
+        matrix = matrix.reshape(3, 3)
+        if rectified and projection.size == 12 and projection[0] > 0:
+            matrix = projection.reshape(3, 4)
+    distortion: tuple[float, ...] = ()
+    if not rectified and not np.abs(lens).max(initial=0) <= _DISTORTED:
+        most = _LENSES.get(str(message.distortion_model), 0)
+        if len(lens) > most and not np.abs(lens[most:]).max() <= 0:
+            wanted = " or ".join(f"{name} with {count}" for name, count in _LENSES.items())
+            raise OgmError(
+                f"{where} has a lens of the model {str(message.distortion_model)!r} with {len(lens)} coefficients, "
+                f"wanted {wanted}: record rectified images"
+            )
+        distortion = tuple(lens[:most].tolist())
     region, across, down = message.roi, max(int(message.binning_x), 1), max(int(message.binning_y), 1)
     width, height = int(region.width) or int(message.width), int(region.height) or int(message.height)
     return Intrinsics(
@@ -101,4 +144,5 @@ def intrinsics_from_camera_info(message: Any) -> Intrinsics:
         float(matrix[1, 1]) / down,
         (float(matrix[0, 2]) - int(region.x_offset)) / across,
         (float(matrix[1, 2]) - int(region.y_offset)) / down,
+        distortion,
     ).check(where)
