@@ -8,7 +8,7 @@
 >>> ism = load_model("ray", GridSpec.centered(24.0, 16.0, 0.5), Mount(sensor_height=1.8))
 >>> grid, layers = map_layers(ism, scan, ["ground_height"])
 >>> float(layers["ground_height"][*layers.spec.index(8.0, 1.0)].round(2))
-0.41
+-1.39
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.heights import height_layers
+from ogm.geometric.heights import HEIGHT_LAYERS, height_layers, traversability
 from ogm.geometric.ray import RayISM, RayTrace
 from ogm.grid import EvidentialGrid, LayeredGrid
 from ogm.models.combined import CombinedISM
@@ -38,8 +38,14 @@ def planning_layers(trace: RayTrace) -> dict[str, NDArray[np.float32]]:
     return {"distance": distance_to_obstacles(trace.grid, "free"), "cost": np.where(costs > 254, np.nan, costs)}
 
 
+def terrain_layers(trace: RayTrace) -> dict[str, NDArray[np.float32]]:
+    """Return the layers of heights, see `ogm.geometric.height_layers`, and traversability for `VehicleLimits()`."""
+    layers = height_layers(trace)
+    return {**layers.layers, "traversability": traversability(layers, trace.grid)}
+
+
 LAYERS: Mapping[str, LayerFunction] = {
-    "ground_height": height_layers,
+    **dict.fromkeys((*HEIGHT_LAYERS, "traversability"), terrain_layers),
     **dict.fromkeys(("distance", "cost"), planning_layers),
 }
 """Name of each layer of `map_layers`, and the function that makes it; one function may make several."""
