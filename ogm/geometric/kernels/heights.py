@@ -1,0 +1,193 @@
+"""Heights of one scan, cell by cell: see `ogm.geometric.heights.height_layers`."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.kernels.arguments import Cells, HeightSpace, Surface
+from ogm.geometric.kernels.height_sums import (
+    COUNT,
+    FAR,
+    HANG,
+    SUM,
+    TOP,
+    add_row,
+    find_bulges,
+    finish_blocks,
+    ground_cells,
+    mended_surface,
+)
+from ogm.geometric.kernels.steps import (
+    BOTTOM_SURFACE,
+    HIGH,
+    LOW,
+    RISE,
+    TOP_SURFACE,
+    WIDTH,
+    rises,
+    slopes_of_row,
+    steps_of_row,
+    widen,
+)
+from ogm.jit import kernel
+
+__all__ = ["PARTS", "WIDTH", "height_cells"]
+
+GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5, 6  # layers
+BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, KNOWN, USED, DOUBT, ROW, PARTS = (
+    WIDTH * k for k in range(6, 20)
+)
+BLOCK = 0.64  # [m] side of the blocks of cells over which roughness is taken, and gaps are filled
+SLOPE_REACH, STEP_REACH = 0.5, 0.35  # [m] on either side of a cell
+STANDS = np.float32(0.5)  # [m] above the ground up to which the lowest return of an obstacle shows that it stands there
+BULGE_REACH = 5.0  # [m] on either side of what may be a roof
+MAX_GAP = np.float32(3.0)  # [m] from a block with ground, up to which the ground is known
+OBSERVED = np.float32(0.1)  # mass of free and occupied from which a cell in a gap is observed
+FLOOR = np.float32(0.005**2)  # [m2] least variance of a height
+NOISE = np.float32(0.01**2)  # [m2] of one return, at least
+WITHIN = np.float32(0.3)  # share of a block's variance that lies within one cell
+BEND = np.float32(0.04)  # rise over run by which the ground may bend in a gap
+
+
+@kernel
+def height_cells(
+    mass: NDArray[np.float32],
+    ground: Surface,
+    ground_point: tuple[float, float, float],
+    cells: Cells,
+    work: HeightSpace,
+) -> None:
+    """Fill in the layers of `ogm.geometric.heights.height_layers`, in their order.
+
+    Parameters
+    ----------
+    mass : (nx, ny, 2) float32
+    ground : Surface
+        Surface that heights are counted from.
+    ground_point : (x, y, z)
+        Ground under the sensor [m].
+    cells : Cells
+    work : HeightSpace
+    """
+    out, wide, part = work
+    nx, ny, side, valid = out.shape[1], out.shape[2], cells.resolution, ground_cells(out)
+
+    # The surface without cells that show obstacles alone, without roofs, and what was taken away
+    per_metre, x0, y0 = float(ground.per_metre), float(ground.x0), float(ground.y0)
+    scale, x, y = side * per_metre, (cells.x0 - x0) * per_metre, (cells.y0 - y0) * per_metre
+    place = (ground_point[0] - x0) * per_metre, (ground_point[1] - y0) * per_metre
+    under, bulges = np.float32(ground_point[2]), np.zeros(ground.height.shape, np.float32)
+    mended = mended_surface(ground.height, valid, bulges, (x, y), scale, place, under)
+    bulges = find_bulges(mended, max(int(BULGE_REACH * per_metre + 0.5), 1))
+    mended = mended_surface(ground.height, valid, bulges, (x, y), scale, place, under)
+    away = ground.height - mended
+    fine = _between(ny, y, scale, mended.shape[1])
+
+    # Means and variances of the returns about it in blocks, and the distance to the nearest block
+    size = max(int(BLOCK / side + 0.5), 1)
+    blocks = np.zeros((4, max((nx + size - 1) // size, 2), max((ny + size - 1) // size, 2)), np.float32)
+    for i in range(nx):
+        _interpolate(away, (i + 0.5) * scale + x, fine, part, SHIFT)
+        add_row(out, valid, i, part, SHIFT, size, blocks)
+    finish_blocks(blocks, np.float32(size * side))
+    coarse = _between(ny, 0.0, 1.0 / size, blocks.shape[2])
+
+    # Layers of each row, and the highest and lowest surface along it
+    along, across = rises(mended, np.float32(scale)), rises(mended.T.copy(), np.float32(scale)).T.copy()
+    near, reach = np.float32(0.75 * size * side), max(int(STEP_REACH / side + 0.5), 1)
+    for i in range(nx):
+        _interpolate(mended, (i + 0.5) * scale + x, fine, part, BASE)
+        _interpolate(away, (i + 0.5) * scale + x, fine, part, SHIFT)
+        _interpolate(blocks[0], (i + 0.5) / size, coarse, part, MEAN)
+        _interpolate(blocks[1], (i + 0.5) / size, coarse, part, SPREAD)
+        _interpolate(blocks[2], (i + 0.5) / size, coarse, part, GAP)
+        _interpolate(across, (i + 0.5) * scale + x, fine, part, RISE)
+        _interpolate(bulges, (i + 0.5) * scale + x, fine, part, DOUBT)
+        for j in range(ny & 0x7FFF):
+            part[COUNTS + j], part[SUMS + j] = out[COUNT, i, j], out[SUM, i, j]
+            part[TOPS + j], part[HANGS + j] = out[TOP, i, j], out[HANG, i, j]
+        for j in range(ny & 0x7FFF):
+            part[KNOWN + j] = mass[i, j, 0] + mass[i, j, 1]
+            part[USED + j] = out[COUNT, i, j] if valid[i, j] else np.float32(0.0)
+        _fill_row(part, ny, near)
+        for j in range(ny & 0x7FFF):
+            out[GROUND, i, j], out[VARIANCE, i, j] = part[BASE + j], part[GAP + j]
+        for j in range(ny & 0x7FFF):
+            out[ROUGHNESS, i, j], out[OBSTACLE, i, j] = part[SPREAD + j], part[TOPS + j]
+            out[CLEARANCE, i, j] = part[HANGS + j]
+        widen(part, ny, reach)
+        for j in range(ny & 0x7FFF):
+            wide[0, i, j], wide[1, i, j] = part[TOP_SURFACE + j], part[BOTTOM_SURFACE + j]
+
+    # Steps and slopes, and no value where the ground is unknown
+    bound = max(int(SLOPE_REACH / side + 0.5), 1)
+    for i in range(nx):
+        _interpolate(along, (i + 0.5) * scale + x, fine, part, RISE)
+        steps_of_row(wide, i, reach, part, out[STEP])
+        slopes_of_row(out[GROUND], i, bound, np.float32(side), part, out[SLOPE])
+    _hide_unknown(out)
+
+
+@kernel
+def _hide_unknown(out: NDArray[np.float32]) -> None:
+    """Leave ground, variance and slope without value where the variance is `FAR`."""
+    nan = np.float32(np.nan)
+    for layer in (GROUND, SLOPE, VARIANCE):
+        for i in range(out.shape[1]):
+            for j in range(out.shape[2]):
+                out[layer, i, j] = out[layer, i, j] if out[VARIANCE, i, j] < FAR else nan
+
+
+@kernel
+def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
+    """Replace sums and ground of a row by its layers, and fill in the highest and the lowest surface of its cells."""
+    one, half, zero, nan = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(np.nan)
+    for j in range(count & 0x7FFF):
+        number, top, hang, used = part[COUNTS + j], part[TOPS + j], part[HANGS + j], part[USED + j]
+        base, shift, mean = part[BASE + j], part[SHIFT + j], part[MEAN + j]
+        spread, gap, observed = part[SPREAD + j], part[GAP + j], part[KNOWN + j]
+        own = part[SUMS + j] / (number if number > one else one) + shift
+        prior, noise = spread + NOISE, spread if spread > NOISE else NOISE
+        weight = used * prior / (used * prior + noise)
+        within = WITHIN * spread if used > zero else zero
+        known = ((gap <= near) | ((gap <= MAX_GAP) & (observed > OBSERVED))) & (part[DOUBT + j] < half)
+        variance = (one - weight) * prior + within + FLOOR + BEND * BEND * gap * gap
+        highest = top + shift if top > zero else zero
+        stands, surface = (top > zero) & (hang < STANDS), base + own
+        part[HIGH + j] = base + highest if stands else surface if number > zero else -FAR
+        part[LOW + j] = surface if number > zero else base + highest if stands else FAR
+        part[BASE + j] = base + mean + weight * (own - mean)
+        part[GAP + j] = variance if known else FAR
+        part[SPREAD + j] = np.sqrt(spread) if known else nan
+        part[TOPS + j] = highest if known | (top > zero) else nan
+        part[HANGS + j] = hang + shift if hang > zero else nan
+
+
+@kernel
+def _between(count: int, corner: float, scale: float, size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Return the first of the two coarse cells that each cell of a row lies between, and the weight of the second."""
+    first, weight = np.empty(count, np.int32), np.empty(count, np.float32)
+    for j in range(count):
+        v = min(max((j + 0.5) * scale + corner - 0.5, 0.0), size - 1.0)
+        first[j] = min(int(v), size - 2)
+        weight[j] = v - first[j]
+    return first, weight
+
+
+@kernel
+def _interpolate(
+    values: NDArray[np.float32],
+    at: float,
+    between: tuple[NDArray[np.int32], NDArray[np.float32]],
+    part: NDArray[np.float32],
+    start: int,
+) -> None:
+    """Fill in a row of cells by coarse values, as `kernels.surface.sample` does."""
+    first, weight = between
+    u = min(max(at - 0.5, 0.0), values.shape[0] - 1.0)
+    k, start = min(int(u), values.shape[0] - 2) & 0xFFFF, start & 0x7FFFF
+    share = np.float32(u - k)
+    for l in range(values.shape[1] & 0x7FFF):  # noqa: E741
+        part[ROW + l] = values[k, l] + (values[k + 1, l] - values[k, l]) * share
+    for j in range(first.shape[0] & 0x7FFF):
+        l = first[j] & 0x7FFF  # noqa: E741
+        part[start + j] = part[ROW + l] + (part[ROW + l + 1] - part[ROW + l]) * weight[j]
