@@ -101,7 +101,7 @@ def _smooth(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
     quarter = half * half
     hit, rest = p >= g, c.one - g
     gain = max(c.one - (f + o) / (quarter * quarter), quarter)
-    grown = min(f + g * (c.one - f) * (c.one - o), max(f, c.one - rest * rest))
+    grown = min(f + g * (c.one - f) * (c.one - o), max(max(f, g), c.one - (rest + rest) * rest))
     occupied = o + gain * max(p - o, zero) if hit else o * (c.one - quarter * g)
     free = f * (c.one - p) if hit else grown
     return min(free, c.one - occupied), occupied, c.one

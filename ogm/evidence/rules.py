@@ -172,13 +172,12 @@ def smooth(prior: Array, new: Array) -> Array:
     With the masses (F, O) of the map, (f, o) of the scan, ``(x)+ = max(x, 0)`` and ``k = max(1/4, 1 - 16 (F + O))``::
 
         where o >= f:   occupied = O + k (o - O)+,   free = F (1 - o)
-        elsewhere:      occupied = O (1 - f / 4),    free = min(F + f (1 - F) (1 - O), max(F, 1 - (1 - f)^2))
+        elsewhere:      occupied = O (1 - f / 4),    free = min(F + f (1 - F) (1 - O), max(F, f, 1 - 2 (1 - f)^2))
 
     and free is at most 1 - occupied. Occupied is an exponential average, with a gain of 1 where the map knows nothing:
     in a free cell three scans of occupied 0.9 in turn make an obstacle, the first of them makes it unknown, and three
     or four scans of free 0.9 clear it. So a cell beside a wall that errors of ranges and poses hit now and then
-    does not flicker. Free grows to the belief of two scans at most: claims that every scan repeats do not add up to
-    more.
+    does not flicker. Free of 0.8 that scans repeat grows to 0.92, and no further; free of at most 0.5 does not grow.
 
     Not symmetric, not associative; the vacuous mass is neutral.
 
@@ -199,7 +198,7 @@ def smooth(prior: Array, new: Array) -> Array:
     gain = (1 - (F + O) / SMOOTH_GAIN**2).clip(SMOOTH_GAIN)
     hit = o >= f
     occupied = xp.where(hit, O + gain * (o - O).clip(0), O * (1 - SMOOTH_GAIN * f))
-    grown = xp.minimum(F + f * (1 - F) * (1 - O), xp.maximum(F, 1 - (1 - f) ** 2))
+    grown = xp.minimum(F + f * (1 - F) * (1 - O), xp.maximum(F, xp.maximum(f, 1 - 2 * (1 - f) ** 2)))
     free = xp.where(hit, F * (1 - o), grown)
     return stack_last(xp, [xp.minimum(free, 1 - occupied), occupied], prior)
 

@@ -9,7 +9,7 @@ from ogm.state import CellState
 
 
 def states_at(points, state, spec):
-    ix, iy = spec.index(points[:, 0], points[:, 1])
+    ix, iy = spec.index(points[:, 0], points[:, 1], unbounded=True)
     inside = spec.contains(points[:, 0], points[:, 1])
     return state[ix[inside], iy[inside]], inside
 

@@ -392,7 +392,7 @@ def smoothed(F: float, O: float, f: float, o: float) -> tuple[float, float]:  # 
         O, F = max((1 - share) * O + share * o, O), F - F * o  # noqa: E741
     else:
         grown = 1 - (1 - F) * (1 - f * (1 - O))
-        O, F = O - O * f / 4, min(grown, max(F, f + f * (1 - f)))  # noqa: E741
+        O, F = O - O * f / 4, min(grown, max(F, f, f + (1 - f) * (2 * f - 1)))  # noqa: E741
     return min(F, 1 - O), O
 
 
@@ -408,5 +408,5 @@ def test_smooth_averages_occupied_and_keeps_no_free_that_is_contradicted(masses:
     repeated = found
     for _ in range(40):
         repeated = evidence.smooth(repeated, new)
-    bound = np.maximum(prior, np.stack([1 - (1 - new[..., 0]) ** 2, new[..., 1]], axis=-1))
+    bound = np.maximum(prior, np.stack([np.maximum(new[..., 0], 1 - 2 * (1 - new[..., 0]) ** 2), new[..., 1]], axis=-1))
     assert (repeated <= bound + tolerance(found)).all()
