@@ -24,4 +24,4 @@ RULES: dict[str, Callable[..., Any]] = {  # name: rule of two masses, of the map
 }
 BAYES, DYNAMIC, NUSS = "bayes", "dynamic", "nuss"  # filters with a state of their own
 MAP_RULES = (*RULES, BAYES, DYNAMIC, NUSS)
-ADDING_RULES = ("dempster", "yager", "cumulative", "pcr6", BAYES)  # a claim that every scan repeats grows
+ADDING_RULES = ("dempster", "yager", "cumulative", "pcr6", SMOOTH, BAYES)  # a claim that every scan repeats grows

@@ -89,7 +89,7 @@ def adding_rule_warning(rule: str) -> str:
         return ""
     return (
         f"by the rule {rule} claims add up that every scan repeats: cells become free, or occupied, that no scan calls "
-        "so, as in the shadow of a standing car; cautious, the default, leaves them unknown (docs/fusion.md)"
+        "so, as in the shadow of a standing car; revise, the default, leaves them unknown (docs/fusion.md)"
     )
 
 

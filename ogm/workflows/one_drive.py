@@ -84,7 +84,7 @@ def fuse_drive(
     dataset = posed(dataset, o.odometry, o.rate, o.first, match=o.match)[0]
     if o.deskew and not dataset.motion_distorted:
         raise ValueError("leave out `deskew`: the points of this dataset are not (or not all) distorted by motion")
-    if warning := adding_rule_warning(o.rule):
+    if (warning := adding_rule_warning(o.rule)) and o.rule != map_defaults(dataset).rule:
         tell(warning)
     for finding in gravest(dataset, str(o.ism)):
         tell(finding)
