@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "BeamColumns", "Points", "PolarGrid",
+    "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "HeightSpace", "BeamColumns", "Points", "PolarGrid",
     "RayLimits", "RayNumbers", "Rays", "SectorRays", "Surface", "WorkSpace",
 ]  # fmt: skip
 
@@ -168,3 +168,11 @@ class WorkSpace(NamedTuple):
     table: NDArray[np.float32]  # (N, 3) of `Rays`
     hits: NDArray[np.int32]  # (nx, ny)
     free: NDArray[np.float32]  # (sectors, bins)
+
+
+class HeightSpace(NamedTuple):
+    """Layers of heights, and memory of their kernels with arbitrary content."""
+
+    layers: NDArray[np.float32]  # (7, nx, ny); first it holds the sums over the returns of each cell
+    wide: NDArray[np.float32]  # (2, nx, ny) highest and lowest surface along a row
+    part: NDArray[np.float32]  # (PARTS,) of one row

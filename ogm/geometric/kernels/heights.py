@@ -1,0 +1,297 @@
+"""Heights of one scan, cell by cell: see `ogm.geometric.heights.height_layers`."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.kernels.arguments import Cells, HeightSpace, Points, RayNumbers, Surface
+from ogm.geometric.kernels.steps import (
+    BOTTOM_SURFACE,
+    FAR,
+    HIGH,
+    LOW,
+    RISE,
+    TOP_SURFACE,
+    WIDTH,
+    rises,
+    slopes_of_row,
+    steps_of_row,
+    widen,
+)
+from ogm.geometric.kernels.surface import fill, lower_envelope
+from ogm.jit import kernel
+
+__all__ = ["PARTS", "WIDTH", "height_cells", "sum_returns"]
+
+COUNT, SUM, SQUARE, TOP, HANG = 2, 3, 4, 5, 6  # sums over the returns of a cell, where layers will stand
+GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5, 6  # layers
+BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, KNOWN, USED, ROW, PARTS = (WIDTH * k for k in range(6, 19))
+BLOCK = 0.64  # [m] side of the blocks of cells over which roughness is taken, and gaps are filled
+SLOPE_REACH, STEP_REACH = 0.5, 0.35  # [m] on either side of a cell
+STANDS = np.float32(0.5)  # [m] above the ground up to which the lowest return of an obstacle shows that it stands there
+MAX_GAP = np.float32(3.0)  # [m] from a block with ground, up to which the ground is known
+OBSERVED = np.float32(0.1)  # mass of free and occupied from which a cell in a gap is observed
+FLOOR = np.float32(0.005**2)  # [m2] least variance of a height
+NOISE = np.float32(0.01**2)  # [m2] of one return, at least
+WITHIN = np.float32(0.3)  # share of a block's variance that lies within one cell
+BEND = np.float32(0.04)  # rise over run by which the ground may bend in a gap
+FEW = np.float32(8.0)  # returns beyond which a block weighs no more
+
+
+@kernel
+def sum_returns(
+    points: Points, above: NDArray[np.float32], cells: Cells, numbers: RayNumbers, sums: NDArray[np.float32]
+) -> None:
+    """Fill in sums over the returns of each cell, by their heights above the ground [m].
+
+    Parameters
+    ----------
+    points : Points
+        N returns.
+    above : (N or more,) float32
+    cells : Cells
+    numbers : RayNumbers
+    sums : (7, nx, ny) float32
+        Filled from the third on: of returns up to `obstacle_height`: number, sum and sum of squares. Of higher ones: the highest below the
+        clearance and the lowest of all, 0 where there is none.
+    """
+    sums[COUNT:] = 0
+    shape = sums.shape[1:]
+    x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
+    below = np.float32(-numbers.below_ground)
+    for n in range(points.x.shape[0]):
+        u, v, a = (points.x[n] - x0) * inverse, (points.y[n] - y0) * inverse, above[n]
+        if a < below or not (u >= 0 and u < shape[0] and v >= 0 and v < shape[1]):
+            continue
+        i, j = int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF
+        if a <= low:
+            sums[COUNT, i, j] += np.float32(1.0)
+            sums[SUM, i, j] += a
+            sums[SQUARE, i, j] += a * a
+            continue
+        if a < high:
+            sums[TOP, i, j] = max(sums[TOP, i, j], a)
+        if sums[HANG, i, j] == 0 or a < sums[HANG, i, j]:
+            sums[HANG, i, j] = a
+
+
+@kernel
+def height_cells(
+    mass: NDArray[np.float32],
+    ground: Surface,
+    ground_point: tuple[float, float, float],
+    cells: Cells,
+    work: HeightSpace,
+) -> None:
+    """Fill in the layers of `ogm.geometric.heights.height_layers`, in their order.
+
+    Parameters
+    ----------
+    mass : (nx, ny, 2) float32
+    ground : Surface
+        Surface that heights are counted from.
+    ground_point : (x, y, z)
+        Ground under the sensor [m].
+    cells : Cells
+    work : HeightSpace
+    """
+    out, wide, part = work
+    nx, ny, side, valid = out.shape[1], out.shape[2], cells.resolution, _ground_cells(out)
+
+    # The surface without cells that show obstacles alone, and what was taken away
+    scale = side * ground.per_metre
+    x, y = (cells.x0 - ground.x0) * ground.per_metre, (cells.y0 - ground.y0) * ground.per_metre
+    place = (ground_point[0] - ground.x0) * ground.per_metre, (ground_point[1] - ground.y0) * ground.per_metre
+    mended = _mended(ground.height, valid, (x, y), scale, place, np.float32(ground_point[2]))
+    away = ground.height - mended
+    fine = _between(ny, y, scale, mended.shape[1])
+
+    # Means and variances of the returns about it in blocks, and the distance to the nearest block
+    size = max(int(BLOCK / side + 0.5), 1)
+    blocks = np.zeros((4, max((nx + size - 1) // size, 2), max((ny + size - 1) // size, 2)), np.float32)
+    for i in range(nx):
+        _interpolate(away, (i + 0.5) * scale + x, fine, part, SHIFT)
+        _add_row(out, valid, i, part, size, blocks)
+    _finish_blocks(blocks, np.float32(size * side))
+    coarse = _between(ny, 0.0, 1.0 / size, blocks.shape[2])
+
+    # Layers of each row, and the highest and lowest surface along it
+    along, across = rises(mended, np.float32(scale)), rises(mended.T.copy(), np.float32(scale)).T.copy()
+    near, reach = np.float32(0.75 * size * side), max(int(STEP_REACH / side + 0.5), 1)
+    for i in range(nx):
+        _interpolate(mended, (i + 0.5) * scale + x, fine, part, BASE)
+        _interpolate(away, (i + 0.5) * scale + x, fine, part, SHIFT)
+        _interpolate(blocks[0], (i + 0.5) / size, coarse, part, MEAN)
+        _interpolate(blocks[1], (i + 0.5) / size, coarse, part, SPREAD)
+        _interpolate(blocks[2], (i + 0.5) / size, coarse, part, GAP)
+        _interpolate(across, (i + 0.5) * scale + x, fine, part, RISE)
+        for j in range(ny & 0x7FFF):
+            part[COUNTS + j], part[SUMS + j] = out[COUNT, i, j], out[SUM, i, j]
+            part[TOPS + j], part[HANGS + j] = out[TOP, i, j], out[HANG, i, j]
+        for j in range(ny & 0x7FFF):
+            part[KNOWN + j] = mass[i, j, 0] + mass[i, j, 1]
+            part[USED + j] = out[COUNT, i, j] if valid[i, j] else np.float32(0.0)
+        _fill_row(part, ny, near)
+        for j in range(ny & 0x7FFF):
+            out[GROUND, i, j], out[VARIANCE, i, j] = part[BASE + j], part[GAP + j]
+        for j in range(ny & 0x7FFF):
+            out[ROUGHNESS, i, j], out[OBSTACLE, i, j], out[CLEARANCE, i, j] = (
+                part[SPREAD + j],
+                part[TOPS + j],
+                part[HANGS + j],
+            )
+        widen(part, ny, reach)
+        for j in range(ny & 0x7FFF):
+            wide[0, i, j], wide[1, i, j] = part[TOP_SURFACE + j], part[BOTTOM_SURFACE + j]
+
+    # Steps and slopes, and no value where the ground is unknown
+    bound = max(int(SLOPE_REACH / side + 0.5), 1)
+    for i in range(nx):
+        _interpolate(along, (i + 0.5) * scale + x, fine, part, RISE)
+        steps_of_row(wide, i, reach, part, out[STEP])
+        slopes_of_row(out[GROUND], i, bound, np.float32(side), part, out[SLOPE])
+    _hide_unknown(out)
+
+
+@kernel
+def _hide_unknown(out: NDArray[np.float32]) -> None:
+    """Leave ground, variance and slope without value where the variance is `FAR`."""
+    nan = np.float32(np.nan)
+    for layer in (GROUND, SLOPE, VARIANCE):
+        for i in range(out.shape[1]):
+            for j in range(out.shape[2]):
+                out[layer, i, j] = out[layer, i, j] if out[VARIANCE, i, j] < FAR else nan
+
+
+@kernel
+def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
+    """Replace sums and ground of a row by its layers, and fill in the highest and the lowest surface of its cells."""
+    one, zero, nan = np.float32(1.0), np.float32(0.0), np.float32(np.nan)
+    for j in range(count & 0x7FFF):
+        number, top, hang, used = part[COUNTS + j], part[TOPS + j], part[HANGS + j], part[USED + j]
+        base, shift, mean = part[BASE + j], part[SHIFT + j], part[MEAN + j]
+        spread, gap, observed = part[SPREAD + j], part[GAP + j], part[KNOWN + j]
+        own = part[SUMS + j] / (number if number > one else one) + shift
+        prior, noise = spread + NOISE, spread if spread > NOISE else NOISE
+        weight = used * prior / (used * prior + noise)
+        within = WITHIN * spread if used > zero else zero
+        known = (gap <= near) | ((gap <= MAX_GAP) & (observed > OBSERVED))
+        variance = (one - weight) * prior + within + FLOOR + BEND * BEND * gap * gap
+        highest = top + shift if top > zero else zero
+        stands, surface = (top > zero) & (hang < STANDS), base + own
+        part[HIGH + j] = base + highest if stands else surface if number > zero else -FAR
+        part[LOW + j] = surface if number > zero else base + highest if stands else FAR
+        part[BASE + j] = base + mean + weight * (own - mean)
+        part[GAP + j] = variance if known else FAR
+        part[SPREAD + j] = np.sqrt(spread) if known else nan
+        part[TOPS + j] = highest if known | (top > zero) else nan
+        part[HANGS + j] = hang + shift if hang > zero else nan
+
+
+@kernel
+def _ground_cells(sums: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return the cells with returns of the ground, and none of obstacles in them or the cells around them, (nx, ny)."""
+    nx, ny = sums.shape[1:]
+    beside, valid = np.zeros((nx + 2, ny), np.bool_), np.empty((nx, ny), np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            if sums[TOP, i, j] > 0:
+                beside[i + 1, max(j - 1, 0) : j + 2] = True
+    for i in range(nx):
+        for j in range(ny):
+            valid[i, j] = (sums[COUNT, i, j] > 0) & ~(beside[i, j] | beside[i + 1, j] | beside[i + 2, j])
+    return valid
+
+
+@kernel
+def _mended(
+    height: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    corner: tuple[float, float],
+    per_cell: float,
+    place: tuple[float, float],
+    ground_z: np.float32,
+) -> NDArray[np.float32]:
+    """Return a surface whose cells without valid cells are filled from the others; lengths in cells of the surface."""
+    result, weight = height.copy(), np.zeros(height.shape, np.float32)
+    mx, my = height.shape[0] - 1, height.shape[1] - 1
+    for i in range(valid.shape[0]):
+        k = min(max(int((i + 0.5) * per_cell + corner[0]), 0), mx)
+        for j in range(valid.shape[1]):
+            if valid[i, j]:
+                weight[k, min(max(int((j + 0.5) * per_cell + corner[1]), 0), my)] += np.float32(1.0)
+    k, l = min(max(int(place[0]), 0), mx), min(max(int(place[1]), 0), my)  # noqa: E741
+    if weight[k, l] == 0:
+        result[k, l], weight[k, l] = ground_z, np.float32(1.0)
+    for k in range(mx + 1):
+        for l in range(my + 1):  # noqa: E741
+            weight[k, l] = min(weight[k, l], FEW)
+    fill(result, weight, ground_z)
+    return result
+
+
+@kernel
+def _add_row(
+    sums: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    i: int,
+    part: NDArray[np.float32],
+    size: int,
+    blocks: NDArray[np.float32],
+) -> None:
+    """Add the returns of a row's valid cells to its blocks: sum, sum of squares, and number at last."""
+    k = i // size
+    for j in range(valid.shape[1]):
+        if valid[i, j]:
+            l, s, count, total = j // size, part[SHIFT + j], sums[COUNT, i, j], sums[SUM, i, j]  # noqa: E741
+            blocks[0, k, l] += total + count * s
+            blocks[1, k, l] += sums[SQUARE, i, j] + s * (total + total + count * s)
+            blocks[3, k, l] += count
+
+
+@kernel
+def _finish_blocks(blocks: NDArray[np.float32], side: np.float32) -> None:
+    """Turn sums into means [m] and variances [m2], filled where a block has none, and distances [m] to one that has."""
+    zero = np.float32(0.0)
+    for k in range(blocks.shape[1]):
+        for l in range(blocks.shape[2]):  # noqa: E741
+            count = blocks[3, k, l]
+            blocks[2, k, l] = zero if count > 0 else FAR
+            if count > 0:
+                mean = blocks[0, k, l] / count
+                blocks[0, k, l], blocks[1, k, l] = mean, max(blocks[1, k, l] / count - mean * mean, zero)
+                blocks[3, k, l] = min(count, FEW)
+    fill(blocks[0], blocks[3], zero)
+    fill(blocks[1], blocks[3], zero)
+    lower_envelope(blocks[2], side)
+
+
+@kernel
+def _between(count: int, corner: float, scale: float, size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Return the first of the two coarse cells that each cell of a row lies between, and the weight of the second."""
+    first, weight = np.empty(count, np.int32), np.empty(count, np.float32)
+    for j in range(count):
+        v = min(max((j + 0.5) * scale + corner - 0.5, 0.0), size - 1.0)
+        first[j] = min(int(v), size - 2)
+        weight[j] = v - first[j]
+    return first, weight
+
+
+@kernel
+def _interpolate(
+    values: NDArray[np.float32],
+    at: float,
+    between: tuple[NDArray[np.int32], NDArray[np.float32]],
+    part: NDArray[np.float32],
+    start: int,
+) -> None:
+    """Fill in a row of cells by coarse values, as `kernels.surface.sample` does."""
+    first, weight = between
+    u = min(max(at - 0.5, 0.0), values.shape[0] - 1.0)
+    k, start = min(int(u), values.shape[0] - 2) & 0xFFFF, start & 0x7FFFF
+    share = np.float32(u - k)
+    for l in range(values.shape[1] & 0x7FFF):  # noqa: E741
+        part[ROW + l] = values[k, l] + (values[k + 1, l] - values[k, l]) * share
+    for j in range(first.shape[0] & 0x7FFF):
+        l = first[j] & 0x7FFF  # noqa: E741
+        part[start + j] = part[ROW + l] + (part[ROW + l + 1] - part[ROW + l]) * weight[j]
