@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import Opinion
 from ogm.fusion.resample import ResampleMethod, view_layers
-from ogm.fusion.update_gate import CheckedScan, UpdateGate
+from ogm.fusion.update_gate import CheckedScan, UpdateGate, check_measurement
 from ogm.fusion.window import Window
 from ogm.geometric.doppler import RadialVelocities
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid, Sampling
@@ -199,7 +199,8 @@ class Mapper(ABC):
             the grid and the window have no cell in common, or the columns of `radial` do not fit together.
         """
         # Check masses, pose, stamp and the distance travelled; an error leaves the map as it was
-        scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
+        check_measurement(grid, reliability)
+        scan = self._gate.check(self._window, grid.spec, T_map_sensor, stamp, T_vehicle_sensor)
 
         # Doppler in the axes of the map
         if radial is not None:

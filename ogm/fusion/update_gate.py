@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.fusion.window import Window, affine_between, overlaps, samples_per_axis
 from ogm.geometric.doppler import RadialVelocities
-from ogm.grid import CombinedGrid, EvidentialGrid, PartialGrid
+from ogm.grid import CombinedGrid, EvidentialGrid, GridSpec, PartialGrid
 from ogm.pose import check_pose, check_stamp, inverse
 
 SLACK = 1.0  # [m] added to the distance that a vehicle may travel between two scans
@@ -128,14 +128,12 @@ class UpdateGate:
     def check(
         self,
         window: Window,
-        grid: EvidentialGrid,
+        grid: GridSpec,
         T_map_sensor: ArrayLike,
         stamp: float | None,
         T_vehicle_sensor: ArrayLike | None,
-        reliability: float,
     ) -> CheckedScan:
         """Check a scan: return what its fusion needs, or raise why it cannot be fused; the pose of a jump is kept."""
-        check_measurement(grid, reliability)
         T = vehicle = check_pose(T_map_sensor, "T_map_sensor").copy()  # the caller may change its array
         if T_vehicle_sensor is not None:
             vehicle = T @ inverse(check_pose(T_vehicle_sensor, "T_vehicle_sensor"))
@@ -157,15 +155,15 @@ class UpdateGate:
             _log.warning("no scan for %.1f s: the map has aged by as much", elapsed)
         corner = window.corner_around(vehicle) if elapsed >= 0 else window.corner
         spec = window.spec_at(corner)
-        affine = affine_between(spec, grid.spec, T)
-        if not overlaps(affine, spec, grid.spec):
-            x0, x1, y0, y1 = grid.spec.extent
+        affine = affine_between(spec, grid, T)
+        if not overlaps(affine, spec, grid):
+            x0, x1, y0, y1 = grid.extent
             raise ValueError(
                 f"the grid, x {x0:g} to {x1:g} m and y {y0:g} to {y1:g} m around a sensor at "
                 f"({T[0, 3]:g}, {T[1, 3]:g}) m, has no cell in the map's window; is T_map_sensor the pose of "
                 "the grid's own frame?"
             )
-        return CheckedScan(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid.spec))
+        return CheckedScan(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid))
 
     def accept(self, scan: CheckedScan) -> None:
         """Take a scan as the last one, unless it came late."""

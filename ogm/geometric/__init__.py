@@ -16,11 +16,13 @@ The kernels are compiled by numba at their first call in a new environment and c
 from ogm.geometric.doppler import moving_detections, sensor_velocity
 from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground, shows_ground
 from ogm.geometric.height_band import HeightBandISM
+from ogm.geometric.heights import VehicleLimits, height_layers, traversability
 from ogm.geometric.planar import PlanarISM, plane_text
 from ogm.geometric.radar import RadarISM
 from ogm.geometric.ray import RayISM
 
 __all__ = [
-    "HeightBandISM", "PlanarISM", "RadarISM", "RayISM", "flat_ground", "ground_height", "local_ground",
-    "moving_detections", "patchwork_ground", "plane_text", "sensor_velocity", "shows_ground",
+    "HeightBandISM", "PlanarISM", "RadarISM", "RayISM", "VehicleLimits", "flat_ground", "ground_height",
+    "height_layers", "local_ground", "moving_detections", "patchwork_ground", "plane_text", "sensor_velocity",
+    "shows_ground", "traversability",
 ]  # fmt: skip

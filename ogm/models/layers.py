@@ -8,7 +8,7 @@
 >>> ism = load_model("ray", GridSpec.centered(24.0, 16.0, 0.5), Mount(sensor_height=1.8))
 >>> grid, layers = map_layers(ism, scan, ["ground_height"])
 >>> float(layers["ground_height"][*layers.spec.index(8.0, 1.0)].round(2))
-0.41
+-1.39
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ogm.geometric import PlanarISM, RadarISM
 from ogm.geometric.causes import SectorTrace, unknown_causes
-from ogm.geometric.heights import height_layers
+from ogm.geometric.heights import HEIGHT_LAYERS, height_layers, traversability
 from ogm.geometric.ray import RayISM, RayTrace
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.models.combined import CombinedISM
@@ -48,8 +48,14 @@ def cause_layer(trace: RayTrace | SectorTrace) -> dict[str, NDArray[np.float32]]
     return {"cause": unknown_causes(trace).astype(np.float32)}
 
 
+def terrain_layers(trace: RayTrace) -> dict[str, NDArray[np.float32]]:
+    """Return the layers of heights, see `ogm.geometric.height_layers`, and traversability for `VehicleLimits()`."""
+    layers = height_layers(trace)
+    return {**layers.layers, "traversability": traversability(layers, trace.grid)}
+
+
 LAYERS: Mapping[str, LayerFunction] = {
-    "ground_height": height_layers,
+    **dict.fromkeys((*HEIGHT_LAYERS, "traversability"), terrain_layers),
     **dict.fromkeys(("distance", "cost"), planning_layers),
     "cause": cause_layer,
 }
@@ -84,7 +90,7 @@ def map_layers(model: InverseSensorModel, scan: Scan, names: Sequence[str]) -> t
     if trace is None:
         name = type(model).__name__
         raise ValueError(f"layers are derived from the rays of RayISM, got {name}: use the model ray or combined")
-    if isinstance(trace, SectorTrace) and (of_ground := [name for name in names if LAYERS[name] is height_layers]):
+    if isinstance(trace, SectorTrace) and (of_ground := [name for name in names if LAYERS[name] is terrain_layers]):
         raise ValueError(
             f"scans of planar lasers, sonars and radars have no layer {of_ground[0]!r}: they show no ground"
         )

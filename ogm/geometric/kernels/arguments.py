@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "HeightSpace", "BeamColumns", "Points", "PolarGrid",
-    "RayLimits", "RayNumbers", "Rays", "SectorRays", "Surface", "WorkSpace",
+    "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "HeightSpace", "BeamColumns",
+    "Points", "PolarGrid", "RayLimits", "RayNumbers", "Rays", "SectorRays", "Surface", "WorkSpace",
 ]  # fmt: skip
 
 

@@ -51,8 +51,8 @@ def sum_returns(
     cells : Cells
     numbers : RayNumbers
     sums : (7, nx, ny) float32
-        Filled from the third on: of returns up to `obstacle_height`: number, sum and sum of squares. Of higher ones: the highest below the
-        clearance and the lowest of all, 0 where there is none.
+        Filled from the third on. Returns up to `obstacle_height`: number, sum and sum of squares; higher ones: the
+        highest below the clearance, and the lowest of all; 0 where there is none.
     """
     sums[COUNT:] = 0
     shape = sums.shape[1:]

@@ -64,7 +64,7 @@ def widen(part: NDArray[np.float32], count: int, reach: int) -> None:
 def steps_of_row(
     wide: NDArray[np.float32], i: int, reach: int, part: NDArray[np.float32], out: NDArray[np.float32]
 ) -> None:
-    """Fill in the greatest rise up to `reach` cells away from the cells of a row, without the slope; NaN without any."""
+    """Fill in the greatest rise up to `reach` cells away from a row's cells, without the slope; NaN without any."""
     count, nan = out.shape[1] & 0x7FFF, np.float32(np.nan)
     for j in range(count):
         part[TOP_SURFACE + j], part[BOTTOM_SURFACE + j] = wide[0, i, j], wide[1, i, j]

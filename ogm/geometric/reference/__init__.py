@@ -8,10 +8,11 @@ from ogm.geometric.reference.breaks import Beam, Break, classify, find_breaks, p
 from ogm.geometric.reference.causes import planar_causes, ray_causes
 from ogm.geometric.reference.ground import ground_map, lower_envelope
 from ogm.geometric.reference.height_band import height_band_mass, line_cells
+from ogm.geometric.reference.heights import terrain
 from ogm.geometric.reference.planar import planar_mass
 from ogm.geometric.reference.ray import ray_grid_mass, silence_reliability
 
 __all__ = [
     "Beam", "Break", "classify", "find_breaks", "ground_map", "height_band_mass", "line_cells", "lower_envelope",
-    "planar_causes", "planar_mass", "profiles_of", "ray_causes", "ray_grid_mass", "silence_reliability",
+    "planar_causes", "planar_mass", "profiles_of", "ray_causes", "ray_grid_mass", "silence_reliability", "terrain",
 ]  # fmt: skip

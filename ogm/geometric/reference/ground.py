@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ogm.geometric.reference.height_band import cell_of
 from ogm.grid import GridSpec
 
-__all__ = ["ground_map", "lower_envelope"]
+__all__ = ["ground_map", "lower_envelope", "pull_push"]
 
 Point = tuple[float, float, float]
 
@@ -99,10 +99,10 @@ def ground_map(
         elif cell == home:
             height[cell], weight[cell] = ground_point[2], 1
     limit = lower_envelope(np.where(weight > 0, height, np.inf), max_slope * spec.resolution)
-    return np.where(weight > 0, height, np.minimum(_pull_push(height, weight, ground_point[2]), limit))
+    return np.where(weight > 0, height, np.minimum(pull_push(height, weight, ground_point[2]), limit))
 
 
-def _pull_push(height: NDArray[Any], weight: NDArray[Any], otherwise: float) -> NDArray[Any]:
+def pull_push(height: NDArray[Any], weight: NDArray[Any], otherwise: float) -> NDArray[Any]:
     """Fill cells of weight 0 from means over blocks of 2 x 2, 4 x 4, ... cells, interpolated (recursive)."""
     if max(height.shape) <= 2:
         mean = (weight * height).sum() / weight.sum() if weight.sum() else otherwise
@@ -112,7 +112,7 @@ def _pull_push(height: NDArray[Any], weight: NDArray[Any], otherwise: float) -> 
     blocks = (half[0], 2, half[1], 2)
     total = np.pad(weight, pad).reshape(blocks).sum((1, 3))
     known = np.pad(weight * height, pad).reshape(blocks).sum((1, 3)) / np.maximum(total, 1e-9)
-    coarse = _pull_push(known, np.minimum(total, 8), otherwise)
+    coarse = pull_push(known, np.minimum(total, 8), otherwise)
     result = height.copy()
     for i, j in np.argwhere(weight == 0):
         u, v = (min(max((k + 0.5) / 2 - 0.5, 0), n - 1) for k, n in zip((i, j), half, strict=True))

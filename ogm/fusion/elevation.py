@@ -1,0 +1,232 @@
+"""Heights of the ground over time: a Kalman filter for each cell, in a window that moves with the vehicle.
+
+Source: Fankhauser, Bloesch and Hutter, "Probabilistic terrain mapping for mobile robots with uncertain localization"
+(2018); the drift of heights is estimated here from the overlap of scan and map.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.fusion.lookup import ScanLookup, gather
+from ogm.fusion.mapper import MapLock, locked
+from ogm.fusion.update_gate import CheckedScan, UpdateGate
+from ogm.fusion.window import Window, WindowMode
+from ogm.geometric.heights import HEIGHT_LAYERS
+from ogm.grid import GridSpec, LayeredGrid
+
+_SLOPE_REACH = 0.5  # [m] on either side of a cell
+_CONTRADICTION = 3.0  # standard deviations from which on a height contradicts that of the map
+_PATCH = 50  # cells whose heights have one error in common
+_LEAST = 200  # cells that scan and map must share for an estimate of the drift
+HEIGHT, PRECISION, LATEST = 0, 1, 2  # of a cell's numbers: [m], [1/m2], and 1 + value of the last four layers
+
+
+class ElevationMapper:
+    """A map of ground heights with their variances, and of the last steps, roughness, obstacles and clearance seen.
+
+    Each cell holds a height that is constant but for process noise. A height that differs from it by more than three
+    standard deviations raises the cell's variance to the square of the difference first.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        Cells and extent of the window; as for `EvidentialMapper`.
+    drift : float
+        Drift of the poses' heights as a random walk: standard deviation after one metre of travel [m]; after s metres
+        it is ``drift * sqrt(s)``.
+    estimate_drift : bool
+        With True, the drift is estimated by the median difference of scan and map, and removed: heights remain those
+        of the first scans. With False, the variance of all cells grows by ``drift**2`` per metre of travel.
+    process_noise : float
+        Growth of the variance of a cell with time [m2/s].
+    independent_scans : float
+        Number of scans whose errors in one cell are independent, at least 1: a cell is at most as many times as precise
+        as one scan, since scans from nearby share the errors of gaps and calibration. Infinity is the plain filter.
+    window, max_speed, max_delay
+        As for `EvidentialMapper`.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+
+    drift: float
+    estimate_drift: bool
+    process_noise: float
+    independent_scans: float
+
+    def __init__(
+        self,
+        spec: GridSpec,
+        *,
+        drift: float = 0.01,
+        estimate_drift: bool = True,
+        process_noise: float = 1e-6,
+        independent_scans: float = 4.0,
+        window: WindowMode = "rolling",
+        max_speed: float = 70.0,
+        max_delay: float = 0.5,
+    ) -> None:
+        if not (0 <= drift < math.inf and 0 <= process_noise < math.inf):
+            raise ValueError(f"drift and process_noise must be 0 or more and finite, got {drift} and {process_noise}")
+        if not independent_scans >= 1:
+            raise ValueError(f"independent_scans must be at least 1, got {independent_scans}")
+        self.drift, self.estimate_drift, self.process_noise = float(drift), estimate_drift, float(process_noise)
+        self.independent_scans = float(independent_scans)
+        self.lock, self._window = MapLock(), Window(spec, window)
+        self._gate = UpdateGate(max_speed, max_delay, needs_stamps=process_noise > 0)
+        self._cells = np.zeros((*spec.shape, 6), np.float32)
+        self._clear()
+
+    def _clear(self) -> None:
+        self._offset, self._offset_variance = 0.0, 0.0
+        self._level: float | None = None  # height of the first pose: float32 holds millimetres beside it
+
+    @property
+    @locked
+    def spec(self) -> GridSpec:
+        """The window's cells now, in map coordinates."""
+        return self._window.spec
+
+    @property
+    @locked
+    def scans(self) -> int:
+        """Number of scans in the map."""
+        return self._gate.scans
+
+    @property
+    @locked
+    def height_offset(self) -> tuple[float, float]:
+        """Estimated error of the newest pose's height [m], and its variance [m2]."""
+        return self._offset, self._offset_variance
+
+    @locked
+    def update(
+        self,
+        layers: LayeredGrid,
+        T_map_sensor: ArrayLike,  # noqa: N803
+        stamp: float | None = None,
+        *,
+        T_vehicle_sensor: ArrayLike | None = None,  # noqa: N803
+    ) -> None:
+        """Move the window to the vehicle and fuse the heights of a scan.
+
+        Parameters
+        ----------
+        layers : LayeredGrid
+            From `ogm.geometric.height_layers`.
+        T_map_sensor, stamp, T_vehicle_sensor
+            As for `Mapper.update`.
+
+        Raises
+        ------
+        KeyError
+            If a layer is missing.
+        PoseJump, StampJump, ValueError
+            As for `Mapper.update`.
+        """
+        scan = self._gate.check(self._window, layers.spec, T_map_sensor, stamp, T_vehicle_sensor)
+        before, T = self._gate.T_map_vehicle, np.asarray(T_map_sensor, np.float64)
+        travelled = 0.0 if before is None else math.dist(before[:3, 3].tolist(), scan.T_map_vehicle[:3, 3].tolist())
+        self._window.move_to(scan.corner, self._cells)
+        if self._level is None:
+            self._level = float(T[2, 3])
+
+        # Heights of the scan in the map, at the cells of the window
+        x, y = layers.spec.cell_centers
+        z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * layers["ground_height"] + (T[2, 3] - self._level)
+        variance = layers["ground_variance"]
+        known = np.isfinite(z) & (variance > 0)
+        measured = self._gathered(np.where(known, z, 0), np.where(known, variance, 0), scan)
+        z, variance = measured[..., 0], measured[..., 1]
+        seen = variance > 0
+
+        # Age the map, and remove the drift
+        walk = self.drift**2 * travelled
+        growth = self.process_noise * abs(scan.elapsed) + (0.0 if self.estimate_drift else walk)
+        height, precision = self._cells[..., HEIGHT], self._cells[..., PRECISION]
+        precision /= 1 + np.float32(growth) * precision
+        both = seen & (precision > 0)
+        if self.estimate_drift:
+            self._offset_variance += walk
+            self._estimate_offset((z - height)[both])
+            z, variance = z - np.float32(self._offset), variance + np.float32(self._offset_variance)
+
+        # Kalman filter of each cell; a contradiction raises the variance
+        difference = z - height
+        spread = np.where(both, 1 / np.where(both, precision, 1), 0)
+        far = both & (difference**2 > _CONTRADICTION**2 * (spread + variance))
+        precision[far] = 1 / difference[far] ** 2
+        added = np.where(seen, 1 / np.where(seen, variance, 1), 0).astype(np.float32)
+        new = precision + added
+        height += difference * added / np.where(seen, new, 1)
+        most = np.maximum(precision, np.minimum(np.float32(self.independent_scans), 1e9) * added)
+        precision[:] = np.minimum(new, most)
+
+        # Other layers: the last values
+        for k in (0, 2):
+            pair = (layers[name] + 1 for name in HEIGHT_LAYERS[3 + k : 5 + k])
+            latest = self._gathered(*(np.nan_to_num(one) for one in pair), scan)
+            kept = self._cells[..., LATEST + k : LATEST + k + 2]
+            np.copyto(kept, latest, where=latest > 0)
+        self._gate.accept(scan)
+
+    def _gathered(
+        self, first: NDArray[np.floating], second: NDArray[np.floating], scan: CheckedScan
+    ) -> NDArray[np.float32]:
+        """Return two layers of a scan at the cells of the buffer, (nx, ny, 2), 0 outside."""
+        out, pair = np.empty((*self._cells.shape[:2], 2), np.float32), np.stack([first, second], -1).astype(np.float32)
+        gather(ScanLookup(pair, scan.affine, 1), self._window.ring, out.reshape(out.shape[0], -1))
+        return out
+
+    def _estimate_offset(self, differences: NDArray[np.float32]) -> None:
+        """Update the error of the pose's height by differences of scan and map [m]."""
+        if len(differences) < _LEAST:
+            return
+        middle = float(np.median(differences))
+        deviation = 1.4826 * float(np.median(np.abs(differences - middle)))
+        noise = (deviation**2 + 1e-6) * _PATCH / len(differences)
+        gain = self._offset_variance / (self._offset_variance + noise)
+        self._offset += gain * (middle - self._offset)
+        self._offset_variance *= 1 - gain
+
+    @locked
+    def reset(self) -> None:
+        """Forget everything: the next scan begins a new map."""
+        self._cells[:] = 0
+        self._window.corner = (0, 0)
+        self._gate.clear()
+        self._clear()
+
+    @property
+    @locked
+    def layers(self) -> LayeredGrid:
+        """Layers of `ogm.geometric.height_layers` in map coordinates; heights in the map, slope by them."""
+        cells = self._window.unrolled(self._cells)
+        known = cells[..., PRECISION] > 0
+        height = np.where(known, cells[..., HEIGHT] + (self._level or 0.0), np.nan)
+        variance = np.where(known, 1 / np.where(known, cells[..., PRECISION], 1), np.nan)
+        latest = np.where(cells[..., LATEST:] > 0, cells[..., LATEST:] - 1, np.nan)
+        found = (height, variance, _slope(height, self._window.spec0.resolution), *np.moveaxis(latest, -1, 0))
+        return LayeredGrid(self.spec, dict(zip(HEIGHT_LAYERS, found, strict=True)))
+
+    def __repr__(self) -> str:
+        drift = "estimated" if self.estimate_drift else f"{self.drift:g} m after 1 m"
+        return f"ElevationMapper(drift {drift}, {self.scans} scans, {self.spec})"
+
+
+def _slope(height: NDArray[np.floating], resolution: float) -> NDArray[np.floating]:
+    """Return the inclination [rad] by the rise over `_SLOPE_REACH` on either side, or on the side that is known."""
+    reach = max(round(_SLOPE_REACH / resolution), 1)
+    squares = np.zeros(height.shape)
+    for axis in (0, 1):
+        padded = np.pad(height, [(reach, reach) if k == axis else (0, 0) for k in (0, 1)], constant_values=np.nan)
+        sides = [np.moveaxis(padded, axis, 0)[s : s + height.shape[axis]] for s in (0, 2 * reach)]
+        low, high = (np.moveaxis(side, 0, axis) for side in sides)
+        count = np.isfinite(low).astype(int) + np.isfinite(high)
+        rise = np.where(np.isfinite(high), high, height) - np.where(np.isfinite(low), low, height)
+        squares += np.where(count > 0, rise / (np.maximum(count, 1) * reach * resolution), np.nan) ** 2
+    return np.arctan(np.sqrt(squares))
