@@ -205,7 +205,10 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "steps": marked("scenes", geometric.steps()),
         "time": geometric.speed_steps(),
     },
-    "docs/planners.md": lambda: {"planning": with_source("planning", maps.planning())},
+    "docs/planners.md": lambda: {
+        "heights": with_source("heights", maps.heights()),
+        "planning": with_source("planning", maps.planning()),
+    },
     "docs/project.md": lambda: {"pythons": pythons()},
     "docs/quality.md": lambda: quality_tables(record("quality")),
     "docs/radar.md": lambda: {

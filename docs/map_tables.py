@@ -78,6 +78,21 @@ def planar_odometry() -> str:
     return table(["log", "drift of the odometry", *(f"times, after {method}" for method in methods)], rows)
 
 
+def heights() -> str:
+    """Return the errors of heights of the ground by distance, and the kerbs that are found."""
+    found, rows, bands = record("heights"), [], ("0 to 10 m", "10 to 20 m", "20 to 40 m", "within 20 m")
+    for place in ("town", "country"):
+        for lidar, one in found[place].items():
+            ground, kerbs = one["ground"], one.get("kerbs within 10 m")
+            errors = [f"{100 * ground[band]['rmse [m]']:.1f} cm" for band in bands]
+            shares = [f"{100 * kerbs[key]:.0f} %" for key in ("with returns", "found of these")] if kerbs else ["", ""]
+            rows.append([f"{place}, {lidar}", *errors, *shares])
+    real = found["Argoverse 2, ground of the map"]
+    if real:
+        rows.append(["Argoverse 2", *(f"{100 * real[band]['rmse [m]']:.1f} cm" for band in bands[:3]), "", "", ""])
+    return table(["RMSE of the ground", *bands, "kerbs with returns", "found of these"], rows)
+
+
 def fusion_speed() -> str:
     """Return the cost of an update."""
     times = record("fusion_speed")["times [ms]"]

@@ -113,8 +113,9 @@ def map_(
     layers: Annotated[
         str | None,
         Option(
-            help="Layers beside the masses, commas between: ground_height, distance, cost. Written as NAME_layers with "
-            "the ending of the grid, and drawn.",
+            help="Layers beside the masses, commas between: ground_height, ground_variance, slope, step, roughness, "
+            "highest_obstacle, clearance, traversability, distance, cost. Written as NAME_layers with the ending of "
+            "the grid, and drawn.",
             metavar="NAME[,NAME]...",
         ),
     ] = None,

@@ -168,8 +168,8 @@ class ElevationMapper:
 
         # Other layers: the last values
         for k in (0, 2):
-            pair = (layers[name] + 1 for name in HEIGHT_LAYERS[3 + k : 5 + k])
-            latest = self._gathered(*(np.nan_to_num(one) for one in pair), scan)
+            first, second = (np.nan_to_num(layers[name] + 1) for name in HEIGHT_LAYERS[3 + k : 5 + k])
+            latest = self._gathered(first, second, scan)
             kept = self._cells[..., LATEST + k : LATEST + k + 2]
             np.copyto(kept, latest, where=latest > 0)
         self._gate.accept(scan)

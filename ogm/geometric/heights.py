@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from ogm.geometric.inputs import check_within
 from ogm.geometric.kernels.arguments import Cells, HeightSpace
-from ogm.geometric.kernels.heights import PARTS, WIDTH, height_cells, sum_returns
+from ogm.geometric.kernels.height_sums import sum_returns
+from ogm.geometric.kernels.heights import PARTS, WIDTH, height_cells
 from ogm.geometric.ray import RayTrace
 from ogm.grid import EvidentialGrid, LayeredGrid
 from ogm.state import CellState, predict_state
@@ -137,7 +138,7 @@ def traversability(
         raise ValueError(f"layers and masses must have the same cells, got {layers.spec} and {grid.spec}")
     state = predict_state(grid.mass)
     by_slope = 1 - layers["slope"] / np.float32(vehicle.max_slope)
-    share = np.clip(np.fmin(by_slope, 1 - layers["step"] / np.float32(vehicle.max_step)), 0, 1)
+    share: NDArray[np.float32] = np.clip(np.fmin(by_slope, 1 - layers["step"] / np.float32(vehicle.max_step)), 0, 1)
     share[np.isnan(by_slope) | (state == CellState.UNKNOWN)] = np.nan
     share[(state == CellState.OCCUPIED) | ((layers["clearance"] < vehicle.height) & (state == CellState.FREE))] = 0
     return share

@@ -7,7 +7,7 @@ from cases import each, refused
 from ogm import GridSpec, Mount, read_points
 from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground, reference
 from ogm.geometric.kernels.surface import fill
-from ogm.geometric.reference.ground import _pull_push
+from ogm.geometric.reference.ground import pull_push
 
 SPEC = GridSpec.centered(60.0, 60.0, 1.0)
 GROUND_POINT = (0.0, 0.0, -1.8)
@@ -167,7 +167,7 @@ def test_missing_heights_are_filled_as_the_slow_version_does(shape: tuple[int, i
         filled, weight_before = height.copy(), weight.copy()
         fill(filled, weight, np.float32(-1.8))
         np.testing.assert_array_equal(weight, weight_before)
-        slow = _pull_push(height.astype(float), weight.astype(float), -1.8)
+        slow = pull_push(height.astype(float), weight.astype(float), -1.8)
         np.testing.assert_allclose(filled, slow, atol=1e-5)
         known = weight > 0
         np.testing.assert_array_equal(filled[known], height[known])

@@ -3,10 +3,20 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.kernels.arguments import Cells, HeightSpace, Points, RayNumbers, Surface
+from ogm.geometric.kernels.arguments import Cells, HeightSpace, Surface
+from ogm.geometric.kernels.height_sums import (
+    COUNT,
+    FAR,
+    HANG,
+    SUM,
+    TOP,
+    add_row,
+    finish_blocks,
+    ground_cells,
+    mended_surface,
+)
 from ogm.geometric.kernels.steps import (
     BOTTOM_SURFACE,
-    FAR,
     HIGH,
     LOW,
     RISE,
@@ -17,12 +27,10 @@ from ogm.geometric.kernels.steps import (
     steps_of_row,
     widen,
 )
-from ogm.geometric.kernels.surface import fill, lower_envelope
 from ogm.jit import kernel
 
-__all__ = ["PARTS", "WIDTH", "height_cells", "sum_returns"]
+__all__ = ["PARTS", "WIDTH", "height_cells"]
 
-COUNT, SUM, SQUARE, TOP, HANG = 2, 3, 4, 5, 6  # sums over the returns of a cell, where layers will stand
 GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5, 6  # layers
 BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, KNOWN, USED, ROW, PARTS = (WIDTH * k for k in range(6, 19))
 BLOCK = 0.64  # [m] side of the blocks of cells over which roughness is taken, and gaps are filled
@@ -34,45 +42,6 @@ FLOOR = np.float32(0.005**2)  # [m2] least variance of a height
 NOISE = np.float32(0.01**2)  # [m2] of one return, at least
 WITHIN = np.float32(0.3)  # share of a block's variance that lies within one cell
 BEND = np.float32(0.04)  # rise over run by which the ground may bend in a gap
-FEW = np.float32(8.0)  # returns beyond which a block weighs no more
-
-
-@kernel
-def sum_returns(
-    points: Points, above: NDArray[np.float32], cells: Cells, numbers: RayNumbers, sums: NDArray[np.float32]
-) -> None:
-    """Fill in sums over the returns of each cell, by their heights above the ground [m].
-
-    Parameters
-    ----------
-    points : Points
-        N returns.
-    above : (N or more,) float32
-    cells : Cells
-    numbers : RayNumbers
-    sums : (7, nx, ny) float32
-        Filled from the third on. Returns up to `obstacle_height`: number, sum and sum of squares; higher ones: the
-        highest below the clearance, and the lowest of all; 0 where there is none.
-    """
-    sums[COUNT:] = 0
-    shape = sums.shape[1:]
-    x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
-    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
-    below = np.float32(-numbers.below_ground)
-    for n in range(points.x.shape[0]):
-        u, v, a = (points.x[n] - x0) * inverse, (points.y[n] - y0) * inverse, above[n]
-        if a < below or not (u >= 0 and u < shape[0] and v >= 0 and v < shape[1]):
-            continue
-        i, j = int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF
-        if a <= low:
-            sums[COUNT, i, j] += np.float32(1.0)
-            sums[SUM, i, j] += a
-            sums[SQUARE, i, j] += a * a
-            continue
-        if a < high:
-            sums[TOP, i, j] = max(sums[TOP, i, j], a)
-        if sums[HANG, i, j] == 0 or a < sums[HANG, i, j]:
-            sums[HANG, i, j] = a
 
 
 @kernel
@@ -96,13 +65,13 @@ def height_cells(
     work : HeightSpace
     """
     out, wide, part = work
-    nx, ny, side, valid = out.shape[1], out.shape[2], cells.resolution, _ground_cells(out)
+    nx, ny, side, valid = out.shape[1], out.shape[2], cells.resolution, ground_cells(out)
 
     # The surface without cells that show obstacles alone, and what was taken away
-    scale = side * ground.per_metre
-    x, y = (cells.x0 - ground.x0) * ground.per_metre, (cells.y0 - ground.y0) * ground.per_metre
-    place = (ground_point[0] - ground.x0) * ground.per_metre, (ground_point[1] - ground.y0) * ground.per_metre
-    mended = _mended(ground.height, valid, (x, y), scale, place, np.float32(ground_point[2]))
+    per_metre, x0, y0 = float(ground.per_metre), float(ground.x0), float(ground.y0)
+    scale, x, y = side * per_metre, (cells.x0 - x0) * per_metre, (cells.y0 - y0) * per_metre
+    place = (ground_point[0] - x0) * per_metre, (ground_point[1] - y0) * per_metre
+    mended = mended_surface(ground.height, valid, (x, y), scale, place, np.float32(ground_point[2]))
     away = ground.height - mended
     fine = _between(ny, y, scale, mended.shape[1])
 
@@ -111,8 +80,8 @@ def height_cells(
     blocks = np.zeros((4, max((nx + size - 1) // size, 2), max((ny + size - 1) // size, 2)), np.float32)
     for i in range(nx):
         _interpolate(away, (i + 0.5) * scale + x, fine, part, SHIFT)
-        _add_row(out, valid, i, part, size, blocks)
-    _finish_blocks(blocks, np.float32(size * side))
+        add_row(out, valid, i, part, SHIFT, size, blocks)
+    finish_blocks(blocks, np.float32(size * side))
     coarse = _between(ny, 0.0, 1.0 / size, blocks.shape[2])
 
     # Layers of each row, and the highest and lowest surface along it
@@ -135,11 +104,8 @@ def height_cells(
         for j in range(ny & 0x7FFF):
             out[GROUND, i, j], out[VARIANCE, i, j] = part[BASE + j], part[GAP + j]
         for j in range(ny & 0x7FFF):
-            out[ROUGHNESS, i, j], out[OBSTACLE, i, j], out[CLEARANCE, i, j] = (
-                part[SPREAD + j],
-                part[TOPS + j],
-                part[HANGS + j],
-            )
+            out[ROUGHNESS, i, j], out[OBSTACLE, i, j] = part[SPREAD + j], part[TOPS + j]
+            out[CLEARANCE, i, j] = part[HANGS + j]
         widen(part, ny, reach)
         for j in range(ny & 0x7FFF):
             wide[0, i, j], wide[1, i, j] = part[TOP_SURFACE + j], part[BOTTOM_SURFACE + j]
@@ -186,84 +152,6 @@ def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
         part[SPREAD + j] = np.sqrt(spread) if known else nan
         part[TOPS + j] = highest if known | (top > zero) else nan
         part[HANGS + j] = hang + shift if hang > zero else nan
-
-
-@kernel
-def _ground_cells(sums: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the cells with returns of the ground, and none of obstacles in them or the cells around them, (nx, ny)."""
-    nx, ny = sums.shape[1:]
-    beside, valid = np.zeros((nx + 2, ny), np.bool_), np.empty((nx, ny), np.bool_)
-    for i in range(nx):
-        for j in range(ny):
-            if sums[TOP, i, j] > 0:
-                beside[i + 1, max(j - 1, 0) : j + 2] = True
-    for i in range(nx):
-        for j in range(ny):
-            valid[i, j] = (sums[COUNT, i, j] > 0) & ~(beside[i, j] | beside[i + 1, j] | beside[i + 2, j])
-    return valid
-
-
-@kernel
-def _mended(
-    height: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    corner: tuple[float, float],
-    per_cell: float,
-    place: tuple[float, float],
-    ground_z: np.float32,
-) -> NDArray[np.float32]:
-    """Return a surface whose cells without valid cells are filled from the others; lengths in cells of the surface."""
-    result, weight = height.copy(), np.zeros(height.shape, np.float32)
-    mx, my = height.shape[0] - 1, height.shape[1] - 1
-    for i in range(valid.shape[0]):
-        k = min(max(int((i + 0.5) * per_cell + corner[0]), 0), mx)
-        for j in range(valid.shape[1]):
-            if valid[i, j]:
-                weight[k, min(max(int((j + 0.5) * per_cell + corner[1]), 0), my)] += np.float32(1.0)
-    k, l = min(max(int(place[0]), 0), mx), min(max(int(place[1]), 0), my)  # noqa: E741
-    if weight[k, l] == 0:
-        result[k, l], weight[k, l] = ground_z, np.float32(1.0)
-    for k in range(mx + 1):
-        for l in range(my + 1):  # noqa: E741
-            weight[k, l] = min(weight[k, l], FEW)
-    fill(result, weight, ground_z)
-    return result
-
-
-@kernel
-def _add_row(
-    sums: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    i: int,
-    part: NDArray[np.float32],
-    size: int,
-    blocks: NDArray[np.float32],
-) -> None:
-    """Add the returns of a row's valid cells to its blocks: sum, sum of squares, and number at last."""
-    k = i // size
-    for j in range(valid.shape[1]):
-        if valid[i, j]:
-            l, s, count, total = j // size, part[SHIFT + j], sums[COUNT, i, j], sums[SUM, i, j]  # noqa: E741
-            blocks[0, k, l] += total + count * s
-            blocks[1, k, l] += sums[SQUARE, i, j] + s * (total + total + count * s)
-            blocks[3, k, l] += count
-
-
-@kernel
-def _finish_blocks(blocks: NDArray[np.float32], side: np.float32) -> None:
-    """Turn sums into means [m] and variances [m2], filled where a block has none, and distances [m] to one that has."""
-    zero = np.float32(0.0)
-    for k in range(blocks.shape[1]):
-        for l in range(blocks.shape[2]):  # noqa: E741
-            count = blocks[3, k, l]
-            blocks[2, k, l] = zero if count > 0 else FAR
-            if count > 0:
-                mean = blocks[0, k, l] / count
-                blocks[0, k, l], blocks[1, k, l] = mean, max(blocks[1, k, l] / count - mean * mean, zero)
-                blocks[3, k, l] = min(count, FEW)
-    fill(blocks[0], blocks[3], zero)
-    fill(blocks[1], blocks[3], zero)
-    lower_envelope(blocks[2], side)
 
 
 @kernel

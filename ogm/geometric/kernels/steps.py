@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.geometric.kernels.height_sums import FAR
 from ogm.geometric.kernels.polar import azimuth
 from ogm.jit import kernel, vector
 
 __all__ = [
     "BOTTOM_SURFACE",
-    "FAR",
     "HIGH",
     "LOW",
     "RISE",
@@ -20,7 +20,6 @@ __all__ = [
     "widen",
 ]
 
-FAR = np.float32(1e3)  # [m] no surface; float32 keeps 0.06 mm beside it
 WIDTH = 16400  # cells of a row; parts of a row begin at constants, so that the compiler sees them apart
 HIGH, LOW, RISE, TOP_SURFACE, BOTTOM_SURFACE = (WIDTH * k for k in range(1, 6))
 

@@ -76,7 +76,7 @@ def terrain(trace: RayTrace) -> dict[str, Array]:
         "ground_height": np.where(known, ground, np.nan),
         "ground_variance": np.where(known, variance, np.nan),
         "slope": np.where(known, _slope(ground, spec.resolution), np.nan),
-        "step": _step(*surface, mended, old, spec),
+        "step": _step(surface[0], surface[1], mended, old, spec),
         "roughness": np.where(known, np.sqrt(spread), np.nan),
         "highest_obstacle": np.where(known | (top > 0), highest, np.nan),
         "clearance": np.where(np.isfinite(hang), hang + shift, np.nan),

@@ -1,0 +1,134 @@
+"""Sums over the returns of each cell and each block of cells, and the surface that they are counted from."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.kernels.arguments import Cells, Points, RayNumbers
+from ogm.geometric.kernels.surface import fill, lower_envelope
+from ogm.jit import kernel
+
+__all__ = ["add_row", "finish_blocks", "ground_cells", "mended_surface", "sum_returns"]
+
+COUNT, SUM, SQUARE, TOP, HANG = 2, 3, 4, 5, 6  # sums over the returns of a cell, where layers will stand
+FEW = np.float32(8.0)  # returns beyond which a block weighs no more
+FAR = np.float32(1e3)  # [m] no surface; float32 keeps 0.06 mm beside it
+
+
+@kernel
+def sum_returns(
+    points: Points, above: NDArray[np.float32], cells: Cells, numbers: RayNumbers, sums: NDArray[np.float32]
+) -> None:
+    """Fill in sums over the returns of each cell, by their heights above the ground [m].
+
+    Parameters
+    ----------
+    points : Points
+        N returns.
+    above : (N or more,) float32
+    cells : Cells
+    numbers : RayNumbers
+    sums : (7, nx, ny) float32
+        Filled from the third on. Returns up to `obstacle_height`: number, sum and sum of squares; higher ones: the
+        highest below the clearance, and the lowest of all; 0 where there is none.
+    """
+    sums[COUNT:] = 0
+    shape = sums.shape[1:]
+    x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
+    below = np.float32(-numbers.below_ground)
+    for n in range(points.x.shape[0]):
+        u, v, a = (points.x[n] - x0) * inverse, (points.y[n] - y0) * inverse, above[n]
+        if a < below or not (u >= 0 and u < shape[0] and v >= 0 and v < shape[1]):
+            continue
+        i, j = int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF
+        if a <= low:
+            sums[COUNT, i, j] += np.float32(1.0)
+            sums[SUM, i, j] += a
+            sums[SQUARE, i, j] += a * a
+            continue
+        if a < high:
+            sums[TOP, i, j] = max(sums[TOP, i, j], a)
+        if sums[HANG, i, j] == 0 or a < sums[HANG, i, j]:
+            sums[HANG, i, j] = a
+
+
+@kernel
+def ground_cells(sums: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return the cells with returns of the ground, and none of obstacles in them or the cells around them, (nx, ny)."""
+    nx, ny = sums.shape[1:]
+    beside, valid = np.zeros((nx + 2, ny), np.bool_), np.empty((nx, ny), np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            if sums[TOP, i, j] > 0:
+                beside[i + 1, max(j - 1, 0) : j + 2] = True
+    for i in range(nx):
+        for j in range(ny):
+            valid[i, j] = (sums[COUNT, i, j] > 0) & ~(beside[i, j] | beside[i + 1, j] | beside[i + 2, j])
+    return valid
+
+
+@kernel
+def mended_surface(
+    height: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    corner: tuple[float, float],
+    per_cell: float,
+    place: tuple[float, float],
+    ground_z: np.float32,
+) -> NDArray[np.float32]:
+    """Return a surface whose cells without valid cells are filled from the others; lengths in cells of the surface."""
+    result, weight = height.copy(), np.zeros(height.shape, np.float32)
+    mx, my = height.shape[0] - 1, height.shape[1] - 1
+    for i in range(valid.shape[0]):
+        k = min(max(int((i + 0.5) * per_cell + corner[0]), 0), mx)
+        for j in range(valid.shape[1]):
+            if valid[i, j]:
+                weight[k, min(max(int((j + 0.5) * per_cell + corner[1]), 0), my)] += np.float32(1.0)
+    k, l = min(max(int(place[0]), 0), mx), min(max(int(place[1]), 0), my)  # noqa: E741
+    if weight[k, l] == 0:
+        result[k, l], weight[k, l] = ground_z, np.float32(1.0)
+    for k in range(mx + 1):
+        for l in range(my + 1):  # noqa: E741
+            weight[k, l] = min(weight[k, l], FEW)
+    fill(result, weight, ground_z)
+    return result
+
+
+@kernel
+def add_row(
+    sums: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    i: int,
+    part: NDArray[np.float32],
+    start: int,
+    size: int,
+    blocks: NDArray[np.float32],
+) -> None:
+    """Add the returns of a row's valid cells, shifted by `part` from `start` on, to its blocks.
+
+    `blocks` hold sum, sum of squares, and number at last.
+    """
+    k, start = i // size, start & 0x7FFFF
+    for j in range(valid.shape[1]):
+        if valid[i, j]:
+            l, s, count, total = j // size, part[start + j], sums[COUNT, i, j], sums[SUM, i, j]  # noqa: E741
+            blocks[0, k, l] += total + count * s
+            blocks[1, k, l] += sums[SQUARE, i, j] + s * (total + total + count * s)
+            blocks[3, k, l] += count
+
+
+@kernel
+def finish_blocks(blocks: NDArray[np.float32], side: np.float32) -> None:
+    """Turn sums into means [m] and variances [m2], filled where a block has none, and distances [m] to one that has."""
+    zero = np.float32(0.0)
+    for k in range(blocks.shape[1]):
+        for l in range(blocks.shape[2]):  # noqa: E741
+            count = blocks[3, k, l]
+            blocks[2, k, l] = zero if count > 0 else FAR
+            if count > 0:
+                mean = blocks[0, k, l] / count
+                blocks[0, k, l], blocks[1, k, l] = mean, max(blocks[1, k, l] / count - mean * mean, zero)
+                blocks[3, k, l] = min(count, FEW)
+    fill(blocks[0], blocks[3], zero)
+    fill(blocks[1], blocks[3], zero)
+    lower_envelope(blocks[2], side)
