@@ -96,12 +96,28 @@ def test_variance_covers_the_error_and_far_ground_is_unknown() -> None:
 def test_the_kernels_give_what_numpy_gives() -> None:
     rng = np.random.default_rng(2)
     points = ground(lambda x, y: 0.1 * x + np.where(y > 3, 0.15, 0) + np.where(x > 4, -0.3, 0), noise=0.02)
-    parts = points[rng.random(len(points)) < 0.1], box((2, 4), (-3, -1), (0.2, 2)), box((-5, -3), (-3, 3), (1, 4), 2000)
+    parts = (
+        points[rng.random(len(points)) < 0.1],
+        box((1.5, 4), (-3, -1), (0.9, 1.1)),
+        box((2, 3), (2, 4), (0.2, 2)),
+        box((-5, -3), (-3, 3), (1, 4), 2000),
+    )
     spec = GridSpec.centered(12.8, 9.6, 0.2)
     found = RayISM(spec, ISM.mount).trace(np.concatenate(parts))
     layers, wanted = height_layers(found), terrain(found)
     for name, values in wanted.items():
         np.testing.assert_allclose(layers[name], values, atol=2e-3, err_msg=name)
+
+
+def test_the_roof_of_a_car_that_hides_the_ground_is_no_ground() -> None:
+    road, roof = ground(lambda x, y: 0.02 * x), box((3, 7), (-1, 1), (0.5, 0.6), 20_000)
+    hidden = (road[:, 0] > 0.5) & (road[:, 0] < 9.5) & (np.abs(road[:, 1]) < 3.5)
+    found = trace(road[~hidden], roof)
+    layers, on_roof = height_layers(found), within((3.5, 6.5), (-0.5, 0.5))
+    assert np.median(found.work.above[: len(found.points.x)][-len(roof) :]) < 0.1  # RayISM takes it for ground
+    assert np.isnan(layers["ground_height"][on_roof]).all()
+    assert np.isnan(traversability(layers, found.grid)[on_roof]).all()
+    assert np.nanmax(np.abs(layers["ground_height"] - (0.02 * X - HEIGHT))[NEAR]) < 0.1
 
 
 def test_traversability_agrees_with_the_masses() -> None:

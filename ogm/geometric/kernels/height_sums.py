@@ -7,9 +7,10 @@ from ogm.geometric.kernels.arguments import Cells, Points, RayNumbers
 from ogm.geometric.kernels.surface import fill, lower_envelope
 from ogm.jit import kernel
 
-__all__ = ["add_row", "finish_blocks", "ground_cells", "mended_surface", "sum_returns"]
+__all__ = ["add_row", "find_bulges", "finish_blocks", "ground_cells", "mended_surface", "sum_returns"]
 
 COUNT, SUM, SQUARE, TOP, HANG = 2, 3, 4, 5, 6  # sums over the returns of a cell, where layers will stand
+BULGE = np.float32(0.25)  # [m] above the ground within 5 m, from which a surface is no ground
 FEW = np.float32(8.0)  # returns beyond which a block weighs no more
 FAR = np.float32(1e3)  # [m] no surface; float32 keeps 0.06 mm beside it
 
@@ -71,19 +72,25 @@ def ground_cells(sums: NDArray[np.float32]) -> NDArray[np.bool_]:
 def mended_surface(
     height: NDArray[np.float32],
     valid: NDArray[np.bool_],
+    bulges: NDArray[np.float32],
     corner: tuple[float, float],
     per_cell: float,
     place: tuple[float, float],
     ground_z: np.float32,
 ) -> NDArray[np.float32]:
-    """Return a surface whose cells without valid cells are filled from the others; lengths in cells of the surface."""
+    """Return a surface whose cells without valid cells are filled from the others; lengths in cells of the surface.
+
+    Cells in bulges are valid no more.
+    """
     result, weight = height.copy(), np.zeros(height.shape, np.float32)
     mx, my = height.shape[0] - 1, height.shape[1] - 1
     for i in range(valid.shape[0]):
         k = min(max(int((i + 0.5) * per_cell + corner[0]), 0), mx)
         for j in range(valid.shape[1]):
             if valid[i, j]:
-                weight[k, min(max(int((j + 0.5) * per_cell + corner[1]), 0), my)] += np.float32(1.0)
+                l = min(max(int((j + 0.5) * per_cell + corner[1]), 0), my)  # noqa: E741
+                valid[i, j] = bulges[k, l] == 0
+                weight[k, l] += np.float32(1.0) - bulges[k, l]
     k, l = min(max(int(place[0]), 0), mx), min(max(int(place[1]), 0), my)  # noqa: E741
     if weight[k, l] == 0:
         result[k, l], weight[k, l] = ground_z, np.float32(1.0)
@@ -91,6 +98,50 @@ def mended_surface(
         for l in range(my + 1):  # noqa: E741
             weight[k, l] = min(weight[k, l], FEW)
     fill(result, weight, ground_z)
+    return result
+
+
+@kernel
+def find_bulges(height: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """Return 1 for cells above the opening of a surface by a square (Serra 1982), else 0: roofs and bonnets of cars.
+
+    Beyond its edges the surface goes on as its reflection through the edge, so that a slope does not bulge.
+    """
+    mx, my = height.shape
+    wide = np.empty((mx + 2 * reach, my + 2 * reach), np.float32)
+    wide[reach : reach + mx, reach : reach + my] = height
+    for t in range(1, reach + 1):
+        for l in range(reach, reach + my):  # noqa: E741
+            first, last, inner = reach, reach + mx - 1, min(t, mx - 1)
+            wide[first - t, l] = 2 * wide[first, l] - wide[first + inner, l]
+            wide[last + t, l] = 2 * wide[last, l] - wide[last - inner, l]
+    for k in range(mx + 2 * reach):
+        for t in range(1, reach + 1):
+            first, last, inner = reach, reach + my - 1, min(t, my - 1)
+            wide[k, first - t] = 2 * wide[k, first] - wide[k, first + inner]
+            wide[k, last + t] = 2 * wide[k, last] - wide[k, last - inner]
+    opening = -_lowest(-_lowest(wide, reach), reach)
+    bulges = np.empty((mx, my), np.float32)
+    for k in range(mx):
+        for l in range(my):  # noqa: E741
+            bulges[k, l] = height[k, l] - opening[k + reach, l + reach] > BULGE
+    return bulges
+
+
+@kernel
+def _lowest(height: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """Return the lowest height of the square of cells at most `reach` away."""
+    mx, my = height.shape
+    rows, result = height.copy(), np.empty((mx, my), np.float32)
+    for k in range(mx):
+        for l in range(my):  # noqa: E741
+            for t in range(max(k - reach, 0), min(k + reach + 1, mx)):
+                rows[k, l] = min(rows[k, l], height[t, l])
+    for k in range(mx):
+        for l in range(my):  # noqa: E741
+            result[k, l] = rows[k, l]
+            for t in range(max(l - reach, 0), min(l + reach + 1, my)):
+                result[k, l] = min(result[k, l], rows[k, t])
     return result
 
 

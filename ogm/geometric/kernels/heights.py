@@ -11,6 +11,7 @@ from ogm.geometric.kernels.height_sums import (
     SUM,
     TOP,
     add_row,
+    find_bulges,
     finish_blocks,
     ground_cells,
     mended_surface,
@@ -32,10 +33,13 @@ from ogm.jit import kernel
 __all__ = ["PARTS", "WIDTH", "height_cells"]
 
 GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5, 6  # layers
-BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, KNOWN, USED, ROW, PARTS = (WIDTH * k for k in range(6, 19))
+BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, KNOWN, USED, DOUBT, ROW, PARTS = (
+    WIDTH * k for k in range(6, 20)
+)
 BLOCK = 0.64  # [m] side of the blocks of cells over which roughness is taken, and gaps are filled
 SLOPE_REACH, STEP_REACH = 0.5, 0.35  # [m] on either side of a cell
 STANDS = np.float32(0.5)  # [m] above the ground up to which the lowest return of an obstacle shows that it stands there
+BULGE_REACH = 5.0  # [m] on either side of what may be a roof
 MAX_GAP = np.float32(3.0)  # [m] from a block with ground, up to which the ground is known
 OBSERVED = np.float32(0.1)  # mass of free and occupied from which a cell in a gap is observed
 FLOOR = np.float32(0.005**2)  # [m2] least variance of a height
@@ -67,11 +71,14 @@ def height_cells(
     out, wide, part = work
     nx, ny, side, valid = out.shape[1], out.shape[2], cells.resolution, ground_cells(out)
 
-    # The surface without cells that show obstacles alone, and what was taken away
+    # The surface without cells that show obstacles alone, without roofs, and what was taken away
     per_metre, x0, y0 = float(ground.per_metre), float(ground.x0), float(ground.y0)
     scale, x, y = side * per_metre, (cells.x0 - x0) * per_metre, (cells.y0 - y0) * per_metre
     place = (ground_point[0] - x0) * per_metre, (ground_point[1] - y0) * per_metre
-    mended = mended_surface(ground.height, valid, (x, y), scale, place, np.float32(ground_point[2]))
+    under, bulges = np.float32(ground_point[2]), np.zeros(ground.height.shape, np.float32)
+    mended = mended_surface(ground.height, valid, bulges, (x, y), scale, place, under)
+    bulges = find_bulges(mended, max(int(BULGE_REACH * per_metre + 0.5), 1))
+    mended = mended_surface(ground.height, valid, bulges, (x, y), scale, place, under)
     away = ground.height - mended
     fine = _between(ny, y, scale, mended.shape[1])
 
@@ -94,6 +101,7 @@ def height_cells(
         _interpolate(blocks[1], (i + 0.5) / size, coarse, part, SPREAD)
         _interpolate(blocks[2], (i + 0.5) / size, coarse, part, GAP)
         _interpolate(across, (i + 0.5) * scale + x, fine, part, RISE)
+        _interpolate(bulges, (i + 0.5) * scale + x, fine, part, DOUBT)
         for j in range(ny & 0x7FFF):
             part[COUNTS + j], part[SUMS + j] = out[COUNT, i, j], out[SUM, i, j]
             part[TOPS + j], part[HANGS + j] = out[TOP, i, j], out[HANG, i, j]
@@ -132,7 +140,7 @@ def _hide_unknown(out: NDArray[np.float32]) -> None:
 @kernel
 def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
     """Replace sums and ground of a row by its layers, and fill in the highest and the lowest surface of its cells."""
-    one, zero, nan = np.float32(1.0), np.float32(0.0), np.float32(np.nan)
+    one, half, zero, nan = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(np.nan)
     for j in range(count & 0x7FFF):
         number, top, hang, used = part[COUNTS + j], part[TOPS + j], part[HANGS + j], part[USED + j]
         base, shift, mean = part[BASE + j], part[SHIFT + j], part[MEAN + j]
@@ -141,7 +149,7 @@ def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
         prior, noise = spread + NOISE, spread if spread > NOISE else NOISE
         weight = used * prior / (used * prior + noise)
         within = WITHIN * spread if used > zero else zero
-        known = (gap <= near) | ((gap <= MAX_GAP) & (observed > OBSERVED))
+        known = ((gap <= near) | ((gap <= MAX_GAP) & (observed > OBSERVED))) & (part[DOUBT + j] < half)
         variance = (one - weight) * prior + within + FLOOR + BEND * BEND * gap * gap
         highest = top + shift if top > zero else zero
         stands, surface = (top > zero) & (hang < STANDS), base + own

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import grey_opening, maximum_filter
 
 from ogm.geometric.ground import ground_height
 from ogm.geometric.ray import RayTrace
@@ -37,12 +37,21 @@ def terrain(trace: RayTrace) -> dict[str, Array]:
     np.minimum.at(hang.ravel(), index[raised], above[raised])
     valid = (count > 0) & (maximum_filter(top, 3, mode="constant") == 0)
 
-    # The ground without obstacles
-    weight = _sums(np.ravel_multi_index(old.index(*cells[valid.ravel()].T), old.shape), 1.0, old.shape)
-    mended, under = trace.ground.height.astype(float), old.index(x, y)
-    if weight[under] == 0:
-        mended[under], weight[under] = z0, 1
-    mended = pull_push(mended, np.minimum(weight, 8), z0)
+    # The ground without obstacles, and without what bulges
+    def without(valid: Array) -> Array:
+        weight = _sums(np.ravel_multi_index(old.index(*cells[valid.ravel()].T), old.shape), 1.0, old.shape)
+        mended, under = trace.ground.height.astype(float), old.index(x, y)
+        if weight[under] == 0:
+            mended[under], weight[under] = z0, 1
+        return pull_push(mended, np.minimum(weight, 8), z0)
+
+    mended = without(valid)
+    reach = max(int(5.0 / old.resolution + 0.5), 1)
+    inner = (slice(reach, -reach),) * 2
+    opening = grey_opening(np.pad(mended, reach, "reflect", reflect_type="odd"), (2 * reach + 1,) * 2, mode="nearest")
+    bulges = mended - opening[inner] > 0.25
+    valid &= ~bulges[old.index(*cells.T)].reshape(spec.shape)
+    mended = without(valid)
     base = _at(mended, old, cells, spec)
     shift = _at(trace.ground.height, old, cells, spec) - base
 
@@ -67,6 +76,7 @@ def terrain(trace: RayTrace) -> dict[str, Array]:
     ground = base + mean + share * (own - mean)
     observed = trace.grid.mass.astype(float).sum(axis=-1) > 0.1
     known = (gap <= 0.75 * blocks.resolution) | ((gap <= 3) & observed)
+    known &= _at(bulges, old, cells, spec) < 0.5
     variance = (1 - share) * prior + np.where(valid, 0.3 * spread, 0) + 0.005**2 + (0.04 * gap) ** 2
     highest = np.where(top > 0, top + shift, 0)
     stands = (top > 0) & (hang < 0.5)
