@@ -24,9 +24,8 @@ from scipy.ndimage import maximum_filter
 from ogm import GridSpec, LayeredGrid, Mount, Scan, read_scan
 from ogm.datasets import open_dataset
 from ogm.fusion import ElevationMapper
-from ogm.fusion.pipeline import grid_pose
 from ogm.geometric import RayISM, height_layers, traversability
-from ogm.pose import pose
+from ogm.pose import inverse, pose
 from ogm.simulation.cells import measure_ground
 from ogm.simulation.lidar import scan, to_points
 from ogm.simulation.moments import set_up, traffic_of
@@ -182,7 +181,7 @@ def mapped_ground(folder: Path) -> dict[str, Any]:
     raster = np.load(next(folder.glob("map/*ground_height_surface*.npy")))
     placed = json.loads(next(folder.glob("map/*Sim2_city.json")).read_text())
     R, shift = np.array(placed["R"]).reshape(2, 2), np.array(placed["t"])
-    T, (x, y) = grid_pose(frame), np.broadcast_arrays(*SPEC.cell_centers)
+    T, (x, y) = frame.T_map_sensor @ inverse(frame.mount.T_vehicle_sensor), np.broadcast_arrays(*SPEC.cell_centers)
     city = T[:2, :2] @ np.stack([x, y]).reshape(2, -1) + T[:2, 3:]
     column, row = np.floor(placed["s"] * (R @ city + shift[:, None])).astype(int)
     inside = (column >= 0) & (row >= 0) & (column < raster.shape[1]) & (row < raster.shape[0])

@@ -114,8 +114,8 @@ def map_(
         str | None,
         Option(
             help="Layers beside the masses, commas between: ground_height, ground_variance, slope, step, roughness, "
-            "highest_obstacle, clearance, traversability, distance, cost. Written as NAME_layers with the ending of "
-            "the grid, and drawn.",
+            "highest_obstacle, clearance, traversability, distance, cost, cause. Written as NAME_layers with the "
+            "ending of the grid, and drawn.",
             metavar="NAME[,NAME]...",
         ),
     ] = None,

@@ -107,10 +107,8 @@ class ElevationMapper:
     def update(
         self,
         layers: LayeredGrid,
-        T_map_sensor: ArrayLike,  # noqa: N803
+        T_map_vehicle: ArrayLike,  # noqa: N803
         stamp: float | None = None,
-        *,
-        T_vehicle_sensor: ArrayLike | None = None,  # noqa: N803
     ) -> None:
         """Move the window to the vehicle and fuse the heights of a scan.
 
@@ -118,8 +116,11 @@ class ElevationMapper:
         ----------
         layers : LayeredGrid
             From `ogm.geometric.height_layers`.
-        T_map_sensor, stamp, T_vehicle_sensor
-            As for `Mapper.update`.
+        T_map_vehicle : (4, 4) array
+            Takes the vehicle frame, that of `layers`, to the map [m], heights too. Of a frame it is
+            ``frame.T_map_sensor @ inverse(frame.mount.T_vehicle_sensor)``.
+        stamp : float
+            Time of the scan [s]; optional without process noise.
 
         Raises
         ------
@@ -128,8 +129,8 @@ class ElevationMapper:
         PoseJump, StampJump, ValueError
             As for `Mapper.update`.
         """
-        scan = self._gate.check(self._window, layers.spec, T_map_sensor, stamp, T_vehicle_sensor)
-        before, T = self._gate.T_map_vehicle, np.asarray(T_map_sensor, np.float64)
+        scan = self._gate.check(self._window, layers.spec, T_map_vehicle, stamp, None)
+        before, T = self._gate.T_map_vehicle, np.asarray(T_map_vehicle, np.float64)
         travelled = 0.0 if before is None else math.dist(before[:3, 3].tolist(), scan.T_map_vehicle[:3, 3].tolist())
         self._window.move_to(scan.corner, self._cells)
         if self._level is None:
