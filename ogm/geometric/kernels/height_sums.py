@@ -109,7 +109,9 @@ def find_bulges(height: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
     """
     mx, my = height.shape
     wide = np.empty((mx + 2 * reach, my + 2 * reach), np.float32)
-    wide[reach : reach + mx, reach : reach + my] = height
+    for k in range(mx):
+        for l in range(my):  # noqa: E741
+            wide[reach + k, reach + l] = height[k, l]
     for t in range(1, reach + 1):
         for l in range(reach, reach + my):  # noqa: E741
             first, last, inner = reach, reach + mx - 1, min(t, mx - 1)
@@ -120,7 +122,7 @@ def find_bulges(height: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
             first, last, inner = reach, reach + my - 1, min(t, my - 1)
             wide[k, first - t] = 2 * wide[k, first] - wide[k, first + inner]
             wide[k, last + t] = 2 * wide[k, last] - wide[k, last - inner]
-    opening = -_lowest(-_lowest(wide, reach), reach)
+    opening = _extreme(_extreme(wide, reach, np.float32(1.0)), reach, np.float32(-1.0))
     bulges = np.empty((mx, my), np.float32)
     for k in range(mx):
         for l in range(my):  # noqa: E741
@@ -129,19 +131,21 @@ def find_bulges(height: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
 
 
 @kernel
-def _lowest(height: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    """Return the lowest height of the square of cells at most `reach` away."""
+def _extreme(height: NDArray[np.float32], reach: int, sign: np.float32) -> NDArray[np.float32]:
+    """Return the lowest height of the square of cells at most `reach` away, or the highest for a sign of -1."""
     mx, my = height.shape
-    rows, result = height.copy(), np.empty((mx, my), np.float32)
+    rows, result = np.empty((mx, my), np.float32), np.empty((mx, my), np.float32)
     for k in range(mx):
         for l in range(my):  # noqa: E741
+            rows[k, l] = sign * height[k, l]
             for t in range(max(k - reach, 0), min(k + reach + 1, mx)):
-                rows[k, l] = min(rows[k, l], height[t, l])
+                rows[k, l] = min(rows[k, l], sign * height[t, l])
     for k in range(mx):
         for l in range(my):  # noqa: E741
-            result[k, l] = rows[k, l]
+            least = rows[k, l]
             for t in range(max(l - reach, 0), min(l + reach + 1, my)):
-                result[k, l] = min(result[k, l], rows[k, t])
+                least = min(least, rows[k, t])
+            result[k, l] = sign * least
     return result
 
 
