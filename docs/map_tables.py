@@ -85,12 +85,16 @@ def heights() -> str:
         for lidar, one in found[place].items():
             ground, kerbs = one["ground"], one.get("kerbs within 10 m")
             errors = [f"{100 * ground[band]['rmse [m]']:.1f} cm" for band in bands]
-            shares = [f"{100 * kerbs[key]:.0f} %" for key in ("with returns", "found of these")] if kerbs else ["", ""]
+            shares = (
+                [f"{100 * kerbs[key]:.0f} %" for key in ("with returns on both sides", "found of these")]
+                if kerbs
+                else ["", ""]
+            )
             rows.append([f"{place}, {lidar}", *errors, *shares])
     real = found["Argoverse 2, ground of the map"]
     if real:
         rows.append(["Argoverse 2", *(f"{100 * real[band]['rmse [m]']:.1f} cm" for band in bands[:3]), "", "", ""])
-    return table(["RMSE of the ground", *bands, "kerbs with returns", "found of these"], rows)
+    return table(["RMSE of the ground", *bands, "kerbs within 10 m with returns on both sides", "found of these"], rows)
 
 
 def fusion_speed() -> str:

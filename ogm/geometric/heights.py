@@ -79,8 +79,8 @@ def height_layers(trace: RayTrace) -> LayeredGrid:
     Returns
     -------
     LayeredGrid
-        Layers (nx, ny), NaN where a cell is unknown: unobserved by the masses, or more than 3 m from returns of the
-        ground.
+        Layers (nx, ny), NaN where the ground is unknown: more than half a metre from its returns without mass of free,
+        more than 3 m from them, and where most returns are below the surface.
 
         - ``ground_height``: ground at the cell's centre, in the vehicle frame [m];
         - ``ground_variance``: its variance [m2]; it grows in gaps, and includes noise of ranges but not of the pose;

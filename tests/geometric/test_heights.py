@@ -120,6 +120,12 @@ def test_the_roof_of_a_car_that_hides_the_ground_is_no_ground() -> None:
     assert np.nanmax(np.abs(layers["ground_height"] - (0.02 * X - HEIGHT))[NEAR]) < 0.1
 
 
+def test_ground_beyond_a_drop_is_unknown() -> None:
+    layers = height_layers(trace(ground(lambda x, y: np.where(x > 5, -3.0, 0))))
+    assert np.isnan(layers["ground_height"][X > 6]).all()
+    assert np.abs(layers["ground_height"][NEAR & (X < 4.5)] + HEIGHT).max() < 0.01
+
+
 def test_traversability_agrees_with_the_masses() -> None:
     wall = box((6.01, 6.19), (-3, -1), (0, 1.8))
     found = trace(ground(lambda x, y: np.where(y > 3, 0.3 * (y - 3), 0.0)), wall)

@@ -9,7 +9,7 @@ from ogm.jit import kernel
 
 __all__ = ["add_row", "find_bulges", "finish_blocks", "ground_cells", "mended_surface", "sum_returns"]
 
-COUNT, SUM, SQUARE, TOP, HANG = 2, 3, 4, 5, 6  # sums over the returns of a cell, where layers will stand
+DEEP, COUNT, SUM, SQUARE, TOP, HANG = 1, 2, 3, 4, 5, 6  # sums over the returns of a cell, where layers will stand
 BULGE = np.float32(0.25)  # [m] above the ground within 5 m, from which a surface is no ground
 FEW = np.float32(8.0)  # returns beyond which a block weighs no more
 FAR = np.float32(1e3)  # [m] no surface; float32 keeps 0.06 mm beside it
@@ -29,19 +29,23 @@ def sum_returns(
     cells : Cells
     numbers : RayNumbers
     sums : (7, nx, ny) float32
-        Filled from the third on. Returns up to `obstacle_height`: number, sum and sum of squares; higher ones: the
-        highest below the clearance, and the lowest of all; 0 where there is none.
+        Filled from the second on. Number of returns below the ground by more than `below_ground`; of returns up to
+        `obstacle_height` number, sum and sum of squares; of higher ones the highest below the clearance, and the lowest
+        of all. 0 where there is none.
     """
-    sums[COUNT:] = 0
+    sums[DEEP:] = 0
     shape = sums.shape[1:]
     x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     below = np.float32(-numbers.below_ground)
     for n in range(points.x.shape[0]):
         u, v, a = (points.x[n] - x0) * inverse, (points.y[n] - y0) * inverse, above[n]
-        if a < below or not (u >= 0 and u < shape[0] and v >= 0 and v < shape[1]):
+        if not (u >= 0 and u < shape[0] and v >= 0 and v < shape[1]):
             continue
         i, j = int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF
+        if a < below:
+            sums[DEEP, i, j] += np.float32(1.0)
+            continue
         if a <= low:
             sums[COUNT, i, j] += np.float32(1.0)
             sums[SUM, i, j] += a
@@ -161,10 +165,12 @@ def add_row(
 ) -> None:
     """Add the returns of a row's valid cells, shifted by `part` from `start` on, to its blocks.
 
-    `blocks` hold sum, sum of squares, and number at last.
+    `blocks` hold sum, sum of squares, nothing, number, and the number of returns of all cells below the ground.
     """
     k, start = i // size, start & 0x7FFFF
     for j in range(valid.shape[1]):
+        if sums[DEEP, i, j] > 0:
+            blocks[4, k, j // size] += sums[DEEP, i, j]
         if valid[i, j]:
             l, s, count, total = j // size, part[start + j], sums[COUNT, i, j], sums[SUM, i, j]  # noqa: E741
             blocks[0, k, l] += total + count * s
@@ -174,7 +180,10 @@ def add_row(
 
 @kernel
 def finish_blocks(blocks: NDArray[np.float32], side: np.float32) -> None:
-    """Turn sums into means [m] and variances [m2], filled where a block has none, and distances [m] to one that has."""
+    """Turn sums into means [m] and variances [m2], filled where a block has none, and distances [m] to one that has.
+
+    The distance is `FAR` where most returns are below the ground: it is elsewhere.
+    """
     zero = np.float32(0.0)
     for k in range(blocks.shape[1]):
         for l in range(blocks.shape[2]):  # noqa: E741
@@ -187,3 +196,7 @@ def finish_blocks(blocks: NDArray[np.float32], side: np.float32) -> None:
     fill(blocks[0], blocks[3], zero)
     fill(blocks[1], blocks[3], zero)
     lower_envelope(blocks[2], side)
+    for k in range(blocks.shape[1]):
+        for l in range(blocks.shape[2]):  # noqa: E741
+            if blocks[4, k, l] > blocks[3, k, l]:
+                blocks[2, k, l] = FAR

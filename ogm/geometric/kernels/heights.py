@@ -33,7 +33,7 @@ from ogm.jit import kernel
 __all__ = ["PARTS", "WIDTH", "height_cells"]
 
 GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5, 6  # layers
-BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, KNOWN, USED, DOUBT, ROW, PARTS = (
+BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, FREE, USED, DOUBT, ROW, PARTS = (
     WIDTH * k for k in range(6, 20)
 )
 BLOCK = 0.64  # [m] side of the blocks of cells over which roughness is taken, and gaps are filled
@@ -41,7 +41,7 @@ SLOPE_REACH, STEP_REACH = 0.5, 0.35  # [m] on either side of a cell
 STANDS = np.float32(0.5)  # [m] above the ground up to which the lowest return of an obstacle shows that it stands there
 BULGE_REACH = 5.0  # [m] on either side of what may be a roof
 MAX_GAP = np.float32(3.0)  # [m] from a block with ground, up to which the ground is known
-OBSERVED = np.float32(0.1)  # mass of free and occupied from which a cell in a gap is observed
+OBSERVED = np.float32(0.1)  # mass of free from which the ground of a cell in a gap is known
 FLOOR = np.float32(0.005**2)  # [m2] least variance of a height
 NOISE = np.float32(0.01**2)  # [m2] of one return, at least
 WITHIN = np.float32(0.3)  # share of a block's variance that lies within one cell
@@ -84,7 +84,7 @@ def height_cells(
 
     # Means and variances of the returns about it in blocks, and the distance to the nearest block
     size = max(int(BLOCK / side + 0.5), 1)
-    blocks = np.zeros((4, max((nx + size - 1) // size, 2), max((ny + size - 1) // size, 2)), np.float32)
+    blocks = np.zeros((5, max((nx + size - 1) // size, 2), max((ny + size - 1) // size, 2)), np.float32)
     for i in range(nx):
         _interpolate(away, (i + 0.5) * scale + x, fine, part, SHIFT)
         add_row(out, valid, i, part, SHIFT, size, blocks)
@@ -106,7 +106,7 @@ def height_cells(
             part[COUNTS + j], part[SUMS + j] = out[COUNT, i, j], out[SUM, i, j]
             part[TOPS + j], part[HANGS + j] = out[TOP, i, j], out[HANG, i, j]
         for j in range(ny & 0x7FFF):
-            part[KNOWN + j] = mass[i, j, 0] + mass[i, j, 1]
+            part[FREE + j] = mass[i, j, 0]
             part[USED + j] = out[COUNT, i, j] if valid[i, j] else np.float32(0.0)
         _fill_row(part, ny, near)
         for j in range(ny & 0x7FFF):
@@ -144,12 +144,12 @@ def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
     for j in range(count & 0x7FFF):
         number, top, hang, used = part[COUNTS + j], part[TOPS + j], part[HANGS + j], part[USED + j]
         base, shift, mean = part[BASE + j], part[SHIFT + j], part[MEAN + j]
-        spread, gap, observed = part[SPREAD + j], part[GAP + j], part[KNOWN + j]
+        spread, gap, free = part[SPREAD + j], part[GAP + j], part[FREE + j]
         own = part[SUMS + j] / (number if number > one else one) + shift
         prior, noise = spread + NOISE, spread if spread > NOISE else NOISE
         weight = used * prior / (used * prior + noise)
         within = WITHIN * spread if used > zero else zero
-        known = ((gap <= near) | ((gap <= MAX_GAP) & (observed > OBSERVED))) & (part[DOUBT + j] < half)
+        known = ((gap <= near) | ((gap <= MAX_GAP) & (free > OBSERVED))) & (part[DOUBT + j] < half)
         variance = (one - weight) * prior + within + FLOOR + BEND * BEND * gap * gap
         highest = top + shift if top > zero else zero
         stands, surface = (top > zero) & (hang < STANDS), base + own

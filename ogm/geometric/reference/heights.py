@@ -66,6 +66,11 @@ def terrain(trace: RayTrace) -> dict[str, Array]:
     mean, has = first / np.maximum(number, 1), number > 0
     spread = np.maximum(second / np.maximum(number, 1) - mean**2, 0)
     gap = lower_envelope(np.where(has, 0.0, 1e3), blocks.resolution)
+    deep = inside & (above < np.float32(-numbers.below_ground))
+    gap[
+        _sums(np.ravel_multi_index(blocks.index(*xyz[deep, :2].T), blocks.shape), 1.0, blocks.shape)
+        > np.minimum(number, 8)
+    ] = 1e3
     mean, spread = (pull_push(values, np.minimum(number, 8), 0.0) for values in (mean, spread))
     mean, spread, gap = (_at(values, blocks, cells, spec) for values in (mean, spread, gap))
 
@@ -74,7 +79,7 @@ def terrain(trace: RayTrace) -> dict[str, Array]:
     used = np.where(valid, count, 0)
     share = used * prior / (used * prior + np.maximum(spread, 1e-4))
     ground = base + mean + share * (own - mean)
-    observed = trace.grid.mass.astype(float).sum(axis=-1) > 0.1
+    observed = trace.grid.mass[..., 0] > 0.1
     known = (gap <= 0.75 * blocks.resolution) | ((gap <= 3) & observed)
     known &= _at(bulges, old, cells, spec) < 0.5
     variance = (1 - share) * prior + np.where(valid, 0.3 * spread, 0) + 0.005**2 + (0.04 * gap) ** 2
