@@ -275,6 +275,7 @@ def test_the_node_publishes_a_map_for_every_cloud(monkeypatch: pytest.MonkeyPatc
 # Planners.
 
 
+@pytest.mark.slow
 def test_a_path_is_free_up_to_the_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     static, dynamic = example("path_query").main()

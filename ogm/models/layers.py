@@ -7,7 +7,7 @@
 >>> scan = Scan(np.column_stack([x, y, 0.05 * x - 1.8]).astype(np.float32))   # a road that climbs by 5 %
 >>> ism = load_model("ray", GridSpec.centered(24.0, 16.0, 0.5), Mount(sensor_height=1.8))
 >>> grid, layers = map_layers(ism, scan, ["ground_height"])
->>> float(layers["ground_height"][*layers.spec.index(8.0, 1.0)].round(2))
+>>> round(float(layers["ground_height"][layers.spec.index(8.0, 1.0)]), 2)
 -1.39
 """
 

@@ -66,6 +66,7 @@ def fitted(frames: list[Frame]) -> Calibration:
 # --- The fit ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_parameters_that_the_truth_was_drawn_with_are_found(fitted: Calibration) -> None:
     assert fitted.finished
     assert fitted.start == {name: default_parameters("ray")[name] for name in TRUE}
@@ -79,6 +80,7 @@ def test_the_parameters_that_the_truth_was_drawn_with_are_found(fitted: Calibrat
     assert (fitted.data["frames"], fitted.data["drives"]) == (24, 8)
 
 
+@pytest.mark.slow
 def test_no_parameters_nearby_are_likelier(frames: list[Frame], fitted: Calibration) -> None:
     likelihood = Likelihood("ray", frames, SPEC)
     least = likelihood(fitted.parameters).mean()
@@ -198,6 +200,7 @@ def test_bad_input_is_refused(frames: list[Frame]) -> None:
 # --- The file ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_file_is_a_model(fitted: Calibration, tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
     fitted.save(path)

@@ -10,6 +10,8 @@ from ogm.geometric.ray import RayTrace
 from ogm.geometric.reference import terrain
 from ogm.state import CellState, predict_state
 
+pytestmark = pytest.mark.xdist_group("heights")  # the kernels are compiled once
+
 SPEC, HEIGHT = GridSpec.centered(24.0, 16.0, 0.16 * 1.25), 1.8
 ISM = RayISM(SPEC, Mount(HEIGHT, ego_footprint=(-1, 1, -1, 1)))
 X, Y = (np.broadcast_to(axis, SPEC.shape) for axis in SPEC.cell_centers)
