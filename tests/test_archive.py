@@ -230,6 +230,7 @@ def test_read_grid_names_the_file_once(tmp_path: Path) -> None:
 # ---- checksums
 
 
+@pytest.mark.slow
 def test_flipped_bits_of_a_grid_are_found(tmp_path: Path) -> None:
     spec = GridSpec(0.5, (6, 5), (-1.5, 2.0))
     mass = evidential().mass[:6, :5]
@@ -269,6 +270,7 @@ def test_the_checksum_of_an_array_is_that_of_its_file(tmp_path: Path) -> None:
         assert all(hashlib.sha256(archive.read(f"{name}.npy")).hexdigest() == one for name, one in sums.items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["map.nc", "map.zarr", "map.mcap"])
 def test_flipped_bits_of_other_maps_are_found(tmp_path: Path, name: str) -> None:
     """Attributes, such as the stamp, have no checksum in NetCDF and Zarr; masses and coordinates do."""

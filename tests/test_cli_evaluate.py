@@ -123,6 +123,7 @@ def test_the_released_baseline_is_evaluated_on_the_fine_cells(data: Path, tmp_pa
 
 
 @pytest.mark.usefixtures("no_pictures")
+@pytest.mark.slow
 def test_samples_are_drawn_by_the_seed_and_the_report_repeats(data: Path, tmp_path: Path) -> None:
     def record(seed: int, folder: str) -> dict:
         words = ("--ism", "ray", "--samples", 2, "--seed", seed, "--out", tmp_path / folder)
@@ -183,6 +184,7 @@ def test_an_interrupted_run_keeps_its_frames_and_resumes(
 
 
 @pytest.mark.usefixtures("no_pictures")
+@pytest.mark.slow
 def test_a_damaged_frame_is_evaluated_again(data: Path, tmp_path: Path, evaluated: list[int]) -> None:
     words = ("evaluate", data, "--ism", "ray", "--out", tmp_path)
     assert ogm(*words).exit_code == 0
@@ -517,6 +519,7 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
 
 
 @pytest.mark.usefixtures("no_pictures")
+@pytest.mark.slow
 def test_a_real_drive_is_compared_with_its_boxes_and_its_other_scans(
     real: Callable[[str], Path], tmp_path: Path
 ) -> None:

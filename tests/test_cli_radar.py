@@ -85,6 +85,7 @@ def test_fuse_maps_lidar_and_radar_into_one_map(data: Path, tmp_path: Path) -> N
     assert trusted.occupied[trusted.spec.index(20.05, 0.0)] > 3 * with_radar
 
 
+@pytest.mark.slow
 def test_evaluate_and_map_take_the_frames_of_one_radar(data: Path, tmp_path: Path) -> None:
     words = ["--ism", "radar", "deep-radar", "--frames", 1, "--out", tmp_path / "report"]
     run("evaluate", data, "--sensor", "ars548-front", *words)

@@ -132,6 +132,7 @@ def test_one_process_makes_a_data_set_at_a_time(tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_an_interrupt_names_how_to_go_on(tmp_path: Path) -> None:
     # More samples than are made before the signal comes, however busy the machine
     many = ("--samples", 20, *TINY[2:], "--workers", 1)

@@ -140,6 +140,7 @@ print(sum(k.result.stats.cache_misses.values()))
 """
 
 
+@pytest.mark.slow
 def test_of_two_processes_one_compiles(run: Run, tmp_path: Path) -> None:
     run(2)
     shutil.rmtree(tmp_path / "cache")

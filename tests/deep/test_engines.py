@@ -211,6 +211,7 @@ def test_a_network_that_takes_rays_is_the_same_exported(tiny, small, frames, tmp
     assert np.abs(without - wanted).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_commands_map_and_export_without_words_of_torch(small, tmp_path: Path) -> None:
     config = NetworkConfig(2, ((2, 1),), join="concatenate", up=2)
     save_network(tmp_path / "best.safetensors", PillarNetwork(config, small), {})

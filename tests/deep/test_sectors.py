@@ -6,6 +6,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
+import pytest
 from cases import each
 from numpy.typing import NDArray
 
@@ -66,6 +67,7 @@ def test_the_shipped_scan_cut_to_a_sector(middle: float, width: float) -> None:
     assert share_of_free_outside(scan, 1.98, middle, width) <= 0.005
 
 
+@pytest.mark.slow
 @each("name", SCANS)
 def test_recorded_scans_cut_to_sectors(name: str, real: Callable[[str], Path]) -> None:
     axes, height = SCANS[name]

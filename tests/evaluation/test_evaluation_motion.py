@@ -108,6 +108,7 @@ def test_without_true_motion_or_dynamic_maps_there_is_none(tmp_path: Path) -> No
     assert not any("motion" in name for name in (tmp_path / "frames.csv").read_text().splitlines()[0].split(","))
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_resumes_with_its_motion(tmp_path: Path, result: Evaluation) -> None:
     def interrupted(numbers: list[int]) -> Iterator[int]:
         yield from numbers[:7]

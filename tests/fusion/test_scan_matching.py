@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 from cases import refused
 from hall import cast, drive, noisy
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ def error(found: NDArray[np.float64], true: NDArray[np.float64]) -> float:
     return float(np.hypot(*(found[:, :2, 3] - true[:, :2, 3]).T).mean())
 
 
+@pytest.mark.slow
 def test_matching_leaves_a_fifth_of_the_drift_of_odometry() -> None:
     true = drive(60)
     for seed in range(3):

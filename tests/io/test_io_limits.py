@@ -255,6 +255,7 @@ values = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(values, st.booleans())
 def test_the_estimate_for_json_is_from_above(value, ascii_only):

@@ -154,6 +154,7 @@ def test_a_shard_whose_facts_are_missing_is_not_there(store: Store) -> None:
     assert Store.open(store.path)["training"].finished.tolist() == [10, 11, 12]
 
 
+@pytest.mark.slow
 @each("name, damage", [("steps", "flip"), ("intensities", "cut"), ("truth", "gone"), ("objects", "flip"),
                        ("facts", "cut")])  # fmt: skip
 def test_damage_is_reported_with_the_way_out(written: Path, tmp_path: Path, name: str, damage: str) -> None:

@@ -189,6 +189,7 @@ class DiesOnce(NamedTuple):
         return stand_in(plan, split, index, threads)
 
 
+@pytest.mark.slow
 def test_two_workers_make_the_same_bytes_though_one_dies(tmp_path: Path, whole: dict[str, bytes]) -> None:
     died = tmp_path / "died"
     died.mkdir()

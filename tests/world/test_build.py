@@ -128,6 +128,7 @@ def test_drives_are_cut_by_their_length(whole: WorldMap) -> None:
     assert sum(one.mapped for one in drive.submaps) == 28
 
 
+@pytest.mark.slow
 def test_the_order_and_number_of_builds_do_not_matter(place: Place, whole: WorldMap) -> None:
     with WorldMap.create(**place(), **OPTIONS) as other:
         for names in ("c", "ab", "abc"):
@@ -193,6 +194,7 @@ def test_what_is_finished_is_not_made_again(tmp_path: Path, whole: WorldMap) -> 
         assert [event.total for event in events] == [0, 0]
 
 
+@pytest.mark.slow
 def test_a_removed_drive_leaves_the_map(built_map: WorldMap, tmp_path: Path) -> None:
     two = {name: DRIVES[name] for name in "ac"}
     with built({"url": tmp_path / "without"}, two) as without:
@@ -233,6 +235,7 @@ def test_frames_are_found_by_the_number_in_their_names_or_by_row() -> None:
     assert len(moved.submaps) > 1
 
 
+@pytest.mark.slow
 def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
     """Each cell is that of the unmoved map at its centre, taken back."""
     drive, turn = DRIVES["a"], pose(1.2, 0.7, yaw=0.4)

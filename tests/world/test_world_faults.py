@@ -143,6 +143,7 @@ def test_a_rebuild_that_was_stopped_and_taken_back_leaves_nothing(town: Path, co
     assert bytes_of(copy) == bytes_of(town)
 
 
+@pytest.mark.slow
 def test_a_map_whose_making_was_stopped_is_begun_or_goes_on(tmp_path: Path, town: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / writer.WRITER).write_text("{}")

@@ -216,6 +216,7 @@ def test_a_zip_archive_has_all_of_the_map(place: Place, tmp_path: Path, make_gri
     assert len(set(zipfile.ZipFile(tmp_path / "map.zip").namelist())) > 10
 
 
+@pytest.mark.slow
 def test_every_flipped_byte_of_a_tile_is_found(tmp_path: Path, make_grid: MakeGrid) -> None:
     with made({"url": tmp_path / "map"}, make_grid) as world:
         clean = {index: world.tile(index) for index in world.tiles()}
