@@ -31,6 +31,7 @@ from llvmlite.binding import get_host_cpu_name
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime import rtsys
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 KEPT_VERSIONS = 3  # folders of a module that stay when it is compiled anew, the last used first
@@ -55,8 +56,7 @@ def _compiler(**flags: Any) -> Compiler:
         kernel = compiler(function)
         folder = cache_folder(Path(function.__code__.co_filename), function.__module__)
         if kernel is not function and folder is not None:  # the same if numba's compiler is switched off
-            kernel._cache = _KernelCache(function)
-            kernel.compile = _in_one_process(kernel.compile, folder / f"{kernel._cache._impl.filename_base}.lock")
+            kernel.compile = _kept(kernel, folder)
         return kernel
 
     return compiled
@@ -105,9 +105,14 @@ def _text(path: Path) -> tuple[str, tuple[Path, ...]]:
     for package, imported, module in _IMPORT.findall(text):
         names.add(package or module)
         names |= {f"{package}.{name}" for name in re.findall(r"\w+", imported)}
-    files = (_PACKAGE.parent / name.replace(".", "/") for name in names)
-    found = (one for file in files for one in (file.with_suffix(".py"), file / "__init__.py") if one.is_file())
-    return text, tuple(found)
+    return text, tuple(file for file in map(_file_of, names) if file is not None)
+
+
+@cache
+def _file_of(name: str) -> Path | None:
+    """Return the file of a module of ogm, or None if the name is of something else."""
+    base = f"{_PACKAGE.parent}/{name.replace('.', '/')}"
+    return next((Path(file) for file in (f"{base}.py", f"{base}/__init__.py") if os.path.isfile(file)), None)
 
 
 class _Locator:
@@ -135,13 +140,36 @@ class _Locator:
 
 
 class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
+    """The content of a file of compiled code."""
+
     _locator_classes = (_Locator,)
+
+    def reduce(self, form: Any) -> tuple[Any, ...]:
+        """Return a compiled form as it is pickled, without references to modules of numba that it does not read.
+
+        Each reference is an import at loading: `numba.np.arraymath`, say, brings in `scipy.linalg`.
+        """
+        *parts, environments = super().reduce(form)
+        return *parts, tuple(e for e in environments if e.consts or not e.globals["__name__"].startswith("numba."))
 
 
 class _KernelCache(FunctionCache):  # type: ignore[misc]
     """The compiled forms of a kernel on disk. A form that cannot be written costs the next process its compilation."""
 
     _impl_class = _Implementation
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return a compiled form, or None.
+
+        numba loads its declarations of functions and types first, for about a second. Compilation alone needs them.
+        """
+        rtsys.initialize(target_context)  # the symbols of memory management in compiled code
+        with self._guard_against_spurious_io_errors():
+            form = self._load_overload(signature, target_context)
+            if form is not None:
+                return form
+        target_context.refresh()
+        return None
 
     def save_overload(self, signature: Any, data: Any) -> None:
         try:
@@ -150,12 +178,19 @@ class _KernelCache(FunctionCache):  # type: ignore[misc]
             _log.warning("%s is compiled but not kept: %s", self._py_func.__name__, error)
 
 
-def _in_one_process(compile_kernel: Callable[[Any], Any], path: Path) -> Callable[[Any], Any]:
-    """Return a kernel's `compile` that runs in one process at a time; the others then find its result on disk."""
+def _kept(kernel: Any, folder: Path) -> Callable[[Any], Any]:
+    """Return a kernel's `compile` with the cache on disk, which is opened at the first call.
+
+    It runs in one process at a time; the others then find its result on disk.
+    """
+    compile_kernel = kernel.compile
 
     def compiled(signature: Any) -> Any:
-        with global_compiler_lock, _file_lock(path):  # in this order in all threads
-            return compile_kernel(signature)
+        with global_compiler_lock:
+            if not isinstance(kernel._cache, _KernelCache):
+                kernel._cache = _KernelCache(kernel.py_func)
+            with _file_lock(folder / f"{kernel._cache._impl.filename_base}.lock"):  # in this order in all threads
+                return compile_kernel(signature)
 
     return compiled
 
@@ -199,8 +234,7 @@ def log_compilation(main_kernel: Any) -> None:
 
 def is_compiled(compiled: Any) -> bool:
     """Return whether a kernel is in memory or in the cache on disk, or numba's compiler is switched off."""
-    stats = getattr(compiled, "stats", None)  # None where the compiler is switched off
-    if stats is None or compiled.signatures:
+    if not hasattr(compiled, "signatures") or compiled.signatures:
         return True
-    folder = stats.cache_path  # None where nothing is kept
-    return folder is not None and any(Path(folder).glob(f"*.{compiled.__name__}-*.nbi"))
+    folder = cache_folder(Path(compiled.py_func.__code__.co_filename), compiled.__module__)
+    return folder is not None and any(folder.glob(f"*.{compiled.__name__}-*.nbi"))

@@ -60,6 +60,31 @@ def test_heavy_packages_are_loaded_by_their_own_package_only() -> None:
     assert not {"torch", "open3d", "matplotlib", "filterpy", "kiss_icp", "scipy.stats"} & set(run(code).split())
 
 
+LOADED = """
+import gc, sys
+from numba.core.dispatcher import Dispatcher
+from ogm.cli import main
+try:
+    main()
+finally:
+    gc.unfreeze()
+    stats = [o.stats for o in gc.get_objects() if isinstance(o, Dispatcher)]
+    print(sum(s.cache_hits.total() for s in stats), sum(s.cache_misses.total() for s in stats), *sys.modules)
+"""
+
+
+@each("ism, kernels", [("ray", 8), ("combined", 13)])
+def test_a_map_loads_no_more_than_it_needs(ism: str, kernels: int, tmp_path: Path) -> None:
+    """Kernels that are on disk load without numba's declarations for the compiler, which import scipy.linalg."""
+    files = ["--out", str(tmp_path / "a.npz"), "--picture", str(tmp_path / "a.png")]
+    command = [sys.executable, "-c", LOADED, "map", "--ism", ism, str(ROOT / "ogm/data/vls128_road.pcd.xz"), *files]
+    for _ in "ab":  # the first one compiles what is not on disk
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    hits, misses, *loaded = done.stdout.splitlines()[-1].split()
+    assert (int(hits) <= kernels, int(misses)) == (True, 0)
+    assert not set(loaded) & {"torch", "open3d", "matplotlib", "scipy.linalg", "scipy.stats", "numba.np.arraymath"}
+
+
 def test_the_package_exports_what_it_names() -> None:
     for name in ogm.__all__:
         assert getattr(ogm, name).__name__ == name

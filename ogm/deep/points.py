@@ -132,11 +132,12 @@ def pillar_maxima(
 @kernel
 def _find_cells(points: Any, T: Any, size: float, shape: Any, origin: Any, z_range: Any, ego_footprint: Any) -> Any:
     """Return the transformed points (N, 3), the cell of each (N,) or -1, and how many are not finite."""
-    cell = np.full(len(points), -1, np.int32)
+    cell = np.empty(len(points), np.int32)
     xyz = np.empty((len(points), 3), np.float32)
     invalid = 0
     x_min, x_max, y_min, y_max = ego_footprint
     for i in range(len(points)):
+        cell[i] = -1
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         if not (np.isfinite(px) and np.isfinite(py) and np.isfinite(pz) and np.isfinite(points[i, 3])):
             invalid += 1
@@ -160,10 +161,11 @@ def _sort_by_cell(xyz: Any, intensity: Any, cell: Any, shape: Any) -> Any:
     A counting sort: the order of points within a cell is kept.
     """
     count = np.zeros(shape[0] * shape[1], np.int32)
+    pillars = 0
     for i in range(len(cell)):
         if cell[i] >= 0:
+            pillars += count[cell[i]] == 0
             count[cell[i]] += 1
-    pillars = np.count_nonzero(count)
     lengths, cells = np.empty(pillars, np.int64), np.empty(pillars, np.int64)
     start, p = 0, 0
     for c in range(len(count)):
