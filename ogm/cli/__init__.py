@@ -1,5 +1,6 @@
 """The command line ``ogm``: its packages load with the first use of `app` or `main`, where an interrupt is noticed."""
 
+import gc
 import os
 import signal
 import sys
@@ -17,11 +18,14 @@ def main() -> None:
     early = False  # interrupted outside of a command
     try:
         watch_signals()
+        gc.disable()  # the objects that packages make while they load stay
         import logging
 
         from ogm.cli.commands import app
         from ogm.cli.console import SafeFormatter
 
+        gc.freeze()
+        gc.enable()
         handler = logging.StreamHandler(sys.stderr)
         handler.setFormatter(SafeFormatter("ogm: %(message)s"))
         logging.basicConfig(level=logging.WARNING, handlers=[handler])

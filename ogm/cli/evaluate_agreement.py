@@ -4,18 +4,20 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 from rich.text import Text
 
 from ogm.cli.console import out, printable, ticked
-from ogm.datasets import Dataset
-from ogm.grid import GridSpec
+
+if TYPE_CHECKING:
+    from ogm.datasets import Dataset
+    from ogm.grid import GridSpec
 
 
 def evaluate_dataset_agreement(
-    dataset: Dataset, methods: Mapping[str, Any], spec: GridSpec, numbers: Sequence[int], folder: Path
+    dataset: "Dataset", methods: Mapping[str, Any], spec: "GridSpec", numbers: Sequence[int], folder: Path
 ) -> None:
     """Compare methods with each other, print the metrics of every pair, and write ``agreement.json``."""
     from ogm.evaluation import AGREEMENT_METRICS, evaluate_agreement, write_agreement_report

@@ -76,11 +76,12 @@ def load_engine(
     if of_torch and engine not in (None, "torch"):
         raise ValueError(f"device and compile are torch's, got the engine {engine!r}; leave them out")
     with weights_of(source) as path:
-        engine = engine or ("torch" if of_torch else _usual(path))
-        if engine != "torch":
+        chosen = engine or ("torch" if of_torch else _usual(path))
+        if chosen != "torch":
             from ogm.deep.onnx_engine import OnnxEngine
 
-            return OnnxEngine(_exported(path), runtime=engine, precision=precision, threads=threads)
+            exported = path.with_suffix(".onnx") if engine is None else _exported(path)
+            return OnnxEngine(exported, runtime=chosen, precision=precision, threads=threads)
         if path.suffix == ".onnx":
             raise OgmError(f"{path} is exported: torch takes weights (.safetensors)")
         if threads is not None:
