@@ -42,7 +42,8 @@ from ogm.storage.files import OgmError
 
 _HEIGHTS = 5  # scans of a sequence whose median is the height of its sensor
 _INDOORS = 0.25  # [m]
-_KEPT = 64  # scans in memory: some 2 MB each
+_KEPT = 64  # scans in memory, some 2 MB each: the truth of a frame takes many of its neighbours
+_KEPT_UNLABELLED = 16
 _UNREADABLE = (ValueError, TypeError, OSError)
 
 
@@ -234,7 +235,7 @@ class Recording(ABC):
     @cached_property
     def raw(self) -> Callable[[int], RawFrame]:
         """Function that reads a frame without the returns from inside the ego footprint; it keeps the last frames."""
-        return lru_cache(_KEPT)(self._read_without_ego)
+        return lru_cache(_KEPT if self.labelled else _KEPT_UNLABELLED)(self._read_without_ego)
 
     def boxes(self, n: int) -> Boxes | None:
         """Return the boxes around a scan, in the sensor's frame; None if there are no labelled boxes."""
