@@ -36,7 +36,7 @@ def load_engine(
     source: str | os.PathLike[str] = "lite",
     *,
     engine: str | None = None,
-    precision: str = "float32",
+    precision: str | None = None,
     threads: int | None = None,
     device: Any = "cpu",
     compile: bool = False,
@@ -51,8 +51,12 @@ def load_engine(
     engine : "onnxruntime", "openvino" or "torch", optional
         Package that computes. By default ONNX Runtime if the weights are exported, as the weights in the package are;
         else, and for another `device` or `compile`, torch.
-    precision, threads, device, compile
-        Of `ogm.deep.onnx_engine.OnnxEngine` and of `ogm.deep.torch_engine.TorchEngine`. ``threads`` is not torch's
+    precision : "int8", "float32" or "bfloat16", optional
+        Number format of the convolutions. ONNX Runtime computes in float32, or in 8-bit integers where such an export
+        lies next to the weights (``NAME.int8.onnx``), which is then the default. The others compute in float32, the
+        default, or bfloat16.
+    threads, device, compile
+        See `ogm.deep.onnx_engine.OnnxEngine` and `ogm.deep.torch_engine.TorchEngine`. ``threads`` is not torch's
         (``torch.set_num_threads``), the last two are torch's alone.
 
     Returns
@@ -78,9 +82,9 @@ def load_engine(
     with weights_of(source) as path:
         engine = engine or ("torch" if of_torch else _usual(path))
         if engine != "torch":
-            from ogm.deep.onnx_engine import OnnxEngine
-
-            return OnnxEngine(_exported(path), runtime=engine, precision=precision, threads=threads)
+            return _of_onnx(path, engine, precision, threads)
+        if precision == "int8":
+            raise ValueError("torch computes in float32 or bfloat16, got the precision 'int8': use onnxruntime")
         if path.suffix == ".onnx":
             raise OgmError(f"{path} is exported: torch takes weights (.safetensors)")
         if threads is not None:
@@ -88,7 +92,7 @@ def load_engine(
         load_network, TorchEngine = _of_torch()
         network, description = load_network(path)
         of_weights: Engine = TorchEngine(
-            network, device=device, compile=compile, precision=precision, description=description
+            network, device=device, compile=compile, precision=precision or "float32", description=description
         )
         return of_weights
 
@@ -127,11 +131,31 @@ def _usual(path: Path) -> str:
     return "onnxruntime" if theirs else "torch"
 
 
-def _exported(path: Path) -> Path:
-    """Return the exported network of weights, which lies in their folder."""
+def _of_onnx(path: Path, engine: str, precision: str | None, threads: int | None) -> "OnnxEngine":
+    """Return the engine of an exported network: the export in 8-bit integers, or the one in float32."""
+    from ogm.deep.onnx_engine import OnnxEngine
+
+    if precision == "int8" and engine != "onnxruntime":
+        raise ValueError(f"{engine} computes in float32 or bfloat16, got the precision 'int8': use onnxruntime")
+    small = path.with_suffix(".int8.onnx")
+    chosen = path.suffix != ".onnx" and (
+        precision == "int8" or (precision is None and engine == "onnxruntime" and small.is_file())
+    )
+    exported = OnnxEngine(
+        _exported(path, small if chosen else path.with_suffix(".onnx")),
+        runtime=engine,
+        precision="float32" if precision in (None, "int8") else precision,
+        threads=threads,
+    )
+    if precision not in (None, "bfloat16", exported.precision):
+        raise ValueError(f"{path} was exported in {exported.precision}, got the precision {precision!r}")
+    return exported
+
+
+def _exported(path: Path, exported: Path) -> Path:
+    """Return the exported network of weights, a file in their folder, if it is theirs."""
     from ogm.deep.onnx_file import exported_from
 
-    exported = path.with_suffix(".onnx")
     way = f"write it by `ogm export {path} --out {exported}`"
     if path != exported and not exported.is_file():
         raise FileNotFoundError(f"{exported} is not there, which this engine takes: {way}, or use the engine torch")
