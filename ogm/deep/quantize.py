@@ -145,7 +145,8 @@ def _balance(model: Any, samples: list[Inputs]) -> None:
     for name, (before, after) in chains.items():
         factors = _factors(largest[name], weights[after.input[1]])
         weights[before.input[1]] /= factors[:, None, None, None]
-        weights[before.input[2]] /= factors
+        for bias in before.input[2:]:
+            weights[bias] /= factors
         weights[after.input[1]] *= factors[:, None, None]
     for name, array in stored.items():
         array.CopyFrom(from_array(weights[name].astype(np.float32), name))
