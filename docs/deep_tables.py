@@ -56,20 +56,36 @@ def combined() -> str:
     for name, one in (simulated | found["real"]).items():
         place = f"{name}, frames: {one['frames']}, drives: {one['drives']}"
         for model, mean in one["means"].items():
+            if model.endswith("float32"):
+                continue
             cells = ["–" if mean[metric] is None else f"{mean[metric]:.3f}" for metric in titles]
             rows.append([place if model == "ray" else "", f"`{model}`" if " " not in model else model, *cells])
     tables = [table(["", "", *titles.values()], rows, left=2)]
     rows = []
     for name, one in simulated.items():  # with intervals; the others can be subtracted
         for other, compared in one["against"].items():
+            model = "lite" if other == "lite, float32" else "combined"
             differences = [compared[metric]["difference"] for metric in ("nll", "false_free", "brier")]
-            cells = map(change, differences)
-            rows.append([f"{name}: against `{other}`", *cells])
-    tables.append(table(["`combined` minus a part (95 %)", "log loss", "false free", "Brier"], rows))
+            rows.append([f"{name}: `{model}` minus `{other}`", *map(change, differences)])
+    tables.append(table(["difference (95 %)", "log loss", "false free", "Brier"], rows))
+    rows = []
+    for name, one in (simulated | found["real"]).items():
+        masses, means = one["8-bit masses"], one["means"]
+        changes = [
+            means[model][metric] - means[f"{model}, float32"][metric]
+            for model in ("lite", "combined")
+            for metric in ("nll", "false_free")
+        ]
+        cells = [f"{masses[key]:.4f}" for key in ("mean", "99.9th percentile", "largest")]
+        share = f"{100 * masses['cells with another state']:.2f} %"
+        rows.append([name, *cells, share, *(f"{value:+.4f}" for value in changes)])
+    heads = ["8-bit integers minus float32", "masses: mean", "99.9th percentile", "largest", "other state"]
+    scores = [f"`{model}` {metric}" for model in ("lite", "combined") for metric in ("log loss", "false free")]
+    tables.append(table([*heads, *scores], rows))
     cost = found["cost [ms]"]
     text = (
         f"Cost on one core, best of many calls ({found.get('cost measured', 'the same run')}): "
-        f"`ray` {cost['ray']:.1f} ms, `lite` {cost['lite']:.1f} ms, `combined` "
+        f"`ray` {cost['ray']:.1f} ms, `lite` {cost['lite']:.1f} ms (float32 {cost['lite, float32']:.1f}), `combined` "
         f"{cost['combined']:.1f} ms, of which combining {cost['combining alone']:.2f} ms (copying both grids: "
         f"{cost['copy of both grids']:.2f} ms)."
     )

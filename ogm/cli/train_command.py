@@ -136,21 +136,39 @@ def train_command(
 def export_command(
     source: Annotated[str, Argument(help="lite, radar, a run's folder, or a .safetensors file.")] = "lite",
     out_path: Annotated[Path, Option("--out", help="The file to write, .onnx.")] = Path("ogm.onnx"),
+    int8: Annotated[
+        str | None,
+        Option(
+            metavar="DATA",
+            help="Also write NAME.int8.onnx, about twice as fast on a processor, with ranges measured on scans of a "
+            "recording or of simulated training data.",
+        ),
+    ] = None,
 ) -> None:
     """Write a network as ONNX, which `ogm map --ism FILE.onnx` (lidars), `DeepRadarISM` (radars) and others run.
 
     None of them needs torch.
     """
     _need_torch()
+    from ogm.datasets import open_dataset
     from ogm.deep.checkpoint import load_any_network
     from ogm.deep.engines import weights_of
     from ogm.deep.export import export_onnx
+    from ogm.deep.network import PillarNetwork
+    from ogm.deep.quantize import quantize_onnx
 
+    scans = None if int8 is None else open_dataset(int8, default_split="train")
     with weights_of(source) as path:
         network, description = load_any_network(path)
+        if scans is not None and not isinstance(network, PillarNetwork):
+            raise ValueError(
+                f"{source} is a network of radars, which has no export in 8-bit integers: leave out --int8"
+            )
         _quiet()
         with stderr.status("exporting ..."):
             facts = export_onnx(network, out_path, description=description, weights=path)
+            if scans is not None:
+                facts |= quantize_onnx(out_path, out_path.with_suffix(".int8.onnx"), scans)
     print_facts({"file": str(out_path), **facts})
 
 

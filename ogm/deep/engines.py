@@ -36,7 +36,7 @@ def load_engine(
     source: str | os.PathLike[str] = "lite",
     *,
     engine: str | None = None,
-    precision: str = "float32",
+    precision: str | None = None,
     threads: int | None = None,
     device: Any = "cpu",
     compile: bool = False,
@@ -51,8 +51,12 @@ def load_engine(
     engine : "onnxruntime", "openvino" or "torch", optional
         Package that computes. By default ONNX Runtime if the weights are exported, as the weights in the package are;
         else, and for another `device` or `compile`, torch.
-    precision, threads, device, compile
-        Of `ogm.deep.onnx_engine.OnnxEngine` and of `ogm.deep.torch_engine.TorchEngine`. ``threads`` is not torch's
+    precision : "int8", "float32" or "bfloat16", optional
+        Number format of the convolutions. ONNX Runtime computes in float32, or in 8-bit integers where such an export
+        lies next to the weights (``NAME.int8.onnx``), which is then the default. The others compute in float32, the
+        default, or bfloat16.
+    threads, device, compile
+        See `ogm.deep.onnx_engine.OnnxEngine` and `ogm.deep.torch_engine.TorchEngine`. ``threads`` is not torch's
         (``torch.set_num_threads``), the last two are torch's alone.
 
     Returns
@@ -76,12 +80,14 @@ def load_engine(
     if of_torch and engine not in (None, "torch"):
         raise ValueError(f"device and compile are torch's, got the engine {engine!r}; leave them out")
     with weights_of(source) as path:
-        chosen = engine or ("torch" if of_torch else _usual(path))
-        if chosen != "torch":
-            from ogm.deep.onnx_engine import OnnxEngine
-
-            exported = path.with_suffix(".onnx") if engine is None else _exported(path)
-            return OnnxEngine(exported, runtime=chosen, precision=precision, threads=threads)
+        if engine != "torch" and not of_torch:
+            exported = _export_of(path, engine, precision)
+            if exported is None and (engine or precision == "int8" or path.suffix == ".onnx"):
+                raise _lacking(path, precision)
+            if exported is not None:
+                return _opened(exported, engine or "onnxruntime", precision, threads)
+        if precision == "int8":
+            raise ValueError("torch computes in float32 or bfloat16, got the precision 'int8': use onnxruntime")
         if path.suffix == ".onnx":
             raise OgmError(f"{path} is exported: torch takes weights (.safetensors)")
         if threads is not None:
@@ -89,7 +95,7 @@ def load_engine(
         load_network, TorchEngine = _of_torch()
         network, description = load_network(path)
         of_weights: Engine = TorchEngine(
-            network, device=device, compile=compile, precision=precision, description=description
+            network, device=device, compile=compile, precision=precision or "float32", description=description
         )
         return of_weights
 
@@ -119,26 +125,49 @@ def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
     yield path
 
 
-def _usual(path: Path) -> str:
-    """Return the engine for weights: torch if no network exported from them lies in their folder."""
+_ENDINGS = {"int8": ".int8.onnx", "float32": ".onnx"}  # of exports
+
+
+def _export_of(path: Path, engine: str | None, precision: str | None) -> Path | None:
+    """Return the exported network for weights: the file itself, or one in its folder that was exported from it."""
     from ogm.deep.onnx_file import exported_from
 
-    beside = path.with_suffix(".onnx")
-    theirs = path.suffix == ".onnx" or (beside.is_file() and (not path.is_file() or exported_from(beside, path)))
-    return "onnxruntime" if theirs else "torch"
+    if path.suffix == ".onnx" and path.is_file():
+        return path
+    allowed = ("int8", "float32") if precision is None and engine != "openvino" else (_stored(precision),)
+    for ending in (_ENDINGS[name] for name in allowed):
+        exported = path.with_suffix(ending)
+        if exported.is_file() and (not path.is_file() or exported_from(exported, path)):
+            return exported
+    return None
 
 
-def _exported(path: Path) -> Path:
-    """Return the exported network of weights, which lies in their folder."""
-    from ogm.deep.onnx_file import exported_from
+def _stored(precision: str | None) -> str:
+    """Return the precision of the export that an engine reads."""
+    return "int8" if precision == "int8" else "float32"
 
-    exported = path.with_suffix(".onnx")
-    way = f"write it by `ogm export {path} --out {exported}`"
-    if path != exported and not exported.is_file():
-        raise FileNotFoundError(f"{exported} is not there, which this engine takes: {way}, or use the engine torch")
-    if path != exported and path.is_file() and not exported_from(exported, path):
-        raise OgmError(f"{exported} was exported from other weights than {path.name}: {way}")
-    return exported
+
+def _opened(path: Path, engine: str, precision: str | None, threads: int | None) -> "OnnxEngine":
+    """Return the engine of an exported network."""
+    from ogm.deep.onnx_engine import OnnxEngine
+
+    computed = "bfloat16" if precision == "bfloat16" else "float32"
+    if engine == "openvino" and precision == "int8":
+        raise ValueError("openvino computes in float32 or bfloat16, got the precision 'int8': use onnxruntime")
+    opened = OnnxEngine(path, runtime=engine, precision=computed, threads=threads)
+    if precision is not None and _stored(precision) != opened.precision:
+        raise ValueError(f"{path} was exported in {opened.precision}, got the precision {precision!r}")
+    return opened
+
+
+def _lacking(path: Path, precision: str | None) -> Exception:
+    """Return the error for weights without an export: there is none, or it was exported from other weights."""
+    exported = path.with_suffix(_ENDINGS[_stored(precision)]) if path.suffix != ".onnx" else path
+    calibrated = " --int8 DATA" if precision == "int8" else ""
+    way = f"write it by `ogm export {path} --out {path.with_suffix('.onnx')}{calibrated}`"
+    if exported.is_file():
+        return OgmError(f"{exported} was exported from other weights than {path.name}: {way}")
+    return FileNotFoundError(f"{exported} is not there, which this engine takes: {way}, or use the engine torch")
 
 
 def _of_torch() -> tuple[Any, Any]:

@@ -30,7 +30,7 @@ class ExportedNetwork(ABC):
     runtime : "onnxruntime" or "openvino"
         Package that computes.
     precision : "float32" or "bfloat16"
-        Number format of the convolutions. ONNX Runtime knows float32 alone.
+        Number format of the convolutions of a network that was exported in float32. bfloat16 needs OpenVINO.
     threads : int, optional
         Number of threads that compute one scan. By default `default_threads`.
 
@@ -57,6 +57,7 @@ class ExportedNetwork(ABC):
     """
 
     description: dict[str, Any]
+    precision: str = "float32"  # in which it was exported
     inputs: ClassVar[tuple[set[str], ...]]  # names of the inputs, one set for each kind of network
     output: ClassVar[str]
 
@@ -106,7 +107,9 @@ class ExportedNetwork(ABC):
         return result
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self._sha256[:16]}, {', '.join(self._arguments[1:3])})"
+        _, runtime, computed, _ = self._arguments
+        precision = computed if self.precision == "float32" else self.precision
+        return f"{type(self).__name__}({self._sha256[:16]}, {runtime}, {precision})"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _reopened, (type(self), *self._arguments)

@@ -112,7 +112,7 @@ class DeepISM:
         spec: GridSpec | None = None,
         mount: Mount | None = None,
         engine: str | None = None,
-        precision: str = "float32",
+        precision: str | None = None,
         threads: int | None = None,
         device: Any = "cpu",
         compile: bool = False,
@@ -128,8 +128,9 @@ class DeepISM:
             As of the class.
         engine : "onnxruntime", "openvino" or "torch", optional
             What computes. By default ONNX Runtime for what is exported, as ``"lite"`` is; else torch.
-        precision : "float32" or "bfloat16"
-            What the convolutions are computed in; ONNX Runtime knows float32 alone.
+        precision : "int8", "float32" or "bfloat16", optional
+            Number format of the convolutions; see `ogm.deep.engines.load_engine`. By default 8-bit integers for
+            ``"lite"`` by ONNX Runtime, else float32.
         threads : int, optional
             Of ONNX Runtime and OpenVINO. By default ``OMP_NUM_THREADS``, or the cores of the process.
         device : str or torch.device

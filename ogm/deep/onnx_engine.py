@@ -24,6 +24,8 @@ class OnnxEngine(ExportedNetwork):
         The grid around the sensor; at first the grid of the training.
     rays : bool
         Whether the network takes the masses of `ogm.geometric.RayISM` too.
+    precision : "float32" or "int8"
+        Number format in which the network was exported.
     """
 
     inputs = ({"feature_map"}, {"feature_map", "sensor_coords"})
@@ -33,7 +35,7 @@ class OnnxEngine(ExportedNetwork):
 
     def _read(self, path: str | os.PathLike[str]) -> bytes:
         self._file = file = read_onnx(path)
-        self.description, self.rays, self.spec = file.description, file.rays, file.spec
+        self.description, self.rays, self.spec, self.precision = file.description, file.rays, file.spec, file.precision
         check_sides(self.spec, file.multiple)
         return file.data
 

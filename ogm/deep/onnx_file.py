@@ -23,8 +23,8 @@ from ogm.storage.files import OgmError, update_hint
 
 FORMAT = "ogm.network.onnx/2"
 OPERATIONS = frozenset({
-    "Abs", "Add", "Conv", "ConvTranspose", "DepthToSpace", "Div", "Exp", "Gather", "Log", "Neg", "Relu", "Resize",
-    "Split", "Transpose",
+    "Abs", "Add", "Conv", "ConvTranspose", "DepthToSpace", "DequantizeLinear", "Div", "Exp", "Gather", "Log", "Neg",
+    "QuantizeLinear", "Relu", "Resize", "Split", "Transpose",
 })  # fmt: skip
 _MAX_SIZE = 2**28  # [bytes]
 _MAX_CHANNELS = 4096
@@ -58,6 +58,8 @@ class OnnxFile:
         Of the pillars' linear layer.
     weights_sum : str
         SHA-256 of the weights that it was exported from; empty if it was exported from a network in memory.
+    precision : "float32" or "int8"
+        Number format of the convolutions.
     """
 
     data: bytes = field(repr=False)
@@ -69,6 +71,7 @@ class OnnxFile:
     weight: NDArray[np.float32] = field(repr=False)
     bias: NDArray[np.float32] = field(repr=False)
     weights_sum: str
+    precision: str
 
 
 def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
@@ -84,7 +87,8 @@ def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
     data, metadata = read_metadata(path, FORMAT)
     try:
         numbers = {name: json.loads(metadata[name]) for name in ("description", "input")}
-        return _checked(data, numbers["description"], numbers["input"], metadata.get("weights", ""))
+        facts = metadata.get("weights", ""), metadata.get("precision", "float32")
+        return _checked(data, numbers["description"], numbers["input"], *facts)
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise OgmError(f"{path} describes no network that can be run: {error!r}") from error
 
@@ -128,7 +132,7 @@ def exported_from(path: Path, weights: Path) -> bool:
     return read_onnx(path).weights_sum == weights_sum(weights)
 
 
-def _checked(data: bytes, description: Any, given: Mapping[str, Any], of_weights: str) -> OnnxFile:
+def _checked(data: bytes, description: Any, given: Mapping[str, Any], of_weights: str, precision: str) -> OnnxFile:
     check_description(description)
     weight, bias = (np.array(given[name], np.float32) for name in ("weight", "bias"))
     low, high = map(float, given["z_range"])
@@ -143,10 +147,13 @@ def _checked(data: bytes, description: Any, given: Mapping[str, Any], of_weights
         and type(rays) is bool
         and type(multiple) is int
         and 2 <= multiple <= 256
+        and precision in ("float32", "int8")
     )
     if not good:
         raise ValueError("a size or a number of its input is out of its limits")
-    return OnnxFile(data, description, grid_of(description), (low, high), multiple, rays, weight, bias, of_weights)
+    return OnnxFile(
+        data, description, grid_of(description), (low, high), multiple, rays, weight, bias, of_weights, precision
+    )
 
 
 def _read_model(data: bytes) -> dict[str, str]:

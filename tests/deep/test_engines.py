@@ -24,11 +24,12 @@ from ogm.deep.exported import default_threads
 from ogm.deep.network import NetworkConfig
 from ogm.deep.onnx_engine import OnnxEngine
 from ogm.deep.onnx_file import FORMAT, read_metadata, read_onnx, weights_sum
+from ogm.deep.quantize import quantize_onnx
 from ogm.deep.radar_onnx import FORMAT as RADAR_FORMAT
 from ogm.deep.torch_engine import TorchEngine
 from ogm.scan import Scan
 
-BOUND, BF16_BOUND = 2e-3, 0.05  # of mass; measured on the shipped scan: 2e-6 and 0.02
+BOUND, BF16_BOUND, INT8_BOUND = 2e-3, 0.05, 0.2  # of mass; measured on the shipped scan: 2e-6, 0.02 and 0.12
 MOUNT = Mount(1.98)
 
 
@@ -48,24 +49,31 @@ def test_the_shipped_export_is_that_of_the_shipped_weights(name: str) -> None:
     """Else `ogm export lite --out ogm/data/lite.onnx` was forgotten."""
     wanted = {"lite": FORMAT, "radar": RADAR_FORMAT}[name]
     with weights_of(name) as path:
-        _, metadata = read_metadata(path.with_suffix(".onnx"), wanted)
-        assert metadata["weights"] == weights_sum(path)
+        exports = {"float32": path.with_suffix(".onnx"), "int8": path.with_suffix(".int8.onnx")}
+        for precision in ("float32", "int8") if name == "lite" else ("float32",):
+            _, metadata = read_metadata(exports[precision], wanted)
+            assert metadata["weights"] == weights_sum(path)
+            assert metadata.get("precision", "float32") == precision
 
 
 @each("engine, precision, bound", [
         ("onnxruntime", "float32", BOUND),
+        ("onnxruntime", None, INT8_BOUND),
         ("openvino", "float32", BOUND),
         ("openvino", "bfloat16", BF16_BOUND),
         ("torch", "bfloat16", BF16_BOUND),
     ])  # fmt: skip
 def test_every_engine_gives_the_same_grid(
-    engine: str, precision: str, bound: float, scan: Scan, by_torch: np.ndarray
+    engine: str, precision: str | None, bound: float, scan: Scan, by_torch: np.ndarray
 ) -> None:
     if engine != "torch":
         pytest.importorskip(engine, reason=f"the package {engine} is not installed")
     ism = DeepISM.load("lite", mount=MOUNT, engine=engine, precision=precision)
     grid = ism(scan)
-    assert np.abs(grid.mass - by_torch).max() <= bound
+    difference = np.abs(grid.mass - by_torch)
+    assert difference.max() <= bound
+    assert difference.mean() <= 0.005
+    assert getattr(ism.engine, "precision", "float32") == ("float32" if precision else "int8")
     assert grid.at(0.0, 0.0).unknown == 1  # under the ego vehicle
     assert grid.mass.min() >= 0
     np.testing.assert_array_equal(ism(scan).mass, grid.mass)
@@ -147,7 +155,7 @@ def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch
         ({"engine": "onnxruntime", "compile": True}, "device and compile are torch's"),
         ({"engine": "torch", "threads": 2}, "set_num_threads"),
         ({"precision": "bfloat16"}, "ONNX Runtime computes in float32"),
-        ({"precision": "int8"}, "float32 or bfloat16"),
+        ({"engine": "openvino", "precision": "int8"}, "use onnxruntime"),
         ({"engine": "torch", "precision": "int8"}, "float32 or bfloat16"),
         ({"threads": 0}, "at least 1"),
         ({"device": "warp"}, "use cpu"),
@@ -182,12 +190,31 @@ def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, t
         assert isinstance(ism.engine, OnnxEngine)
         assert ism.description["seen"] == {"points": [10, 10**6]}
         np.testing.assert_allclose(ism(cloud).mass, wanted, atol=1e-5)
+    refused("exported in float32", load_engine, exported, precision="int8")
+
+    small_export = weights.with_suffix(".int8.onnx")
+    quantize_onnx(exported, small_export, frames)
+    refused("quantised already", quantize_onnx, small_export, small_export, frames, error=OgmError)
+    refused("no frame", quantize_onnx, exported, small_export, [])
+    for source in (tmp_path, weights, small_export):
+        ism = DeepISM.load(source, mount=mount)
+        assert ism.engine.precision == "int8"
+        assert 0 < np.abs(ism(cloud).mass - wanted).max() < 0.05
+    np.testing.assert_allclose(DeepISM.load(tmp_path, mount=mount, precision="float32")(cloud).mass, wanted, atol=1e-5)
     refused("torch takes weights", load_engine, exported, error=OgmError, engine="torch")
 
     network.head.bias.data += 1
     save_network(weights, network, {})
     assert isinstance(load_engine(tmp_path), TorchEngine)
-    refused("exported from other weights", load_engine, tmp_path, error=OgmError, engine="onnxruntime")
+    for precision in ("int8", "float32"):
+        refused(
+            "exported from other weights",
+            load_engine,
+            tmp_path,
+            error=OgmError,
+            engine="onnxruntime",
+            precision=precision,
+        )
     assert isinstance(load_engine(exported), OnnxEngine)
 
 
