@@ -226,7 +226,7 @@ def main() -> None:
     parser.add_argument("--validation", type=int, help="evaluate the first N validation frames only")
     given = parser.parse_args()
     record: dict[str, Any] = {
-        "environment": run.environment("ray", "lite"),
+        "environment": run.environment("ray", **{"lite, float32": run.ROOT / "ogm" / "data" / "lite.safetensors"}),
         "frames": given.frames,
         "steps": given.steps,
     }
