@@ -1,8 +1,8 @@
-"""Recipes of data sets: frozen sets of numbers, by name.
+"""Recipes of datasets: named, frozen sets of parameters.
 
-The default of `DatasetPlan` is the paper's recipe: clear weather, intact sensors. ``gen2`` holds what a sensor model
-meets beside that and must not be wrong about: other lidars and mounts, calibration errors, sectors, blocked views, lost
-packets, dead layers, fog, rain and dust, and country roads between banks, ditches, high grass and woods.
+The default of `DatasetPlan` is the paper's recipe: clear weather and intact sensors. ``gen2`` adds conditions that a
+sensor model must handle: other lidars and mounts, calibration errors, sectors, blocked views, lost packets, dead
+layers, fog, rain and dust, and country roads between banks, ditches, high grass and woods.
 
 >>> from ogm.simulation.recipe import RECIPES
 >>> RECIPES["gen2"].samples, len({mount.lidar for mount in RECIPES["gen2"].mounts})
@@ -19,16 +19,16 @@ __all__ = ["GEN2", "RECIPES", "LayerErrors", "Country", "Faults", "DataRecipe", 
 
 @dataclass(frozen=True)
 class LayerErrors:
-    """How far the layers of a lidar are from where its data sheet has them; the same in all scans of one unit.
+    """Calibration errors of a lidar's layers, constant over all scans of one unit.
 
     Parameters
     ----------
     elevation : float
-        Standard deviation of the error of each layer's elevation [rad], none beyond twice that.
+        Standard deviation of each layer's elevation error [rad], truncated at twice this value.
     offset : float
-        Largest error that all layers have in common [rad].
+        Largest common elevation error of all layers [rad].
     range : float
-        Standard deviation of the error of each layer's range [m], none beyond twice that.
+        Standard deviation of each layer's range error [m], truncated at twice this value.
     """
 
     elevation: float
@@ -38,18 +38,18 @@ class LayerErrors:
 
 @dataclass(frozen=True)
 class Country:
-    """The country around a town; pairs are the smallest and the largest.
+    """Country in and around a town; pairs are lower and upper bounds.
 
     Parameters
     ----------
     share
-        Of the meshes between streets that are country.
+        Share of the areas between streets that are country.
     slope
-        Of banks and of the sides of ditches: height over run.
+        Slope of banks and of the sides of ditches, height over run.
     bank, ditch
         Height of banks and depth of ditches [m].
     shoulder
-        Level ground beside the road [m].
+        Width of the level ground along the road [m].
     """
 
     share: tuple[float, float] = (0.1, 0.7)
@@ -61,19 +61,20 @@ class Country:
 
 @dataclass(frozen=True)
 class Faults:
-    """Shares of the scans in which beams are missing, and how many; pairs are the smallest and the largest.
+    """Shares of scans with missing beams, and the extent of the gaps; pairs are lower and upper bounds.
 
     Parameters
     ----------
     sector, sector_width
-        Only a sector is fired or reported; its width [rad].
+        Share of scans in which only a sector is fired or reported; its width [rad].
     blocked, blocked_views, blocked_width
-        Something hides up to so many views, each so wide [rad]: half of them at all elevations, the others from
-        below. In half of such scans the driver leaves those beams out, in the others they come without echo.
+        Share of scans with blocked views; their largest number; the width of each [rad]. Half of them block all
+        elevations, the others the lower ones. In half of these scans the driver omits the blocked beams, in the others
+        they are beams without echo.
     lost, lost_packets, packet
-        Packets are lost, such a share of them; columns in a packet.
+        Share of scans with lost packets; the share of packets lost; columns per packet.
     dead, dead_layers
-        Layers are dead, such a share of them.
+        Share of scans with dead layers; the share of layers that are dead.
     """
 
     sector: float
@@ -90,18 +91,18 @@ class Faults:
 
 @dataclass(frozen=True)
 class Skies:
-    """Shares of the scans in bad weather, and how strong it is; all strengths are drawn by their logarithms.
+    """Shares of scans in bad weather, and its strength, drawn log-uniformly; pairs are lower and upper bounds.
 
     Parameters
     ----------
     fog, visibility
-        Fog of such a meteorological visibility [m].
+        Share of scans in fog; meteorological visibility [m].
     rain, rate
-        Rain of such a rate [mm/h], on wet roads.
+        Share of scans in rain, on wet roads; rain rate [mm/h].
     wet
-        Roads that are still wet.
+        Share of scans on wet roads without rain.
     dust, dust_extinction, dust_clouds, dust_radius
-        So many clouds of dust at most, their extinction [1/m] and radius [m].
+        Share of scans in dust; extinction coefficient [1/m]; largest number of clouds; their radius [m].
     """
 
     fog: float
@@ -117,32 +118,33 @@ class Skies:
 
 @dataclass(frozen=True)
 class DataRecipe:
-    """All that the samples of a data set are drawn by, but for the seed and their number.
+    """All parameters from which the samples of a dataset are drawn, except the seed and the number of samples.
 
     Parameters
     ----------
     samples : int
-        Usual size of the training. Validation and test are made from towns of their own.
+        Default number of training samples. Validation and test use towns of their own.
     mounts : tuple of LidarMount
     country : Country
-        Of every town.
+        Country in every town.
     town_size : float
-        Side of the towns [m].
+        Side length of the towns [m].
     town_samples, town_others : int
-        Samples after which a new town begins: of training; of validation and test. Multiples of ten.
+        Samples per town, in training and in the other splits; multiples of ten.
     spacing : float
         Time between the samples of a drive [s]; a new drive begins every ten samples.
     faults : Faults
     skies : Skies
     in_motion : float
-        Share of the scans that the ego motion distorts.
+        Share of scans distorted by the ego motion.
     no_intensity : float
-        Share of the scans without intensities: all are 0.
+        Share of scans without intensities: all are 0.
     steepest : float
-        Ground that rises or falls more than this (height over run) counts as an obstacle.
+        Largest slope (height over run) of ground that is not an obstacle.
     calibration : LayerErrors
-        Of lidars that `calibrations` does not name.
+        Calibration errors of lidars that `calibrations` does not name.
     calibrations : tuple of (name, LayerErrors)
+        Calibration errors by lidar.
     """
 
     samples: int
@@ -161,14 +163,14 @@ class DataRecipe:
     calibrations: tuple[tuple[str, LayerErrors], ...] = field(default=())
 
     def calibration_of(self, lidar: str) -> LayerErrors:
-        """Return the errors of a kind of lidar."""
+        """Return the calibration errors of a lidar model."""
         return dict(self.calibrations).get(lidar, self.calibration)
 
 
 _ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
 _DEGREE = math.pi / 180
 
-# Other lidars and mounts, faults, bad weather, country roads: see docs/simulation.md
+# Further lidars and mounts, faults, bad weather, country roads: see docs/simulation.md
 GEN2 = DataRecipe(
     samples=4800,
     mounts=(
@@ -187,7 +189,7 @@ GEN2 = DataRecipe(
         LidarMount("dual-vlp-32c", 0.04, (1.8, 2.4), _MIDDLE, _SLIGHT),
         LidarMount("at128", 0.05, (1.6, 2.1), (0.2, 0.9), _SLIGHT, 120 * _DEGREE),
         LidarMount("at128", 0.01, (0.5, 1.0), (2.5, 2.7), _SLIGHT, 120 * _DEGREE),  # at the bumper
-        # High up as on a truck or a bus, and tilted.
+        # As high as on a truck or a bus, and tilted.
         LidarMount("vlp-32c", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
         LidarMount("os1-64", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
         LidarMount("vlp-16", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
