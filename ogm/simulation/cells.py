@@ -83,7 +83,7 @@ def _mend(z: Floats32) -> None:
 
 
 def _steps_along(z: Floats32) -> Floats:
-    """Return the height of steps along a row [m]: the rise from cell i - 1 to i + 1 less that of its flatter side."""
+    """Return the height of steps along a row [m]: the rise from cell i - 1 to i + 1, less that on the flatter side."""
     change = np.abs(z[:, 2:] - z[:, :-2]).astype(np.float64)  # around cells 1 to n - 2
     before, after = np.full_like(change, np.inf), np.full_like(change, np.inf)
     before[:, 2:], after[:, :-2] = change[:, :-2], change[:, 2:]

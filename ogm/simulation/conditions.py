@@ -16,7 +16,7 @@ FAST = 3.0  # [m/s] speed above which vehicles raise dust
 
 
 class Conditions(NamedTuple):
-    """Conditions of one scan.
+    """Conditions of a scan.
 
     Attributes
     ----------

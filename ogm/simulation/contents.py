@@ -54,7 +54,7 @@ class StoredRadar(NamedTuple):
         Raises
         ------
         TypeError, ValueError
-            If keys differ from those of `of_mount`, or a count is out of range.
+            If keys differ from the attributes of this class, or a count is out of range.
         """
         radar = cls(**given)
         for count in (radar.sweeps, radar.detections):

@@ -203,7 +203,7 @@ def _is_edge(first: int, second: int, apart: float, hits: Hits) -> bool:
 
 @kernel
 def _share_light(i: int, hits: Hits, strength: Array, device: Device, seed: int) -> tuple[float, float, int]:
-    """Return distance, strength and source ray of the return of ray i, whose beam may overlap neighbours at edges."""
+    """Return distance, strength and source ray of ray i's return; its beam may overlap neighbours at edges."""
     distance = hits.distance
     d, p, source = 1.0 * distance[i], 1.0 * strength[i], i
     for side in range(4):

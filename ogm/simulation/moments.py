@@ -43,7 +43,7 @@ class SceneSetup(NamedTuple):
     Attributes
     ----------
     world : World
-        Town whose scene has the moving objects placed.
+        Town with the moving objects placed in its scene.
     state : TrafficState
     objects : tuple of Object
         Objects in the scene, in the order of its object indices.
@@ -124,7 +124,7 @@ def put_in_place(world: World, state: TrafficState) -> tuple[Object, ...]:
 
 
 def _sequence_rng(plan: DatasetPlan, split: str, index: int, purpose: int) -> Generator:
-    """Return the random generator of one sample and purpose; all samples of a sequence share it."""
+    """Return the random generator of a sample for a purpose; all samples of a sequence share it."""
     return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, purpose)
 
 

@@ -35,11 +35,11 @@ PERIOD = 0.1  # [s] between samples of a sequence
 
 @dataclass(frozen=True)
 class DatasetPlan:
-    """Plan of a dataset: with the index of a sample, all that is needed to make the sample.
+    """Plan of a dataset, which determines each sample by its index.
 
     The default is the paper's recipe (Sec. V): ten drives through one town, half of them clockwise, at 1 Hz;
-    validation in the same town with other traffic; test in another town. Samples of one drive 1 s apart are very
-    similar. Confidence intervals over a test need many drives (`drives`, `test_towns`) or a larger `spacing`.
+    validation in the same town with other traffic; test in another town. Samples 1 s apart on a drive are very similar.
+    Confidence intervals over a test need many drives (`drives`, `test_towns`) or a larger `spacing`.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class DatasetPlan:
         name : str
             Name in `ogm.simulation.recipe.RECIPES`.
         samples : int, optional
-            Number of training samples; by default that of the recipe.
+            Number of training samples; by default `DataRecipe.samples`.
         **chosen
             Further parameters of `DatasetPlan`: other sizes, the seed, the truth.
         """
@@ -175,13 +175,13 @@ class DatasetPlan:
         recipe : str, optional
             See `of_recipe`.
         **chosen
-            Parameters that differ from those of `before`, of the recipe, or from the defaults. Without a recipe, a new
-            dataset has a tenth as many samples for validation, at least one, and a hundredth for the test.
+            Parameters that differ from `before`, the recipe or the defaults. Without a recipe, a new dataset has a
+            tenth as many samples for validation, at least one, and a hundredth for the test.
 
         Raises
         ------
         ValueError
-            If a parameter is out of range, or differs from that of the existing dataset.
+            If a parameter is out of range, or differs from the existing dataset's.
         """
         if recipe is not None:
             plan = cls.of_recipe(recipe, **chosen)
@@ -253,7 +253,7 @@ def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
     """Return the drive and the time of a sample.
 
     The drives contribute runs of ten samples in turn, so that a part of a dataset is as mixed as the whole, and a
-    longer dataset begins with the samples of a shorter one.
+    longer dataset begins with the samples of a shorter dataset.
     """
     if split not in SPLITS:
         raise ValueError(f"split must be one of {', '.join(SPLITS)}, got {split!r}")
@@ -291,7 +291,7 @@ def _recipe_moment(plan: DatasetPlan, recipe: DataRecipe, split: str, index: int
 
 
 def town_number(recipe: DataRecipe, split: str, scenario: int) -> int:
-    """Return the index of a drive's town among those of a recipe, counted from 0 in each split."""
+    """Return the index of a drive's town, counted from 0 in each split."""
     if split == "sequences":
         return scenario
     return scenario * RUN // (recipe.town_samples if split == "training" else recipe.town_others)
@@ -306,7 +306,7 @@ def count_towns(plan: Mapping[str, Any], split: str, scenarios: Iterable[int]) -
 
 
 def sample_rng(plan: DatasetPlan, split: str, index: int, purpose: int) -> np.random.Generator:
-    """Return the random generator of one sample and purpose."""
+    """Return the random generator of a sample for a purpose."""
     return np.random.default_rng([plan.seed, 3, SPLITS.index(split), index, purpose])
 
 

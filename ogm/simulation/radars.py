@@ -53,7 +53,7 @@ class RadarMode:
 
 @dataclass(frozen=True)
 class RadarSpec:
-    """An automotive radar whose x axis points ahead.
+    """An automotive radar; its x axis points ahead.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class RadarSpec:
     half_height : float
         Half the 3 dB width of the antenna in elevation [rad].
     elevation_resolution : float
-        Resolution of elevation [rad]; 0 for a radar without elevation, whose detections have z = 0.
+        Resolution of elevation [rad]; 0 for a radar without elevation, which reports z = 0.
     velocity : (low, high)
         Interval of unambiguous radial velocities, positive away from the sensor [m/s]; others are folded into it.
     rate : float

@@ -19,7 +19,7 @@ __all__ = ["GEN2", "RECIPES", "LayerErrors", "Country", "Faults", "DataRecipe", 
 
 @dataclass(frozen=True)
 class LayerErrors:
-    """Calibration errors of a lidar's layers, constant over all scans of one unit.
+    """Calibration errors of a lidar's layers, constant over all scans of a unit.
 
     Parameters
     ----------

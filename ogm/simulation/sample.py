@@ -147,7 +147,7 @@ def shown_share(kind: str, columns: int, step: float) -> float:
 
 @dataclass(frozen=True)
 class Beams:
-    """Beam directions of a lidar: all that is needed to turn a range image into points.
+    """Beam directions of a lidar, which turn a range image into points.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ class SimulatedSample:
     index : int
         Index in the split.
     scenario : int
-        Index of the drive within the split. Samples of one drive share streets and traffic.
+        Index of the drive within the split. Samples of a drive share streets and traffic.
     weather : Weather
     measured : (layers, columns) bool, optional
         Beams that were fired and reported; None for all. Other beams are neither points nor beams without echo.

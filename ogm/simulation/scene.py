@@ -56,7 +56,7 @@ class Scene:
         self._transmission = np.ascontiguousarray(table()[:, 4])
 
     def place(self, meshes: Sequence[Mesh], ego: Mesh | None = None) -> None:
-        """Replace the moving objects by those of a new frame.
+        """Place the moving objects of a new frame instead of the last frame's.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class Scene:
         return hits
 
     def _cast_batch(self, rays: Floats32, hits: Hits, normals: Array, salt: int, number: int) -> None:
-        """Find the first hits, and cast rays again behind glass; `number` is that of the first ray."""
+        """Find the first hits, and cast rays again behind glass; `number` counts from the first ray."""
         hits.distance[:], hits.material[:], hits.object[:], hits.cosine[:] = np.inf, NOTHING, STATIC, 0
         index = np.arange(len(rays), dtype=np.int32)
         self._keep_nearest(hits, normals, index, rays, np.zeros(len(rays), np.float32))

@@ -117,7 +117,7 @@ class LidarSpec:
     elevations : tuple of float
         Elevation of each layer above the sensor's xy plane [rad], ascending; equal values may follow each other.
     azimuth_offsets : tuple of float
-        Azimuth of each layer relative to that of the column, positive to the left [rad].
+        Azimuth of each layer relative to its column, positive to the left [rad].
     azimuth_step : float
         Angle between columns [rad]; a whole number of columns makes a turn. For a depth camera the inverse focal length
         [1/pixel]: its columns are evenly spaced in the image.

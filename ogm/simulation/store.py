@@ -202,7 +202,7 @@ class Store:
         OSError
             If the disk is full. Shards written before stay complete.
         ValueError
-            If the samples are not those of the shard.
+            If the samples do not belong to the shard.
         """
         first = shard * SHARD
         wanted = min(SHARD, self.counts[split] - first)

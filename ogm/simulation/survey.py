@@ -1,6 +1,6 @@
 """Observation of the truth by rays from the sensor and vertical rays to the ground.
 
-There are two sets of rays. The *HD lidar* is that of the paper (van Kempen et al. 2021, Sec. IV-B): thousands of layers
+There are two sets of rays. The *HD lidar* follows the paper (van Kempen et al. 2021, Sec. IV-B): thousands of layers
 over the sensor's field of view. At long range its layers hit the ground more than a cell apart, and free space breaks
 up into rings. *Aimed* rays avoid such rings: they point from the sensor to every cell's ground and to points above it.
 Both have the same occlusions, stay within the sensor's field of view, and follow the rules of `ogm.truth`.
@@ -34,7 +34,7 @@ KINDS[[Material.KERB, Material.FOLIAGE, Material.EGO_VEHICLE]] = Kind.STEP, Kind
 
 
 class Known(NamedTuple):
-    """Knowledge about a frame besides the rays, in the sensor's frame.
+    """Additional knowledge about a frame, in the sensor's frame.
 
     Attributes
     ----------
@@ -114,9 +114,9 @@ def aimed_truth(
 ) -> Truth:
     """Observe the truth with rays aimed at every cell.
 
-    A hit counts for the cell that contains it, whatever the ray's target. The first rays go to all cells. Further rays
-    go to cells with possible gaps: steps, and neighbours of obstacles or of unobserved cells. Cells without ground are
-    treated as in `hd_truth`.
+    A hit counts for the cell that contains it, not for the target of its ray. The first rays go to all cells. Further
+    rays go to cells with possible gaps: steps, and neighbours of obstacles or of unobserved cells. Cells without ground
+    are treated as in `hd_truth`.
 
     Parameters
     ----------

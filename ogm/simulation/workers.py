@@ -226,7 +226,7 @@ _one_at_a_time = threading.Lock()  # the threads of a worker share one town
 
 
 def _further_towns(plan: DatasetPlan, todo: list[Job]) -> int:
-    """Return the number of towns to build after that of the first sample."""
+    """Return the number of towns to build after the first sample's town."""
     splits = {job.split for job in todo}
     return (plan.towns if splits - {"test"} else 0) + (plan.test_towns if "test" in splits else 0) - 1
 
