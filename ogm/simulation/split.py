@@ -223,8 +223,8 @@ class Split(Sequence[SimulatedSample]):
     def _damaged(self, name: str, index: int, why: str) -> Damaged:
         marker = shard_file(self.path / self.name, "facts", index // SHARD)
         return Damaged(
-            f"sample {index} of {self.name} in {self.path}: {name} is damaged on disk ({why}); remake it with "
-            f"`rm {marker}` and `ogm simulate {self.path} --resume`"
+            f"sample {index} of {self.name} in {self.path}: the array {name} is damaged on disk ({why}); remake it "
+            f"with `rm {marker}` and `ogm simulate {self.path} --resume`"
         )
 
 

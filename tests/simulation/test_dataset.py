@@ -167,6 +167,4 @@ def test_without_truth_the_scans_are_the_same(pair: tuple[SimulatedSample, Simul
 
 
 def test_an_unknown_lidar_is_refused() -> None:
-    refused(
-        "there is no lidar 'vlp-99'; there are vlp-32c, ", dataset.lidars, replace(PLAN, mounts=(LidarMount("vlp-99"),))
-    )
+    refused("unknown lidar 'vlp-99'; lidars: vlp-32c, ", dataset.lidars, replace(PLAN, mounts=(LidarMount("vlp-99"),)))

@@ -150,8 +150,8 @@ def test_an_empty_world_gives_noise_alone() -> None:
 
 def test_wrong_numbers_are_refused() -> None:
     scene = Scene(wall(40.0, 0.0, 1.0))
-    with pytest.raises(ValueError, match="velocities 3 for each of the 0 things"):
+    with pytest.raises(ValueError, match="velocities 3 for each of the 0 objects"):
         sweep(scene, PLAIN, SENSOR, np.random.default_rng(0), velocities=[[1.0, 0.0, 0.0]])
     refused("finite", sweep, scene, PLAIN, SENSOR, np.random.default_rng(0), velocity=(math.nan, 0.0, 0.0))
     refused("reach", RadarMode, 1.0, 100.0, 0.4, 0.2, 0.02, -1.0)
-    refused("velocity must hold 0", RadarSpec, "x", PLAIN.modes, 0.1, velocity=(1.0, 2.0))
+    refused("velocity must be an interval around 0", RadarSpec, "x", PLAIN.modes, 0.1, velocity=(1.0, 2.0))

@@ -149,9 +149,9 @@ def test_commands_read_a_planar_drive_by_default(drive: Callable[..., Path], tmp
 def test_numbers_that_describe_no_sensor_are_refused() -> None:
     assert planar_laser("mine", 190, 1.0).azimuths == 191
     assert depth_camera("mine", 64, 48, 50.0).shape == (48, 64)
-    refused("columns must be 2 or more within a turn", planar_laser, "mine", 400, 1.0)
-    refused("there is no lidar 'd4'; .*planar lasers lds-01.*; depth cameras d435, xtion", only, "d4")
-    refused("after @ of d435 stands a height", only, "d435@roof")
+    refused("columns must be at least 2 and fit in a turn", planar_laser, "mine", 400, 1.0)
+    refused("unknown lidar 'd4'; .*planar lasers: lds-01.*; depth cameras: d435, xtion", only, "d4")
+    refused("@ after d435 must be followed by a height", only, "d435@roof")
     refused("height of d435", only, "d435@9")
     from ogm.simulation import dataset
 
