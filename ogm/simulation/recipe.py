@@ -10,11 +10,14 @@ layers, fog, rain and dust, and country roads between banks, ditches, high grass
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ogm.simulation.mounts import LidarMount
 
 __all__ = ["GEN2", "RECIPES", "LayerErrors", "Country", "Faults", "DataRecipe", "Skies"]
+
+
+_DEGREE = math.pi / 180
 
 
 @dataclass(frozen=True)
@@ -77,16 +80,16 @@ class Faults:
         Share of scans with dead layers; the share of layers that are dead.
     """
 
-    sector: float
-    sector_width: tuple[float, float]
-    blocked: float
-    blocked_views: int
-    blocked_width: tuple[float, float]
-    lost: float
-    lost_packets: tuple[float, float]
-    packet: tuple[int, int]
-    dead: float
-    dead_layers: tuple[float, float]
+    sector: float = 0.25
+    sector_width: tuple[float, float] = (60 * _DEGREE, 270 * _DEGREE)
+    blocked: float = 0.15
+    blocked_views: int = 3
+    blocked_width: tuple[float, float] = (5 * _DEGREE, 60 * _DEGREE)
+    lost: float = 0.15
+    lost_packets: tuple[float, float] = (0.005, 0.25)
+    packet: tuple[int, int] = (1, 16)
+    dead: float = 0.12
+    dead_layers: tuple[float, float] = (0.02, 0.2)
 
 
 @dataclass(frozen=True)
@@ -105,15 +108,46 @@ class Skies:
         Share of scans in dust; extinction coefficient [1/m]; largest number of clouds; their radius [m].
     """
 
-    fog: float
-    visibility: tuple[float, float]
-    rain: float
-    rate: tuple[float, float]
-    wet: float
-    dust: float
-    dust_extinction: tuple[float, float]
-    dust_clouds: int
-    dust_radius: tuple[float, float]
+    fog: float = 0.07
+    visibility: tuple[float, float] = (12.0, 400.0)
+    rain: float = 0.06
+    rate: tuple[float, float] = (0.5, 60.0)
+    wet: float = 0.05
+    dust: float = 0.06
+    dust_extinction: tuple[float, float] = (0.02, 0.8)
+    dust_clouds: int = 8
+    dust_radius: tuple[float, float] = (0.8, 6.0)
+
+
+_ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
+_MOUNTS = (
+    LidarMount("vlp-32c", 0.08, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("hdl-32e", 0.10, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("hdl-64e", 0.10, (1.65, 2.1), _MIDDLE, _SLIGHT),
+    LidarMount("vls-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("os1-64", 0.08, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("os1-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("vlp-16", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("xt32", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("pandar40p", 0.07, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("pandar64", 0.05, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("ot128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("qt128", 0.04, (1.65, 2.2), _MIDDLE, _SLIGHT),
+    LidarMount("dual-vlp-32c", 0.04, (1.8, 2.4), _MIDDLE, _SLIGHT),
+    LidarMount("at128", 0.05, (1.6, 2.1), (0.2, 0.9), _SLIGHT, 120 * _DEGREE),
+    LidarMount("at128", 0.01, (0.5, 1.0), (2.5, 2.7), _SLIGHT, 120 * _DEGREE),  # at the bumper
+    # As high as on a truck or a bus, and tilted.
+    LidarMount("vlp-32c", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
+    LidarMount("os1-64", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
+    LidarMount("vlp-16", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
+    LidarMount("pandar64", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
+)
+_CALIBRATIONS = (
+    ("hdl-64e", LayerErrors(elevation=0.1 * _DEGREE, offset=0.2 * _DEGREE, range=0.025)),
+    ("hdl-32e", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
+    ("os1-64", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
+    ("pandar40p", LayerErrors(elevation=0.04 * _DEGREE, offset=0.15 * _DEGREE, range=0.015)),
+)
 
 
 @dataclass(frozen=True)
@@ -147,79 +181,25 @@ class DataRecipe:
         Calibration errors by lidar.
     """
 
-    samples: int
-    mounts: tuple[LidarMount, ...]
-    country: Country
-    town_size: float
-    town_samples: int
-    town_others: int
-    spacing: float
-    faults: Faults
-    skies: Skies
-    in_motion: float
-    no_intensity: float
-    steepest: float
-    calibration: LayerErrors
-    calibrations: tuple[tuple[str, LayerErrors], ...] = field(default=())
+    samples: int = 4800
+    mounts: tuple[LidarMount, ...] = _MOUNTS
+    country: Country = Country()
+    town_size: float = 400.0
+    town_samples: int = 70
+    town_others: int = 40
+    spacing: float = 8.0
+    faults: Faults = Faults()
+    skies: Skies = Skies()
+    in_motion: float = 0.5
+    no_intensity: float = 0.5
+    steepest: float = 0.4
+    calibration: LayerErrors = LayerErrors(elevation=0.02 * _DEGREE, offset=0.05 * _DEGREE, range=0.01)
+    calibrations: tuple[tuple[str, LayerErrors], ...] = _CALIBRATIONS
 
     def calibration_of(self, lidar: str) -> LayerErrors:
         """Return the calibration errors of a lidar model."""
         return dict(self.calibrations).get(lidar, self.calibration)
 
 
-_ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
-_DEGREE = math.pi / 180
-
-# Further lidars and mounts, faults, bad weather, country roads: see docs/simulation.md
-GEN2 = DataRecipe(
-    samples=4800,
-    mounts=(
-        LidarMount("vlp-32c", 0.08, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("hdl-32e", 0.10, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("hdl-64e", 0.10, (1.65, 2.1), _MIDDLE, _SLIGHT),
-        LidarMount("vls-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("os1-64", 0.08, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("os1-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("vlp-16", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("xt32", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("pandar40p", 0.07, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("pandar64", 0.05, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("ot128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("qt128", 0.04, (1.65, 2.2), _MIDDLE, _SLIGHT),
-        LidarMount("dual-vlp-32c", 0.04, (1.8, 2.4), _MIDDLE, _SLIGHT),
-        LidarMount("at128", 0.05, (1.6, 2.1), (0.2, 0.9), _SLIGHT, 120 * _DEGREE),
-        LidarMount("at128", 0.01, (0.5, 1.0), (2.5, 2.7), _SLIGHT, 120 * _DEGREE),  # at the bumper
-        # As high as on a truck or a bus, and tilted.
-        LidarMount("vlp-32c", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
-        LidarMount("os1-64", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
-        LidarMount("vlp-16", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
-        LidarMount("pandar64", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
-    ),
-    country=Country(),
-    town_size=400.0,
-    town_samples=70,
-    town_others=40,
-    spacing=8.0,
-    faults=Faults(
-        sector=0.25, sector_width=(60 * _DEGREE, 270 * _DEGREE),
-        blocked=0.15, blocked_views=3, blocked_width=(5 * _DEGREE, 60 * _DEGREE),
-        lost=0.15, lost_packets=(0.005, 0.25), packet=(1, 16),
-        dead=0.12, dead_layers=(0.02, 0.2),
-    ),
-    skies=Skies(
-        fog=0.07, visibility=(12.0, 400.0), rain=0.06, rate=(0.5, 60.0), wet=0.05,
-        dust=0.06, dust_extinction=(0.02, 0.8), dust_clouds=8, dust_radius=(0.8, 6.0),
-    ),
-    in_motion=0.5,
-    no_intensity=0.5,
-    steepest=0.4,
-    calibration=LayerErrors(elevation=0.02 * _DEGREE, offset=0.05 * _DEGREE, range=0.01),
-    calibrations=(
-        ("hdl-64e", LayerErrors(elevation=0.1 * _DEGREE, offset=0.2 * _DEGREE, range=0.025)),
-        ("hdl-32e", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
-        ("os1-64", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
-        ("pandar40p", LayerErrors(elevation=0.04 * _DEGREE, offset=0.15 * _DEGREE, range=0.015)),
-    ),
-)  # fmt: skip
-
+GEN2 = DataRecipe()  # further lidars and mounts, faults, bad weather, country roads: see docs/simulation.md
 RECIPES: dict[str, DataRecipe] = {"gen2": GEN2}
