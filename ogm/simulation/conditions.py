@@ -161,25 +161,22 @@ def _lost(faults: Faults, columns: int, rng: Generator) -> Mask:
     if rng.random() >= faults.lost:
         return np.zeros(columns, bool)
     packet = int(rng.integers(faults.packet[0], faults.packet[1] + 1))
-    count = -(-columns // packet)
-    lost = np.zeros(count, bool)
-    wanted = max(1, round(count * _log_uniform(faults.lost_packets, rng)))
-    if rng.random() < 0.5:
-        lost[rng.choice(count, wanted, replace=False)] = True
-    else:
-        lost[(int(rng.integers(count)) + np.arange(wanted)) % count] = True
-    return np.repeat(lost, packet)[:columns]
+    return np.repeat(_selection(-(-columns // packet), faults.lost_packets, rng, wrap=True), packet)[:columns]
 
 
 def _dead(faults: Faults, layers: int, rng: Generator) -> Mask:
     """Draw the dead layers, (layers,): scattered or adjacent."""
-    dead = np.zeros(layers, bool)
     if rng.random() >= faults.dead:
-        return dead
-    wanted = max(1, round(layers * _log_uniform(faults.dead_layers, rng)))
+        return np.zeros(layers, bool)
+    return _selection(layers, faults.dead_layers, rng, wrap=False)
+
+
+def _selection(count: int, share: tuple[float, float], rng: Generator, *, wrap: bool) -> Mask:
+    """Draw a share of `count` items, scattered or consecutive; with `wrap` the first follows the last."""
+    chosen = np.zeros(count, bool)
+    wanted = max(1, round(count * _log_uniform(share, rng)))
     if rng.random() < 0.5:
-        dead[rng.choice(layers, wanted, replace=False)] = True
+        chosen[rng.choice(count, wanted, replace=False)] = True
     else:
-        first = int(rng.integers(layers - wanted + 1))
-        dead[first : first + wanted] = True
-    return dead
+        chosen[(int(rng.integers(count if wrap else count - wanted + 1)) + np.arange(wanted)) % count] = True
+    return chosen

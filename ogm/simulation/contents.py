@@ -45,7 +45,7 @@ class StoredRadar(NamedTuple):
         """Return a radar with space for all sweeps of a sample."""
         spec = RADARS[mount.radar]
         sweeps = max(math.ceil(PERIOD * spec.rate - 1e-6), 1)
-        return cls(**asdict(mount), sweeps=sweeps, detections=sweeps * spec.most)
+        return cls(**asdict(mount), sweeps=sweeps, detections=sweeps * spec.max_detections)
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> "StoredRadar":

@@ -81,8 +81,6 @@ def write_pcd(path: FilePath, points: Floats32) -> None:
 
 def write_label(path: FilePath, truth: Truth) -> None:
     """Write a truth grid as an image: green 255 free, blue 255 occupied; row 0 in front, column 0 on the left."""
-    from PIL import Image
-
     upright = truth.state[::-1, ::-1]
     image = np.zeros((*upright.shape, 3), np.uint8)
     image[..., 1] = 255 * (upright == CellState.FREE)
@@ -183,7 +181,7 @@ def contact_sheet(path: FilePath, store: Store) -> None:
         for k in np.linspace(0, len(numbers) - 1, share).round().astype(int):
             sample = store[name][int(numbers[k])]
             tiles.append((f"{sample.split} {sample.index}: {sample.lidar}", _tile(sample)))
-    _save(path, tiles, max(1, min(COLUMNS, len(tiles))), 13)
+    save_sheet(path, tiles, max(1, min(COLUMNS, len(tiles))), 13)
 
 
 def _tile(sample: SimulatedSample) -> Bytes:
@@ -231,12 +229,7 @@ class Camera(NamedTuple):
         return np.asarray((rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32))
 
 
-def save_views(path: FilePath, views: Sequence[tuple[str, Bytes]]) -> None:
-    """Write titled pictures below each other to a PNG file."""
-    _save(path, views, 1, 24)
-
-
-def _save(path: FilePath, images: Sequence[tuple[str, Array]], columns: int, text: int) -> None:
+def save_sheet(path: FilePath, images: Sequence[tuple[str, Array]], columns: int, text: int) -> None:
     """Write titled pictures of equal width in rows to a PNG file; `text` is the size of the font [px]."""
     wide = images[0][1].shape[1] if images else 0
     gap, line = text // 2, 2 * text

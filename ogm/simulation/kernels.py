@@ -33,8 +33,10 @@ class Hits(NamedTuple):
 
     @classmethod
     def allocate(cls, count: int) -> "Hits":
-        """Return hits with uninitialised arrays."""
-        return cls._make(np.empty(count, dtype) for dtype in ("f4", "u1", "i4", "f4"))
+        """Return the hits of rays that hit nothing."""
+        return cls._make(
+            np.full(count, value, dtype) for value, dtype in ((np.inf, "f4"), (255, "u1"), (-1, "i4"), (0, "f4"))
+        )
 
     def part(self, start: int, stop: int) -> "Hits":
         """Return views of the hits of the rays from `start` to `stop`."""
@@ -43,7 +45,6 @@ class Hits(NamedTuple):
     def spread(self, index: NDArray[np.intp], count: int) -> "Hits":
         """Return hits of `count` rays with these at positions `index`; the other rays hit nothing."""
         whole = Hits.allocate(count)
-        whole.distance[:], whole.material[:], whole.object[:], whole.cosine[:] = np.inf, 255, -1, 0
         for k in range(len(self)):
             whole[k][index] = self[k]
         return whole

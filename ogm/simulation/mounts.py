@@ -1,7 +1,7 @@
 """Lidars and radars of a dataset and their mounting positions.
 
->>> from ogm.simulation.mounts import only, radars_at
->>> only("vlp-16")[0].lidar, [radar.name for radar in radars_at(["ars548"])]
+>>> from ogm.simulation.mounts import single_sensor, radars_at
+>>> single_sensor("vlp-16")[0].lidar, [radar.name for radar in radars_at(["ars548"])]
 ('vlp-16', ['ars548-front'])
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ogm.simulation.radars import RADARS
 from ogm.simulation.robot_sensors import sensor_spec
 
-__all__ = ["FULL_TURN", "MOUNTS", "PLACES", "LidarMount", "RadarMount", "only", "radars_at"]
+__all__ = ["FULL_TURN", "MOUNTS", "PLACES", "LidarMount", "RadarMount", "single_sensor", "radars_at"]
 
 FULL_TURN = 2 * math.pi
 
@@ -73,7 +73,7 @@ MOUNTS = (
 )
 
 
-def only(lidar: str) -> tuple[LidarMount, ...]:
+def single_sensor(lidar: str) -> tuple[LidarMount, ...]:
     """Return the mounts of a dataset with one level sensor: a lidar mid-roof as in the paper, others at the front.
 
     Parameters

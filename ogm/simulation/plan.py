@@ -1,8 +1,8 @@
 """Plan of a dataset: `DatasetPlan`, and the drive from which each sample is taken.
 
->>> from ogm.simulation.mounts import only
+>>> from ogm.simulation.mounts import single_sensor
 >>> from ogm.simulation.plan import DatasetPlan
->>> DatasetPlan(samples=20, validation=4, test=0, town_size=240, mounts=only("os1-64")).counts
+>>> DatasetPlan(samples=20, validation=4, test=0, town_size=240, mounts=single_sensor("os1-64")).counts
 {'training': 20, 'validation': 4, 'test': 0, 'sequences': 0}
 """
 

@@ -140,7 +140,7 @@ def sweep(
         paths = _paths(scene, spec, mode, T, own, np.vstack([moving, np.zeros(3)]), salt)
         found.append(_detections(paths, spec, mode, rng))
     columns = [np.concatenate(column) for column in zip(*found, strict=True)]
-    strongest = np.sort(np.argsort(-columns[4], kind="stable")[: spec.most])
+    strongest = np.sort(np.argsort(-columns[4], kind="stable")[: spec.max_detections])
     distance, rate, azimuth, elevation, snr, rcs, origin, number = (column[strongest] for column in columns)
     unit = _unit(azimuth, elevation)
     low, high = spec.velocity
@@ -265,7 +265,7 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
     elevation = elevation if spec.elevation_resolution else np.zeros_like(elevation)
     gain = _gain(spec, mode, azimuth, elevation)
     rcs = 10 * np.log10(snr / (REFERENCE_SNR * gain) * (np.maximum(distance, 1.0) / mode.reach) ** 4)
-    seen = (np.abs(sine) <= edge) & (distance > mode.range_min) & (rcs >= spec.least_rcs)
+    seen = (np.abs(sine) <= edge) & (distance > mode.range_min) & (rcs >= spec.min_rcs)
     return tuple(column[seen] for column in (distance, rate, azimuth, elevation, snr, rcs, origin, thing))
 
 

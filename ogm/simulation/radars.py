@@ -70,9 +70,9 @@ class RadarSpec:
         Sweeps per second [Hz].
     false_alarms : float
         Mean number of noise detections per sweep.
-    most : int
+    max_detections : int
         Largest number of reported detections: the strongest are kept.
-    least_rcs : float
+    min_rcs : float
         Smallest radar cross section of reported detections [dBsm].
     """
 
@@ -83,8 +83,8 @@ class RadarSpec:
     velocity: tuple[float, float] = (-111.0, 55.0)
     rate: float = 13.0
     false_alarms: float = 4.0
-    most: int = 250
-    least_rcs: float = -25.0
+    max_detections: int = 250
+    min_rcs: float = -25.0
 
     def __post_init__(self) -> None:
         if not self.modes:
@@ -94,10 +94,10 @@ class RadarSpec:
         for name, low, high in (("half_height", 1e-3, 1.5), ("elevation_resolution", 0.0, 1.0), ("rate", 0.1, 1000.0)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
-        if not 0 <= self.false_alarms <= 1e4 or self.most < 1:
+        if not 0 <= self.false_alarms <= 1e4 or self.max_detections < 1:
             raise ValueError(
-                f"{self.name}: false_alarms must be in 0 ... 10000 and most at least 1, got {self.false_alarms} and "
-                f"{self.most}"
+                f"{self.name}: false_alarms must be in 0 ... 10000 and max_detections at least 1, got {self.false_alarms} "
+                f"and {self.max_detections}"
             )
 
     @property
@@ -139,8 +139,8 @@ RADARS = {
             velocity=(-22.9, 22.9),
             rate=20.0,
             false_alarms=8.0,
-            most=800,
-            least_rcs=-20.0,
+            max_detections=800,
+            min_rcs=-20.0,
         ),
         RadarSpec(
             "corner",

@@ -54,17 +54,10 @@ def depth_camera(name: str, width: int, height: int, focal_length: float, **numb
         the front bumper, with depths from 0.3 to 8 m.
     """
     rows = tuple(math.atan((k - (height - 1) / 2) / focal_length) for k in range(height))
-    usual = {
-        "rate": 30.0,
-        "range_min": 0.3,
-        "range_max": 8.0,
-        "reach": 5000.0,
-        "range_noise": 0.001,
-        "gain_spread": 0.0,
-    }
-    usual |= {"range_bias": 0.0, "range_step": 0.001, "divergence": 1 / focal_length, "height": 0.8, "forward": BUMPER}
-    step, rest = 1 / focal_length, usual | numbers
-    return LidarSpec(name, rows, (0.0,) * height, step, kind="depth", columns=width, **rest)
+    step = 1 / focal_length
+    usual = {"rate": 30.0, "range_min": 0.3, "range_max": 8.0, "reach": 5000.0, "range_noise": 0.001, "height": 0.8}
+    usual |= {"gain_spread": 0.0, "range_bias": 0.0, "range_step": 0.001, "divergence": step, "forward": BUMPER}
+    return LidarSpec(name, rows, (0.0,) * height, step, kind="depth", columns=width, **(usual | numbers))
 
 
 # Rounded values of data sheets: views, steps, rates, ranges and standard deviations. Estimates of `reach`, by the range

@@ -66,8 +66,7 @@ class RadarSweep(NamedTuple):
 
     def scan(self, stamp: float | None = None, sensor: str = "", doppler_interval: float | None = None) -> Scan:
         """Return the sweep as a `Scan` with Doppler velocities relative to the sensor and radar cross sections."""
-        points = np.zeros((len(self.xyz), 4), np.float32)
-        points[:, :3] = self.xyz
+        points = np.pad(self.xyz, ((0, 0), (0, 1)))
         return Scan(
             points, stamp=stamp, doppler=self.doppler, rcs=self.rcs, sensor=sensor, doppler_interval=doppler_interval
         )

@@ -120,7 +120,6 @@ class Scene:
 
     def _cast_batch(self, rays: Floats32, hits: Hits, normals: Array, salt: int, number: int) -> None:
         """Find the first hits, and cast rays again behind glass; `number` counts from the first ray."""
-        hits.distance[:], hits.material[:], hits.object[:], hits.cosine[:] = np.inf, NOTHING, STATIC, 0
         index = np.arange(len(rays), dtype=np.int32)
         self._keep_nearest(hits, normals, index, rays, np.zeros(len(rays), np.float32))
         for turn in range(PASSES):

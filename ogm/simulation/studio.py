@@ -5,7 +5,7 @@ import numpy as np
 from ogm import plot
 from ogm.extras import import_extra
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
-from ogm.simulation.exchange import PAPER_GRID, SKY, SUN, Camera, materials_panel, sample_panels, save_views
+from ogm.simulation.exchange import PAPER_GRID, SKY, SUN, Camera, materials_panel, sample_panels, save_sheet
 from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Bytes, Floats32, Mesh, merge
 from ogm.simulation.plan import DatasetPlan
@@ -40,8 +40,7 @@ def preview(path: FilePath, town_path: FilePath, plan: DatasetPlan, index: int =
         + [ego_vehicle().moved(here.state.ego)]
     )
     cameras = {"from the air": _from_the_air(here), "behind the ego vehicle": _from_behind(here)}
-    views = [(title, render(everything, camera)) for title, camera in cameras.items()]
-    save_views(town_path, views)
+    save_sheet(town_path, [(title, render(everything, camera)) for title, camera in cameras.items()], 1, 24)
 
 
 def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[Floats32, Bytes]:

@@ -8,7 +8,7 @@ import pytest
 from cases import each, refused
 
 from ogm.simulation.moments import draw_mount
-from ogm.simulation.mounts import MOUNTS, LidarMount, only
+from ogm.simulation.mounts import MOUNTS, LidarMount, single_sensor
 from ogm.simulation.plan import SPLITS, DatasetPlan, moment, sample_rng
 
 PLAN = DatasetPlan(seed=3)
@@ -68,7 +68,7 @@ def test_random_numbers_belong_to_one_sample_and_purpose() -> None:
 
 
 def test_plans_go_through_json() -> None:
-    plan = DatasetPlan(seed=9, truth="hd", mounts=(LidarMount("os1-64", 2.0, (1.5, 1.6)), *only("vlp-32c")))
+    plan = DatasetPlan(seed=9, truth="hd", mounts=(LidarMount("os1-64", 2.0, (1.5, 1.6)), *single_sensor("vlp-32c")))
     assert DatasetPlan.from_dict(json.loads(json.dumps(asdict(plan)))) == plan
     refused("unknown to this version.*colour", DatasetPlan.from_dict, asdict(plan) | {"colour": "red"})
 
@@ -86,7 +86,9 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
     assert [one["test"] for one in counts.values()] == [0, 0, 0, 2]
     assert replace(PLAN, samples=20).grown(replace(PLAN, test=200)) == replace(PLAN, test=200)
     refused("begun with truth = hd, got aimed", PLAN.grown, replace(PLAN, truth="hd"))
-    refused("begun with mounts = 1 x hdl-32e, got 0.8 x vlp-32c", PLAN.grown, replace(PLAN, mounts=only("hdl-32e")))
+    refused(
+        "begun with mounts = 1 x hdl-32e, got 0.8 x vlp-32c", PLAN.grown, replace(PLAN, mounts=single_sensor("hdl-32e"))
+    )
 
 
 @each("wrong, message", [

@@ -179,7 +179,7 @@ def test_data_sets_without_radars_have_none(tmp_path: Path) -> None:
 def test_space_is_there_for_the_most_detections() -> None:
     radars = tuple(StoredRadar.of_mount(one) for one in TWO)
     layout = Contents(radars=radars).layout
-    assert layout["detections"][0][0] == sum(2 * RADARS[one.radar].most for one in TWO)
+    assert layout["detections"][0][0] == sum(2 * RADARS[one.radar].max_detections for one in TWO)
     refused("must be in 1 ... 100000", StoredRadar.from_dict, radars[0]._asdict() | {"sweeps": 10**9})
 
 
