@@ -96,8 +96,8 @@ class RadarSpec:
                 raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
         if not 0 <= self.false_alarms <= 1e4 or self.max_detections < 1:
             raise ValueError(
-                f"{self.name}: false_alarms must be in 0 ... 10000 and max_detections at least 1, got {self.false_alarms} "
-                f"and {self.max_detections}"
+                f"{self.name}: false_alarms must be in 0 ... 10000 and max_detections 1 or more, got "
+                f"{self.false_alarms} and {self.max_detections}"
             )
 
     @property
