@@ -129,7 +129,7 @@ class RadarMount:
         for key, (low, high) in bounds.items():
             value = float(getattr(self, key))
             if not low <= value <= high:  # NaN fails too
-                raise ValueError(f"{key} of {self.name} must lie in {low:.4g} ... {high:.4g}, got {value}")
+                raise ValueError(f"{key} of {self.name} must be in {low:.4g} ... {high:.4g}, got {value}")
             object.__setattr__(self, key, value)
 
 

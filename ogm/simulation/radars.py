@@ -43,7 +43,7 @@ class RadarMode:
             if not 0 < getattr(self, name) <= high:  # NaN fails too
                 raise ValueError(f"{name} must be above 0 and at most {high:g}, got {getattr(self, name)}")
         if not 0 <= self.range_min < self.range_max:
-            raise ValueError(f"range_min must lie in 0 ... range_max, got {self.range_min}")
+            raise ValueError(f"range_min must be in 0 ... range_max, got {self.range_min}")
 
     @property
     def noise(self) -> tuple[float, float]:
@@ -93,7 +93,7 @@ class RadarSpec:
             raise ValueError(f"{self.name}: velocity must be an interval around 0, got {self.velocity}")
         for name, low, high in (("half_height", 1e-3, 1.5), ("elevation_resolution", 0.0, 1.0), ("rate", 0.1, 1000.0)):
             if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
+                raise ValueError(f"{self.name}: {name} must be in {low:g} ... {high:g}, got {getattr(self, name)}")
         if not 0 <= self.false_alarms <= 1e4 or self.max_detections < 1:
             raise ValueError(
                 f"{self.name}: false_alarms must be in 0 ... 10000 and max_detections 1 or more, got "

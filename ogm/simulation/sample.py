@@ -188,7 +188,7 @@ class Beams:
             raise ValueError(f"{self.name} must have one elevation, azimuth and origin per layer, got {counts}")
         angles = (*self.elevation, *self.azimuth, self.step, self.rate, *sum(self.origin, ()))
         if not np.isfinite(angles).all():
-            raise ValueError(f"angles, origins and rate of {self.name} must be finite")
+            raise ValueError(f"angles, origins and rate of {self.name} must be finite, got NaN or inf")
         if self.kind not in ("", "planar", "depth") or bool(self.kind) != (0 <= self.range_min < self.range_max < 1e4):
             limits = f"{self.range_min:g} ... {self.range_max:g} m"
             raise ValueError(

@@ -167,7 +167,7 @@ def _check(mesh: Mesh) -> None:
         raise ValueError("vertices of the mesh must be finite, got NaN or inf")
     if len(mesh.triangles) and mesh.triangles.max() >= len(mesh.vertices):
         raise ValueError(
-            f"triangles refer to vertex {mesh.triangles.max()}, the mesh has {len(mesh.vertices)} vertices"
+            f"triangles must refer to the {len(mesh.vertices)} vertices of the mesh, got vertex {mesh.triangles.max()}"
         )
     if len(mesh.material) != len(mesh.triangles):
         raise ValueError(

@@ -197,13 +197,13 @@ class LidarSpec:
                     f"{self.name}: {name} must be a tuple, one entry per layer, got {type(values).__name__}"
                 )
             if len(values) != layers and (values or name in ("elevations", "azimuth_offsets")):
-                raise ValueError(f"{self.name}: {len(values)} {name} for {layers} layers")
+                raise ValueError(f"{self.name}: {name} must have one entry per layer, {layers}, got {len(values)}")
             if not np.isfinite(np.hstack((0.0, *values))).all():
-                raise ValueError(f"{self.name}: {name} hold NaN or inf: {values}")
+                raise ValueError(f"{self.name}: {name} must be finite, got NaN or inf in {values}")
         if not layers:
             raise ValueError(f"{self.name}: elevations are empty, give at least one layer")
         if any(len(origin) != 3 for origin in self.origins):
-            raise ValueError(f"{self.name}: origins must be empty or one (x, y, z) per layer")
+            raise ValueError(f"{self.name}: origins must be empty or one (x, y, z) per layer, got {self.origins}")
         if max(map(abs, self.elevations)) > math.pi / 2:
             raise ValueError(
                 f"{self.name}: elevations must be in -pi/2 ... pi/2 rad, got {self.elevations}; convert degrees"

@@ -85,7 +85,7 @@ class Store:
             raise OgmError(f"{place} is not a dataset made by `ogm simulate` ({error!r})") from error
         if found == BEGUN:
             raise FileNotFoundError(
-                f"{place} holds an interrupted dataset without samples; start it again with `ogm simulate {place}`"
+                f"{place} holds an interrupted dataset without samples; start again with `ogm simulate {place}`"
             )
         if found not in (FORMAT, GAPS, SWEEPS, KINDS, OLDER):
             raise OgmError(

@@ -215,7 +215,7 @@ def test_bad_input_is_refused_with_a_reason() -> None:
     rays = sphere(4)
     refused("threads", Scene, PLANE, threads=-1)
     refused("NaN", Scene, PLANE._replace(vertices=PLANE.vertices * np.float32(np.nan)))
-    refused("the mesh has 0 vertices", Scene, PLANE._replace(vertices=PLANE.vertices[:0]))
+    refused("the 0 vertices of the mesh", Scene, PLANE._replace(vertices=PLANE.vertices[:0]))
     refused("one material per triangle", Scene, PLANE._replace(material=PLANE.material[:3]))
     refused("float32", scene.cast, [0, 0, 0], rays.astype(np.float64), error=TypeError)
     refused("shape", scene.cast, [0, 0, 0], rays[:, :2])

@@ -214,7 +214,7 @@ def test_what_a_killed_create_left_is_begun_again(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(store_module, "_grow", killed)
     with pytest.raises(KeyboardInterrupt):
         Store.create(path, {}, {"training": 3, "test": 1}, BEAMS[:1], {})
-    refused("interrupted dataset .* start it again with `ogm simulate", Store.open, path, error=FileNotFoundError)
+    refused("interrupted dataset .* start again with `ogm simulate", Store.open, path, error=FileNotFoundError)
     assert not Store.exists(path)
     monkeypatch.undo()
     again = Store.create(path, {}, {"training": 13, "test": 1}, BEAMS, {})
