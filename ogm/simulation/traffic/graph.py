@@ -72,7 +72,7 @@ def along_routes(
 
 @kernel
 def along_lines(table: Lines, line: Ints, way: Floats, out: Floats) -> None:
-    """Write the positions (N, 3) at distance `way` on lines, limited to their ends, to `out`."""
+    """Write the positions (N, 3) at distance `way` on lines, clipped to their ends, to `out`."""
     for n in range(len(way)):
         low, high = table.first[line[n]], table.first[line[n] + 1]
         out[n] = 0.0
