@@ -162,7 +162,7 @@ def _check(mesh: Mesh) -> None:
     for name, row, dtype in (("vertices", (3,), "float32"), ("triangles", (3,), "uint32"), ("material", (), "uint8")):
         array, shape = getattr(mesh, name), "(N, 3)" if row else "(N,)"
         if array.dtype != dtype or array.shape[1:] != row:
-            raise TypeError(f"{name} of the mesh must be {dtype} {shape}, got {array.dtype} {array.shape}")
+            raise TypeError(f"mesh {name} must be {dtype} {shape}, got {array.dtype} {array.shape}")
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("vertices of the mesh must be finite, got NaN or inf")
     if len(mesh.triangles) and mesh.triangles.max() >= len(mesh.vertices):
