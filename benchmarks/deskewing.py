@@ -29,10 +29,10 @@ def scans(sequence: int, frames: int) -> tuple[Trajectory, list[tuple[NDArray, N
     """Cast a drive twice: poses; points and times of distorted scans; points of undistorted ones. Static points."""
     from ogm.simulation.dataset import set_up
     from ogm.simulation.lidar import scan, to_points
-    from ogm.simulation.mounts import only
+    from ogm.simulation.mounts import single_sensor
     from ogm.simulation.plan import SEQUENCE, DatasetPlan, moment
 
-    plan = DatasetPlan(seed=SEED, samples=0, validation=0, test=0, sequences=4, mounts=only("vlp-32c"))
+    plan = DatasetPlan(seed=SEED, samples=0, validation=0, test=0, sequences=4, mounts=single_sensor("vlp-32c"))
     stamps, poses, distorted, still = [], [], [], []
     for k in range(frames):
         i = SEQUENCE * sequence + k

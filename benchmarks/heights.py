@@ -29,7 +29,7 @@ from ogm.pose import inverse, pose
 from ogm.simulation.cells import measure_ground
 from ogm.simulation.lidar import scan, to_points
 from ogm.simulation.moments import set_up, traffic_of
-from ogm.simulation.mounts import only
+from ogm.simulation.mounts import single_sensor
 from ogm.simulation.plan import SEQUENCE, DatasetPlan, moment
 from ogm.simulation.sensors import LIDARS
 from ogm.state import CellState, predict_state
@@ -59,8 +59,10 @@ def plan(place: str) -> tuple[DatasetPlan, str]:
     if place == "country":
         return DatasetPlan.of_recipe("gen2", samples=1000, seed=SEED), "training"
     if place == "drive":
-        return DatasetPlan(seed=SEED, samples=0, validation=0, test=0, sequences=9, mounts=only("os1-128")), "sequences"
-    towns = {"test_towns": 2, "drives": 10, "spacing": 8.0, "mounts": only("vlp-32c")}
+        return DatasetPlan(
+            seed=SEED, samples=0, validation=0, test=0, sequences=9, mounts=single_sensor("os1-128")
+        ), "sequences"
+    towns = {"test_towns": 2, "drives": 10, "spacing": 8.0, "mounts": single_sensor("vlp-32c")}
     return DatasetPlan(seed=SEED, samples=0, validation=0, test=100, **towns), "test"
 
 

@@ -28,7 +28,7 @@ from ogm.scan import run_model
 from ogm.simulation.cells import measure_ground
 from ogm.simulation.lidar import Weather, scan, to_points
 from ogm.simulation.moments import SceneSetup, sample_sweeps, set_up
-from ogm.simulation.mounts import only, radars_at
+from ogm.simulation.mounts import radars_at, single_sensor
 from ogm.simulation.plan import SEQUENCE, DatasetPlan, moment
 from ogm.simulation.radars import RADARS
 from ogm.simulation.survey import Known, aimed_truth
@@ -47,7 +47,7 @@ BANDS = ("below 60 m", "beyond 60 m")
 STATIC = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied")
 PLAN = DatasetPlan(
     seed=31, samples=0, validation=0, test=0, sequences=6, towns=6,
-    mounts=only("vlp-32c"), radars=tuple(radars_at(["ars548", "corner"])),
+    mounts=single_sensor("vlp-32c"), radars=tuple(radars_at(["ars548", "corner"])),
 )  # fmt: skip
 
 

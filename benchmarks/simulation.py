@@ -30,7 +30,7 @@ from ogm.simulation import dataset  # noqa: E402
 from ogm.simulation import workers as crew
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up  # noqa: E402
 from ogm.simulation.mesh import merge  # noqa: E402
-from ogm.simulation.mounts import only  # noqa: E402
+from ogm.simulation.mounts import single_sensor  # noqa: E402
 from ogm.simulation.plan import DatasetPlan  # noqa: E402
 from ogm.simulation.sensors import hd_directions  # noqa: E402
 from ogm.simulation.store import Store  # noqa: E402
@@ -180,7 +180,7 @@ def main() -> None:
     chosen = (options.moments, options.repeats, options.samples)
     moments, repeats, samples = (2, 1, 20) if options.quick else chosen
     record = run.environment()
-    plan = DatasetPlan(mounts=only("vlp-32c"))
+    plan = DatasetPlan(mounts=single_sensor("vlp-32c"))
     with tempfile.TemporaryDirectory() as folder:
         record["one sample"] = cost(plan, moments, repeats, Path(folder))
         record["gen2"] = recipe_cost("gen2", 4 * moments)

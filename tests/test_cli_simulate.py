@@ -93,8 +93,8 @@ def test_resume_makes_what_is_missing_with_the_same_bytes(data: Path) -> None:
         (("{new}", "--samples", 1, "--workers", 0), "workers must be in 1 ..."),
         (("--preview", "{new}.jpg"), "saved as .png"),
         (("{file}", "--samples", 1), "is a file"),
-        (("{new}", "--samples", 2_000_000, "--workers", 1), "a split holds 0 to 1,000,000 samples"),
-        (("--preview", "{new}.png", "--lidar", "vlp-99"), "there is no lidar 'vlp-99'"),
+        (("{new}", "--samples", 2_000_000, "--workers", 1), "must be in 0 ... 1,000,000"),
+        (("--preview", "{new}.png", "--lidar", "vlp-99"), "unknown lidar 'vlp-99'"),
         (("--preview", "{new}/x.png"), "there is no folder"),
         (("{new}", "--samples", 1, "--export", "{file}"), "is a file"),
     ])  # fmt: skip

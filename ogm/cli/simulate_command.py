@@ -81,7 +81,7 @@ def simulate(
     A run that was stopped goes on with --resume.
     """
     _check_paths(path, resume, preview, export)
-    from ogm.simulation.mounts import only, radars_at
+    from ogm.simulation.mounts import radars_at, single_sensor
     from ogm.simulation.plan import DatasetPlan
 
     before = None if path is None else _plan_of(path, resume)
@@ -89,7 +89,7 @@ def simulate(
         **{"recipe": recipe, "seed": seed, "samples": samples, "validation": validation, "test": test},
         **{"sequences": sequences, "truth": truth, "bad_weather": bad_weather, "in_motion": in_motion},
         **{"towns": towns, "test_towns": test_towns, "drives": drives, "spacing": spacing, "town_size": town_size},
-        **{"mounts": lidar and only(lidar), "radars": radar and radars_at(radar)},
+        **{"mounts": lidar and single_sensor(lidar), "radars": radar and radars_at(radar)},
     }
     plan = DatasetPlan.from_options(before, **{name: value for name, value in options.items() if value is not None})  # type: ignore[arg-type]
     if preview is not None:

@@ -1,4 +1,4 @@
-"""Cells that the truth is made of: the ground in them, its steps, and rays aimed at points of them."""
+"""Ground height in cells, steps and slopes of the ground, and rays aimed at points of cells."""
 
 from typing import NamedTuple
 
@@ -13,23 +13,23 @@ from ogm.simulation.mesh import Floats, Floats32, Mask
 from ogm.simulation.scene import Scene
 from ogm.truth import HEIGHT_LIMITS, TRUTH_SPEC
 
-ABOVE = 60.0  # [m] over the sensor: where rays down to the ground start
-BELOW = 120.0  # [m] how far they go: ground of any slope lies between
+ABOVE = 60.0  # [m] start of the vertical rays above the sensor
+BELOW = 120.0  # [m] length of the vertical rays: enough for any slope of the ground
 
 
 class Below(NamedTuple):
-    """The ground under every cell, along the z axis of the grid.
+    """Ground heights in every cell, along the z axis of the grid.
 
     Attributes
     ----------
     z : (nx, ny) float32
-        Of the ground in the middle of each cell [m]; NaN where there is none.
+        Ground height in the middle of each cell [m]; NaN without ground.
     ground : (nx, ny) float32
-        The same, but the lower level where there is a step.
+        As `z`, but the lower level in cells with a step.
     rise : (nx, ny) float32
-        Height of the step that passes through each cell, slopes taken away [m]; 0 where there is none.
+        Height of the step in each cell, slopes removed [m]; 0 without a step.
     spec : GridSpec
-        The cells, in the sensor's frame.
+        Cells in the sensor's frame.
     T_world_sensor : (4, 4) float64
     """
 
@@ -43,17 +43,17 @@ class Below(NamedTuple):
 def measure_ground(
     surface: Scene, T_world_sensor: ArrayLike, spec: GridSpec = TRUTH_SPEC, step: float = HEIGHT_LIMITS.obstacle
 ) -> Below:
-    """Find the ground in the middle of every cell, and the steps in it.
+    """Measure the ground height in the middle of every cell, and the height of steps.
 
     Parameters
     ----------
     surface : Scene
-        Nothing but ground: what vehicles and pedestrians may stand on.
+        Ground only: surfaces that vehicles or pedestrians may stand on.
     T_world_sensor : (4, 4) float
     spec : GridSpec
         Cells in the sensor's frame.
     step : float
-        From which rise on [m] a step counts.
+        Smallest rise of a step [m].
     """
     T = check_pose(T_world_sensor, "T_world_sensor")
     x, y = spec.cell_centers
@@ -66,14 +66,14 @@ def measure_ground(
     z = np.where(distance < BELOW, np.float32(ABOVE) - distance, np.float32(np.nan))
     _mend(z)
     rise = np.maximum(_steps_along(z.T).T, _steps_along(z))
-    # The lower level of a step is the lowest of the cells around.
+    # The lower level of a step is the lowest height in the 3 x 3 neighbourhood.
     lowest = minimum_filter(np.where(np.isnan(z), np.inf, z), 3, mode="nearest")
     ground = np.where((rise >= step) & (lowest < z), lowest, z)
     return Below(z, ground, rise.astype(np.float32), spec, T)
 
 
 def _mend(z: Floats32) -> None:
-    """Close holes of single cells, where a ray slipped between two triangles, with what is around them."""
+    """Fill single-cell holes, left by rays that passed between two triangles, with the median of their neighbours."""
     ix, iy = (index[:, None] for index in np.nonzero(np.isnan(z)))
     across, along = np.repeat((-1, 0, 1), 3), np.tile((-1, 0, 1), 3)
     nx, ny = z.shape
@@ -83,7 +83,7 @@ def _mend(z: Floats32) -> None:
 
 
 def _steps_along(z: Floats32) -> Floats:
-    """Return how much more the ground rises from cell i - 1 to i + 1 of a row than further out, on the flatter side."""
+    """Return the height of steps along a row [m]: the rise from cell i - 1 to i + 1, less that on the flatter side."""
     change = np.abs(z[:, 2:] - z[:, :-2]).astype(np.float64)  # around cells 1 to n - 2
     before, after = np.full_like(change, np.inf), np.full_like(change, np.inf)
     before[:, 2:], after[:, :-2] = change[:, :-2], change[:, 2:]
@@ -94,10 +94,10 @@ def _steps_along(z: Floats32) -> Floats:
 
 
 def steep_cells(below: Below, steepest: float) -> tuple[Mask, Floats32]:
-    """Return the cells whose ground rises or falls more than `steepest`, and how far it does over three cells [m].
+    """Return the cells with a slope above `steepest`, and the rise of their ground over three cells [m].
 
-    The slope is that against the horizon, however the sensor is tilted. A cell's is the lesser of those over three and
-    over five cells, so that a kerb is none.
+    Slopes are relative to the horizontal plane, also for a tilted sensor. A cell has the smaller slope of those
+    measured over three and over five cells, so that a kerb does not count as steep.
     """
     z, resolution, (a, b, c) = below.z, below.spec.resolution, below.T_world_sensor[2, :3].astype(np.float32)
     slopes = []
@@ -106,21 +106,21 @@ def steep_cells(below: Below, steepest: float) -> tuple[Mask, Floats32]:
         change[0, reach:-reach] = z[2 * reach :] - z[: -2 * reach]
         change[1, :, reach:-reach] = z[:, 2 * reach :] - z[:, : -2 * reach]
         dx, dy = change / np.float32(2 * reach * resolution)
-        up = (c - a * dx - b * dy) ** 2  # of the ground's normal (-dx, -dy, 1)
+        up = (c - a * dx - b * dy) ** 2  # squared vertical component of the normal (-dx, -dy, 1)
         slopes.append(np.sqrt(np.maximum((1 + dx * dx + dy * dy) / np.maximum(up, np.float32(1e-6)) - 1, 0)))
     slope = np.nan_to_num(np.minimum(*slopes))
     return slope > steepest, (3 * resolution * slope).astype(np.float32)
 
 
 class Aim(NamedTuple):
-    """Points of a cell that rays are aimed at.
+    """Target point of a ray, relative to a cell.
 
     Attributes
     ----------
     height : float
-        Above the cell's ground [m].
+        Height above the cell's ground [m].
     dx, dy : float
-        From the cell's middle [cells].
+        Offset from the middle of the cell [cells].
     """
 
     height: float
@@ -129,19 +129,19 @@ class Aim(NamedTuple):
 
 
 def _spread(*heights: float) -> tuple[Aim, ...]:
-    """Aim at heights [m], each at another quarter of the cell."""
+    """Return target points at the given heights [m], cycling through the quarters of the cell."""
     quarters = ((0.25, 0.25), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25))
     return tuple(Aim(height, *quarters[n % 4]) for n, height in enumerate(heights))
 
 
-# Which points of which cells rays are aimed at, in this order: about 1.5 million rays on `TRUTH_SPEC`.
-# benchmarks/truth_modes.py measures what they find and what they miss.
-# every: in all cells.
-# alternate: in every other cell, as the fields of one colour on a chessboard; the colours take turns. Rays to far
-# cells pass near ones at nearly the same heights, so that little is missed.
-# step: in cells with a step in the ground that nothing was hit in; heights count from its middle.
-# beside: in cells that touch one in which an obstacle was hit, but hold none themselves so far.
-# edge: in cells not observed so far that touch one which was.
+# Target points by groups of cells, in this order: about 1.5 million rays on `TRUTH_SPEC`. The benchmark
+# benchmarks/truth_modes.py measures the cells they observe and miss.
+# every: all cells.
+# alternate: every other cell, as the fields of one colour on a chessboard, with alternating colours. Rays to far cells
+# pass near cells at nearly the same heights, so that little is missed.
+# step: cells with a step in the ground and without a hit on an obstacle; heights count from the middle of the step.
+# beside: neighbours of cells with obstacles, without an obstacle of their own so far.
+# edge: unobserved neighbours of observed cells.
 AIMS: dict[str, tuple[Aim, ...]] = {
     "every": (Aim(0.0),),
     "alternate": _spread(0.12, 0.45, 0.9, 1.4, 1.8),
@@ -152,22 +152,22 @@ AIMS: dict[str, tuple[Aim, ...]] = {
 
 
 def aimed_directions(z: Floats32, spec: GridSpec, aim: Aim, elevations: tuple[float, float], chosen: Mask) -> Floats32:
-    """Return the unit vectors from the sensor to one point of every chosen cell in its field of view.
+    """Return the unit vectors from the sensor to one point of every chosen cell within its field of view.
 
     Parameters
     ----------
     z : (nx, ny) float32
-        Of the cells' ground [m]; cells with NaN are left out.
+        Ground height of the cells [m]; cells with NaN are left out.
     spec : GridSpec
     aim : Aim
     elevations : (float, float)
-        Lowest and highest of the field of view [rad]; cells beyond are left out.
+        Lowest and highest elevation of the field of view [rad]; points outside are left out.
     chosen : (nx, ny) bool
 
     Returns
     -------
     (N, 3) float32
-        In the sensor's frame.
+        Directions in the sensor's frame.
     """
     out = np.empty((np.count_nonzero(chosen), 3), np.float32)
     low, high = np.sin(elevations)
@@ -180,7 +180,7 @@ def _aim(
 ) -> int:
     resolution, x0, y0 = grid
     nx, ny = z.shape
-    n = 0
+    count = 0
     for ix in range(nx):
         x = x0 + (ix + 0.5 + aim.dx) * resolution
         for iy in range(ny):
@@ -190,8 +190,8 @@ def _aim(
             up = z[ix, iy] + aim.height
             length = np.sqrt(x * x + y * y + up * up)
             sine = up / length
-            if not (sine >= low and sine <= high):  # nor for NaN
+            if not (sine >= low and sine <= high):  # also for NaN
                 continue
-            out[n, 0], out[n, 1], out[n, 2] = x / length, y / length, sine
-            n += 1
-    return n
+            out[count, 0], out[count, 1], out[count, 2] = x / length, y / length, sine
+            count += 1
+    return count

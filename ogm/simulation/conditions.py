@@ -1,4 +1,4 @@
-"""What a recipe does to a single scan: weather, motion, and beams that are missing."""
+"""Conditions of a single scan drawn from a recipe: weather, motion, and missing beams."""
 
 import math
 from typing import NamedTuple
@@ -11,25 +11,25 @@ from ogm.simulation.mounts import FULL_TURN
 from ogm.simulation.recipe import DataRecipe, Faults, Skies
 from ogm.simulation.sample import Beams, Weather
 
-DUST_REACH = 40.0  # [m] from the sensor, within which there are clouds of dust
-FAST = 3.0  # [m/s] what drives faster raises dust
+DUST_REACH = 40.0  # [m] largest distance of dust clouds from the sensor
+FAST = 3.0  # [m/s] speed above which vehicles raise dust
 
 
 class Conditions(NamedTuple):
-    """How one scan is taken.
+    """Conditions of a scan.
 
     Attributes
     ----------
     weather : Weather
     in_motion, intensity : bool
-        Whether the ego motion distorts it; whether it has intensities.
+        Whether the ego motion distorts the scan, and whether it has intensities.
     measured : (layers, columns) bool
         Beams that were fired and reported: each gives a point or is a beam without echo.
     hidden : (layers, columns) bool
-        Beams that see nothing but what is right before the sensor: without echo, if they are measured.
+        Blocked beams, without echo if they are measured.
     dust : (P, 5) float64
-        Balls of dust: x, y, z in the sensor's frame, radius [m], extinction in their middle [1/m], which falls to
-        nothing at their surface.
+        Balls of dust: x, y, z in the sensor's frame [m], radius [m], extinction coefficient in the middle [1/m], which
+        falls to zero at the surface.
     """
 
     weather: Weather
@@ -41,12 +41,12 @@ class Conditions(NamedTuple):
 
     @property
     def seeing(self) -> Mask:
-        """Beams that can see what is around."""
+        """Beams that are measured and not blocked."""
         return self.measured & ~self.hidden
 
 
 def layer_errors(recipe: DataRecipe, lidar: str, layers: int, unit: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the errors of each layer of one unit of a lidar: elevation [rad], range [m]."""
+    """Return the elevation errors [rad] and range errors [m] of the layers of one unit of a lidar."""
     size = recipe.calibration_of(lidar)
     rng = np.random.default_rng([unit, layers, 1])
     offset = rng.uniform(-size.offset, size.offset)
@@ -55,7 +55,7 @@ def layer_errors(recipe: DataRecipe, lidar: str, layers: int, unit: int) -> tupl
 
 
 def draw_weather(bad: float, rng: Generator) -> Weather:
-    """Draw the weather without a recipe: clear, or, in a share `bad` of the scans, rain, fog or a road still wet."""
+    """Draw weather without a recipe: clear, or in a share `bad` of the scans rain, fog or a wet road."""
     drawn, kind, strength = rng.random(3)
     if drawn >= bad:
         return Weather()
@@ -67,17 +67,17 @@ def draw_weather(bad: float, rng: Generator) -> Weather:
 
 
 def draw_conditions(recipe: DataRecipe, beams: Beams, view: float, movers: Floats, rng: Generator) -> Conditions:
-    """Draw how a scan is taken.
+    """Draw the conditions of a scan from a recipe.
 
     Parameters
     ----------
     recipe : DataRecipe
     beams : Beams
-        Of the lidar.
+        Beams of the lidar.
     view : float
-        `LidarMount.view` [rad].
+        Width of the fired sector [rad], see `LidarMount.view`.
     movers : (K, 5) float64
-        What moves nearby: x, y, z of its lowest point [m] and its velocity along x and y [m/s], in the sensor's frame.
+        Moving objects nearby: x, y, z of the lowest point [m], velocity along x and y [m/s], in the sensor's frame.
     rng : Generator
     """
     in_motion, intensity = rng.random() < recipe.in_motion, rng.random() >= recipe.no_intensity
@@ -97,7 +97,7 @@ def _log_uniform(pair: tuple[float, float], rng: Generator) -> float:
 
 
 def _weather(skies: Skies, movers: Floats, rng: Generator) -> tuple[Weather, Floats]:
-    """Draw one kind of weather at most; clouds of dust, half of them behind what moves, are of several balls each."""
+    """Draw at most one kind of weather, and balls of dust (P, 5); half of the dust clouds follow fast objects."""
     kind = float(rng.random())
     ends = np.cumsum([skies.fog, skies.rain, skies.wet, skies.dust])
     clear, none = Weather(), np.zeros((0, 5))
@@ -131,12 +131,12 @@ def _weather(skies: Skies, movers: Floats, rng: Generator) -> tuple[Weather, Flo
 
 
 def _within(azimuth: Floats, middle: float, width: float) -> Mask:
-    """Return which azimuths lie in a sector [rad]."""
+    """Return a mask of the azimuths in a sector [rad]."""
     return np.asarray(np.abs((azimuth - middle + math.pi) % FULL_TURN - math.pi) <= width / 2)
 
 
 def _sector(faults: Faults, azimuth: Floats, view: float, rng: Generator) -> Mask:
-    """Draw which beams lie in the sector that is fired; half of the sectors look ahead."""
+    """Draw the beams within the fired sector; half of the sectors face ahead."""
     cut, ahead = rng.random() < faults.sector, rng.random() < 0.5
     width, middle = rng.uniform(*faults.sector_width), rng.uniform(-math.pi, math.pi)
     if view < FULL_TURN:
@@ -145,7 +145,7 @@ def _sector(faults: Faults, azimuth: Floats, view: float, rng: Generator) -> Mas
 
 
 def _blocked(faults: Faults, azimuth: Floats, elevation: Floats, rng: Generator) -> tuple[Mask, bool]:
-    """Draw which beams are hidden, and whether the driver leaves them out."""
+    """Draw the blocked beams, and whether the driver omits them."""
     hidden, left_out = np.zeros(azimuth.shape, bool), rng.random() < 0.5
     if rng.random() >= faults.blocked:
         return hidden, False
@@ -157,29 +157,26 @@ def _blocked(faults: Faults, azimuth: Floats, elevation: Floats, rng: Generator)
 
 
 def _lost(faults: Faults, columns: int, rng: Generator) -> Mask:
-    """Draw the columns whose packets are lost, (columns,): scattered, or one after the other."""
+    """Draw the columns of lost packets, (columns,): scattered or consecutive."""
     if rng.random() >= faults.lost:
         return np.zeros(columns, bool)
     packet = int(rng.integers(faults.packet[0], faults.packet[1] + 1))
-    count = -(-columns // packet)
-    lost = np.zeros(count, bool)
-    wanted = max(1, round(count * _log_uniform(faults.lost_packets, rng)))
-    if rng.random() < 0.5:
-        lost[rng.choice(count, wanted, replace=False)] = True
-    else:
-        lost[(int(rng.integers(count)) + np.arange(wanted)) % count] = True
-    return np.repeat(lost, packet)[:columns]
+    return np.repeat(_selection(-(-columns // packet), faults.lost_packets, rng, wrap=True), packet)[:columns]
 
 
 def _dead(faults: Faults, layers: int, rng: Generator) -> Mask:
-    """Draw the layers that are dead, (layers,): scattered, or neighbours."""
-    dead = np.zeros(layers, bool)
+    """Draw the dead layers, (layers,): scattered or adjacent."""
     if rng.random() >= faults.dead:
-        return dead
-    wanted = max(1, round(layers * _log_uniform(faults.dead_layers, rng)))
+        return np.zeros(layers, bool)
+    return _selection(layers, faults.dead_layers, rng, wrap=False)
+
+
+def _selection(count: int, share: tuple[float, float], rng: Generator, *, wrap: bool) -> Mask:
+    """Draw a share of `count` items, scattered or consecutive; with `wrap` the first follows the last."""
+    chosen = np.zeros(count, bool)
+    wanted = max(1, round(count * _log_uniform(share, rng)))
     if rng.random() < 0.5:
-        dead[rng.choice(layers, wanted, replace=False)] = True
+        chosen[rng.choice(count, wanted, replace=False)] = True
     else:
-        first = int(rng.integers(layers - wanted + 1))
-        dead[first : first + wanted] = True
-    return dead
+        chosen[(int(rng.integers(count if wrap else count - wanted + 1)) + np.arange(wanted)) % count] = True
+    return chosen

@@ -1,4 +1,4 @@
-"""What the samples of a data set hold: arrays with their shapes and types; ``docs/formats.md`` has the layout."""
+"""Arrays of a dataset's samples with their shapes and types; ``docs/formats.md`` describes the layout."""
 
 import math
 from collections.abc import Mapping
@@ -11,25 +11,25 @@ from ogm.simulation.radars import RADARS
 from ogm.simulation.sample import DETECTION, OBJECT, Beams
 from ogm.truth import TRUTH_SPEC
 
-SHARD = 10  # samples per shard: they become complete together
-OBJECTS = 160  # rows for objects per sample; of more, the first are kept
+SHARD = 10  # samples per shard: a shard becomes complete as a whole
+OBJECTS = 160  # rows for objects per sample; further objects are dropped
 POSES = [f"T_{name}_sensor_{row}{column}" for name in ("world", "vehicle") for row in range(3) for column in range(4)]
-# Names of the numbers that are kept of each sample, beside its arrays
+# Columns of the facts: numbers stored per sample next to its arrays.
 FACTS = (
     *("made", "lidar", "objects", "scenario", "stamp"),
     *POSES,
     *("velocity_x", "velocity_y", "velocity_z", "yaw_rate", "rain", "fog", "wet"),
 )
 LARGE = ("steps", "intensities", "truth", "heights")  # arrays with a chunk per sample
-OF_RADARS = ("sweeps", "detections")  # arrays of data sets with radars
-# columns of a sweep: 1, radar, stamp, detections, pose, velocity; zeros after the last one
+OF_RADARS = ("sweeps", "detections")  # arrays of datasets with radars
+# Columns of a sweep: 1, radar, stamp, detections, pose, velocity; zeros in unused rows.
 SWEEP = 4 + 12 + 3
-MOST = 100_000  # sweeps, and detections, of a radar in a sample
-UNMEASURED = 65535  # range of a beam that was not measured, in data sets that may have such
+MAX_RADAR_ROWS = 100_000  # sweeps, and detections, of a radar in a sample
+UNMEASURED = 65535  # stored range of a beam that was not measured, in datasets with gaps
 
 
 class StoredRadar(NamedTuple):
-    """A radar of a data set: name, kind and place as of `RadarMount`, and the most that a sample has of it."""
+    """A radar of a dataset: the attributes of its `RadarMount`, and its largest numbers of sweeps and detections."""
 
     name: str
     radar: str
@@ -38,43 +38,43 @@ class StoredRadar(NamedTuple):
     z: float
     yaw: float
     sweeps: int
-    detections: int  # of all these sweeps together
+    detections: int  # per sample, in all sweeps
 
     @classmethod
     def of_mount(cls, mount: RadarMount) -> "StoredRadar":
-        """Return a radar with space for all sweeps that may belong to a sample."""
+        """Return a radar with space for all sweeps of a sample."""
         spec = RADARS[mount.radar]
         sweeps = max(math.ceil(PERIOD * spec.rate - 1e-6), 1)
-        return cls(**asdict(mount), sweeps=sweeps, detections=sweeps * spec.most)
+        return cls(**asdict(mount), sweeps=sweeps, detections=sweeps * spec.max_detections)
 
     @classmethod
     def from_dict(cls, given: Mapping[str, Any]) -> "StoredRadar":
-        """Return a radar as a data set's attributes hold it.
+        """Return a radar from the attributes of a dataset.
 
         Raises
         ------
         TypeError, ValueError
-            If there are other numbers than `of_mount` gives.
+            If keys differ from the attributes of this class, or a count is out of range.
         """
-        one = cls(**given)
-        for count in (one.sweeps, one.detections):
-            if not isinstance(count, int) or not 0 < count <= MOST:
-                raise ValueError(f"a sample has 1 to {MOST} sweeps and detections of a radar, got {count!r}")
-        return one
+        radar = cls(**given)
+        for count in (radar.sweeps, radar.detections):
+            if not isinstance(count, int) or not 0 < count <= MAX_RADAR_ROWS:
+                raise ValueError(f"sweeps and detections of a radar must be in 1 ... {MAX_RADAR_ROWS}, got {count!r}")
+        return radar
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What the samples of a data set hold.
+    """Contents of a dataset's samples.
 
     Parameters
     ----------
     beams : tuple of Beams
     radars : tuple of StoredRadar
     heights : bool
-        Old data sets have none.
+        Whether the truth has heights; old datasets have none.
     gaps : bool
-        Whether there may be beams that were not measured, and one more fact: in data sets of recipes.
+        Whether beams may be unmeasured, and the facts include dust: in datasets of recipes.
     """
 
     beams: tuple[Beams, ...] = ()
@@ -84,7 +84,7 @@ class Contents:
 
     @property
     def facts(self) -> tuple[str, ...]:
-        """Columns of the facts."""
+        """Names of the columns of the facts."""
         return (*FACTS, "dust") if self.gaps else FACTS
 
     @property
@@ -95,14 +95,14 @@ class Contents:
 
     @property
     def checked(self) -> tuple[str, ...]:
-        """Columns of the checksums."""
+        """Names of the columns of the checksums."""
         return (*LARGE, "objects", "facts", *(OF_RADARS if self.radars else ()))
 
     @property
     def layout(self) -> dict[str, tuple[tuple[int, ...], str]]:
-        """Shape and type of a sample in each array, with space for the lidar that has most rays; facts come last."""
-        rays = max((one.shape[0] * one.shape[1] for one in self.beams), default=0)
-        sweeps, detections = (sum(getattr(one, name) for one in self.radars) for name in OF_RADARS)
+        """Shape and type of a sample in each array, sized for the lidar with most rays; facts come last."""
+        rays = max((lidar.shape[0] * lidar.shape[1] for lidar in self.beams), default=0)
+        sweeps, detections = (sum(getattr(radar, name) for radar in self.radars) for name in OF_RADARS)
         of_radars = {"sweeps": ((sweeps, SWEEP), "float64"), "detections": ((detections, len(DETECTION)), "float32")}
         return {
             "steps": ((rays,), "uint16"),

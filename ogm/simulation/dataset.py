@@ -1,7 +1,7 @@
-"""Data sets of simulated samples: the lidar's points and the truth around it on drives through towns.
+"""Datasets of simulated samples: lidar points and the true states of the cells around it, on drives through towns.
 
-`make_sample` is a pure function of a plan, the name of a split and a number: the same on any machine with the
-same versions of the libraries, whatever else is made at the same time.
+`make_sample` is a pure function of a plan, the name of a split and an index. Its result is the same on every machine
+with the same library versions, in any order and with any number of workers.
 
 >>> from ogm.simulation.dataset import make_sample, simulate
 >>> from ogm.simulation.plan import DatasetPlan
@@ -44,14 +44,14 @@ try:
     from ogm.simulation.survey import Known, Limits, aimed_truth, hd_truth
 except ImportError as error:
     raise ImportError(
-        f"the simulator lacks a package ({error}): {install_line('sim')}; existing data sets can be read without"
+        f"the simulator lacks a package ({error}): {install_line('sim')}; existing datasets can be read without it"
     ) from error
 
 __all__ = ["SceneSetup", "World", "beams_of", "lidars", "make_sample", "set_up", "simulate", "versions"]
 
 _log = logging.getLogger(__name__)
 
-LISTED = 85.0  # [m] around the sensor, within which objects are listed: a little more than the truth's corners
+LISTED = 85.0  # [m] from the sensor within which objects are listed, just beyond the corners of the truth grid
 
 
 def simulate(
@@ -63,22 +63,22 @@ def simulate(
     resume: bool = False,
     progress: Callable[[Estimate | Made], object] = lambda event: None,
 ) -> Store:
-    """Make a data set, or go on with one.
+    """Make a dataset, or resume an incomplete one.
 
     Parameters
     ----------
     folder : path
-        New or empty; with `resume`, that of a data set.
+        A new or empty folder, or with `resume` the folder of a dataset.
     plan : DatasetPlan
-        With `resume`, the data set's own plan or one with more samples.
+        With `resume`, the plan of the dataset, or one that differs only in larger numbers of samples.
     workers : int, optional
-        Processes on this machine; by default as many as cores and memory allow.
+        Number of processes on this machine; by default as many as cores and memory allow.
     scheduler : str, optional
         Address of a Dask scheduler to use instead, ``"tcp://host:port"``.
     resume : bool
-        Whether the folder may hold a data set.
+        Whether to continue the dataset in the folder.
     progress : callable
-        Called with an `Estimate` of the time and space needed, then with each shard that is `Made`.
+        Function called with an `Estimate` of time and space, then with a `Made` for each finished shard.
 
     Returns
     -------
@@ -87,10 +87,10 @@ def simulate(
     Raises
     ------
     ValueError
-        If the folder holds something else, the data set was begun by another plan, or a lidar is unknown.
+        If the folder holds anything else, the dataset has another plan, or a lidar is unknown.
     OSError
-        If the disk is full or will be, or workers die. Finished shards are complete; go on with `resume`. Also if
-        another process makes the data set.
+        If the disk is or would become full, workers died, or another process writes the dataset. Finished shards are
+        kept; continue with `resume`.
     """
     folder, beams = Path(folder), lidars(plan)
     count = workers_that_fit() if workers is None else workers
@@ -100,10 +100,10 @@ def simulate(
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder), naming(folder), swept(folder, alone=scheduler is None):
         if not resume and Store.exists(folder):
-            raise ValueError(f"{folder} holds a data set already; go on with it (resume), or give a new folder")
+            raise ValueError(f"{folder} already holds a dataset; continue it with resume, or give a new folder")
         store = begin(folder, plan, beams, versions())
         if store.versions != versions():
-            _log.warning("the data set was begun with other versions of libraries; new samples may differ in detail")
+            _log.warning("the dataset was begun with other library versions; new samples may differ in detail")
         plan = DatasetPlan.from_dict(store.plan)
         with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
             for event in events:
@@ -112,16 +112,16 @@ def simulate(
 
 
 def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SimulatedSample:
-    """Make one sample.
+    """Make one sample of a split.
 
     Parameters
     ----------
     plan : DatasetPlan
     split : {"training", "validation", "test", "sequences"}
     index : int
-        Number in the split, 0 or more; not bound by the plan's counts.
+        Index in the split, 0 or more; it may exceed the count in the plan.
     threads : int
-        Processor cores to use, 0 for all. The sample does not depend on it.
+        Number of processor cores, 0 for all. The sample does not depend on it.
     """
     at, here = moment(plan, split, index), set_up(plan, split, index, threads)
     rng = sample_rng(plan, split, index, 1)
@@ -130,7 +130,7 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     speed, turn = here.state.ego_velocity, here.state.ego_yaw_rate
     if not (rng.random() < plan.in_motion if chosen is None else chosen.in_motion):
         speed, turn = np.zeros(3), 0.0
-    coats = [(at.traffic << 20) + one.track for one in here.objects]
+    coats = [(at.traffic << 20) + thing.track for thing in here.objects]
     place = (here.world.scene, here.spec, here.T_world_sensor)
     gaps: Any = {} if chosen is None else {"seeing": chosen.seeing, "dust": chosen.dust}
     image = scan(*place, rng, velocity=speed, yaw_rate=turn, weather=weather, coats=coats, **gaps)
@@ -149,16 +149,16 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
 
 
 def truth_of(plan: DatasetPlan, here: SceneSetup, returns: Ints, *, salt: int = 0) -> Truth:
-    """Observe the truth around the sensor, in the way that the plan wants; all is unknown if it wants none.
+    """Return the observed truth around the sensor; all cells are unknown for plans with ``truth="none"``.
 
     Parameters
     ----------
     plan : DatasetPlan
     here : SceneSetup
     returns : (K,) int
-        Points that the sensor's scan has on each of the objects.
+        Points of the scan on each object.
     salt : int
-        Decides which rays pass through glass.
+        Seed that selects the rays that pass through glass.
     """
     if plan.truth == "none":
         return Truth(TRUTH_SPEC, np.zeros(TRUTH_SPEC.shape, np.uint8))
@@ -174,9 +174,9 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: Ints, *, salt: int = 
 
 
 def _view(here: SceneSetup) -> View | None:
-    """Return where a scan can see that was taken by a recipe, or not by a lidar; None for all round.
+    """Return the limits of a scan's visibility, for recipes and robot sensors; None for full visibility.
 
-    The truth of a planar laser holds all heights in its sector, as its own plane tells nothing of the ground.
+    The truth of a planar laser covers all heights in its sector, because its plane does not measure the ground.
     """
     spec, chosen = here.spec, here.conditions
     reach = (spec.range_min, spec.range_max, spec.reach)
@@ -192,20 +192,20 @@ def _view(here: SceneSetup) -> View | None:
 
 def _boxes(here: SceneSetup) -> Boxes:
     """Return the boxes of the objects in the sensor's frame."""
-    poses, sizes = [one.pose for one in here.objects], [one.size for one in here.objects]
+    poses, sizes = [thing.pose for thing in here.objects], [thing.size for thing in here.objects]
     return boxes_seen_from(inverse(here.T_world_sensor), poses, sizes)
 
 
 def _listed(here: SceneSetup, returns: Ints) -> Array:
-    """Return the rows of the objects nearby, the nearest first."""
+    """Return rows of `OBJECT` for the objects within `LISTED`, nearest first."""
     rows = np.zeros(len(here.objects), OBJECT)
     T, boxes = inverse(here.T_world_sensor), _boxes(here)
     rows["x"], rows["y"], rows["z"] = boxes.center.T
     rows["length"], rows["width"], rows["yaw"] = boxes.size[:, 0], boxes.size[:, 1], boxes.yaw
-    for row, one in zip(rows, here.objects, strict=True):
-        velocity = T[:3, :3] @ np.asarray(one.velocity)
-        row["label"] = LABELS.index(one.label)
-        row["height"], row["vx"], row["vy"], row["track"] = one.size[2], *velocity[:2], one.track
+    for row, thing in zip(rows, here.objects, strict=True):
+        velocity = T[:3, :3] @ np.asarray(thing.velocity)
+        row["label"] = LABELS.index(thing.label)
+        row["height"], row["vx"], row["vy"], row["track"] = thing.size[2], *velocity[:2], thing.track
     rows["returns"] = returns
     distance = np.hypot(rows["x"], rows["y"])
     order = np.argsort(distance, kind="stable")
@@ -213,21 +213,23 @@ def _listed(here: SceneSetup, returns: Ints) -> Array:
 
 
 def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
-    """Return the plan's lidars, each once, in the order in which it names them.
+    """Return the distinct lidars of a plan, in order of first use.
 
     Raises
     ------
     ValueError
-        If there is no lidar of such a name, or one has no truth of that kind.
+        If a lidar is unknown, or a planar laser or depth camera is combined with "hd" truth.
     """
     specs = [sensor_spec(name) for name in dict.fromkeys(mount.lidar for mount in plan.mounts)]
     if plan.truth == "hd" and (flat := [spec.name for spec in specs if spec.kind]):
-        raise ValueError(f'truth "hd" needs a lidar with more layers, got {flat[0]}; take "aimed" or "none"')
+        raise ValueError(
+            f'truth "hd" needs a lidar, got {flat[0]}, a planar laser or depth camera; use "aimed" or "none"'
+        )
     return tuple(map(beams_of, specs))
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the libraries that the bytes of a sample depend on."""
+    """Return the versions of the libraries that affect a sample's bytes."""
     found = {
         name: [*distributions(name=name)] for name in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr")
     }

@@ -1,7 +1,7 @@
-"""Returns of a lidar's beams: how strong they are, and which range is measured.
+"""Strength and measured range of a lidar's returns.
 
-The strength of a return is given in percent of what a matt white target seen head-on at the same place would
-return, which is what Velodyne's calibrated intensities are up to 100.
+The strength of a return is given in percent of the return of a matt white target at the same place, hit head-on. This
+equals Velodyne's calibrated intensities up to 100.
 """
 
 import math
@@ -12,43 +12,43 @@ from ogm.simulation.kernels import Hits, uniform
 from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Array, Bytes, Floats, Floats32, Ints, Ints32
 
-ROUGH = 0.3  # share that rough ground sends back the way it came at grazing incidence (Oren-Nayar)
-LOBE = 0.01  # width of a specular reflection: square of the tangent of incidence
-GLANCE = 2.0  # strength of a specular reflection seen head-on, of a white target's
-FINE, COARSE = 0.8, 20.0  # [m] patches of a surface that differ in reflectivity
-VARIETY = 0.1  # that no table of materials holds: what static surfaces differ more by
-EDGE = 0.15  # [m] a smaller step of the range between neighbouring rays is no edge
-BEND = 1.5  # times the step that a plane would show, up to which surfaces meet: ground bends
-PULSE = 0.6  # [m] returns closer together than this melt into one
-SMEAR = 2.5  # [m] returns closer together than this may do so
-SMEARED = 0.15  # share of those that do
-SPECKLE = 0.18  # standard deviation of the logarithm of one return's strength
-LOST = 0.015  # share of the returns of anything but the ground that are missing for no visible reason
-WAVER = 0.3  # standard deviation of the detection threshold, of itself
+ROUGH = 0.3  # share that rough ground reflects back at grazing incidence (Oren-Nayar)
+LOBE = 0.01  # width of a specular reflection: squared tangent of the incidence angle
+GLANCE = 2.0  # strength of a specular reflection hit head-on, relative to a white target
+FINE, COARSE = 0.8, 20.0  # [m] sizes of surface patches that differ in reflectivity
+VARIETY = 0.1  # additional spread of static surfaces, not in the table of materials
+EDGE = 0.15  # [m] smaller range steps between neighbouring rays are no edges
+BEND = 1.5  # limit for surfaces that meet, relative to the range step on a plane: ground bends
+PULSE = 0.6  # [m] returns closer together are always merged
+SMEAR = 2.5  # [m] returns closer together may be merged
+SMEARED = 0.15  # share of such returns that are merged
+SPECKLE = 0.18  # standard deviation of the logarithm of a return's strength
+LOST = 0.015  # share of returns, except those from ground, that are lost at random
+WAVER = 0.3  # standard deviation of the detection threshold, relative to it
 FOLIAGE, NOTHING = int(Material.FOLIAGE), 255
 
 
 class Device(NamedTuple):
-    """A lidar's numbers as kernels use them.
+    """Parameters of a lidar for kernels.
 
     Attributes
     ----------
     layers, columns : int
-        Of a range image.
+        Size of a range image.
     sideways : float
-        Half the beam's width, in columns.
+        Half the beam width [columns].
     upwards : (layers,) float64
-        The same in spacings to the layer above, 0 where that is no neighbour of this one.
+        Half the beam width in units of the spacing to the layer above; 0 if that is no neighbour.
     shift : (layers,) int64
-        The column of the layer above that has the same direction is so many further.
+        Column offset of the beam with the same direction in the layer above.
     near, far, reach : float
         `LidarSpec.range_min`, `range_max` and `reach` [m].
     noise, step, divergence : float
         `LidarSpec.range_noise` [m], `range_step` [m] and `divergence` [rad].
     bias, gain : (layers,) float64
-        Fixed error of the range [m] and factor of the strength, see `LidarSpec.errors`.
+        Fixed range error [m] and gain factor of each layer, see `LidarSpec.errors`.
     turns : bool
-        Whether the last column is the first one's neighbour.
+        Whether the last and first columns are neighbours.
     """
 
     layers: int
@@ -68,7 +68,7 @@ class Device(NamedTuple):
 
 
 class Air(NamedTuple):
-    """Extinction [1/m]; expected number of returns from the air on a free ray; their mean distance [m]."""
+    """Extinction coefficient [1/m], expected returns from drops on a free ray, and their mean distance [m]."""
 
     extinction: float
     drops: float
@@ -76,18 +76,18 @@ class Air(NamedTuple):
 
 
 class RangeImage(NamedTuple):
-    """What a lidar reports of one turn; (layers, columns) each, the lowest layer first.
+    """Range image of one turn of a lidar, (layers, columns) per attribute, the lowest layer first.
 
     Attributes
     ----------
     range : float32
-        [m]; 0 for no return.
+        Range [m]; 0 without return.
     intensity : float32
-        [0, 1] in steps of 1/255: up to 100/255 in percent of a matt white target, above it retroreflectors.
+        Intensity [0, 1] in steps of 1/255: up to 100/255 in percent of a matt white target, above for retroreflectors.
     object : int32
-        As in `Hits`; -1 also for no return.
+        See `Hits`; -1 also without return.
     material : uint8
-        `Material`; 255 for no return and for drops in the air.
+        `Material`; 255 without return and for drops in the air.
     """
 
     range: Floats32
@@ -98,35 +98,35 @@ class RangeImage(NamedTuple):
 
 @kernel
 def _normal(a: int, b: int) -> float:
-    """Return a standard normal number that depends on two integers only (Box-Muller)."""
+    """Return a standard normal number that is a hash of two integers (Box-Muller)."""
     radius = math.sqrt(-2 * math.log(1 - uniform(2 * a, b)))
     return radius * math.cos(2 * math.pi * uniform(2 * a + 1, b))
 
 
 @kernel
 def _patch(x: float, y: float, z: float, size: float) -> int:
-    """Return a number for each cube of space."""
+    """Return a hash of the cube that contains a point."""
     i, j, k = math.floor(x / size), math.floor(y / size), math.floor(z / size)
     return int((i * 73856093) ^ (j * 19349663) ^ (k * 83492791))
 
 
 @kernel
 def reflect(directions: Array, T: Array, hits: Hits, optics: Array, coats: Array, strength: Array) -> None:
-    """Fill in how strong the return of each ray would be if nothing disturbed it.
+    """Fill in the undisturbed strength of each ray's return.
 
     Parameters
     ----------
     directions : (N, 3) float32
-        In the sensor frame.
+        Unit directions in the sensor frame.
     T : (4, 4) float64
-        ``T_world_sensor``: patches of static surfaces are fixed in the world.
+        ``T_world_sensor``; patches of static surfaces are fixed in the world.
     hits : Hits
     optics : (materials, 5) float32
-        As `ogm.simulation.materials.table`.
+        See `ogm.simulation.materials.table`.
     coats : (K,) int64
-        A number for each moving thing, which decides how bright its own coat of each material is.
+        Seed of each moving object, which determines the brightness of its materials.
     strength : (N,) float32
-        Filled; 0 where nothing is hit.
+        Output [percent]; 0 without a hit.
     """
     for i in range(len(strength)):
         m, thing = hits.material[i], hits.object[i]
@@ -144,7 +144,7 @@ def reflect(directions: Array, T: Array, hits: Hits, optics: Array, coats: Array
             patch = 0.7 * _normal(_patch(wx, wy, wz, FINE), 64 + m)
             patch += 0.7 * _normal(_patch(wx, wy, wz, COARSE), 128 + m)
             spread += VARIETY
-        else:  # one coat of paint per thing
+        else:  # one coat of paint per object
             patch = _normal(coats[thing] if thing >= 0 else 0, m)
         share = min(1.0, reflectivity * math.exp(spread * patch))
         c = min(max(hits.cosine[i], 1e-3), 1.0)
@@ -155,9 +155,9 @@ def reflect(directions: Array, T: Array, hits: Hits, optics: Array, coats: Array
 
 @kernel
 def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
-    """Return the ray to the left, right, above or below ray i, a number of the pair, and half the beam's width.
+    """Return the index of a neighbouring ray, a number of the pair, and half the beam width in its direction.
 
-    The width is 0 where there is no such ray.
+    `side` is 0 for left, 1 for right, 2 for above, 3 for below. The width is 0 without a neighbour.
     """
     columns = device.columns
     layer, column = i // columns, i % columns
@@ -180,13 +180,14 @@ def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
 
 
 @kernel
-def _is_edge(one: int, other: int, apart: float, hits: Hits) -> bool:
-    """Return whether two rays, `apart` [rad], hit surfaces behind one another: not one that slants, nor two that meet.
+def _is_edge(first: int, second: int, apart: float, hits: Hits) -> bool:
+    """Return whether two rays, `apart` [rad], hit surfaces behind one another.
 
-    Surfaces meet where one, continued as a plane, reaches the distance of the other between the rays. A plane that is
-    hit at distance d and incidence a has distance D on the next ray, with ``|D - d| <= apart * D * tan(a)``.
+    This is neither a slanted surface nor two surfaces that meet. Surfaces meet if one of them, extended as a plane,
+    reaches the distance of the other between the rays. A plane hit at distance d and incidence a has distance D on the
+    next ray, with ``|D - d| <= apart * D * tan(a)``.
     """
-    near, far = (one, other) if hits.distance[one] < hits.distance[other] else (other, one)
+    near, far = (first, second) if hits.distance[first] < hits.distance[second] else (second, first)
     gap: float = 1.0 * hits.distance[far] - hits.distance[near]
     if not gap > EDGE:  # also if both hit nothing
         return False
@@ -202,7 +203,7 @@ def _is_edge(one: int, other: int, apart: float, hits: Hits) -> bool:
 
 @kernel
 def _share_light(i: int, hits: Hits, strength: Array, device: Device, seed: int) -> tuple[float, float, int]:
-    """Return distance, strength and source of the light of ray i, whose beam's edge may lap over to neighbours."""
+    """Return distance, strength and source ray of ray i's return; its beam may overlap neighbours at edges."""
     distance = hits.distance
     d, p, source = 1.0 * distance[i], 1.0 * strength[i], i
     for side in range(4):
@@ -212,7 +213,7 @@ def _share_light(i: int, hits: Hits, strength: Array, device: Device, seed: int)
         if not _is_edge(i, other, device.divergence / (2 * half), hits):
             continue
         gap = abs(distance[other] - distance[i])
-        edge = uniform(pair, seed)  # where it lies between the two rays' middles
+        edge = uniform(pair, seed)  # position between the middles of the two rays
         if i > other:
             edge = 1 - edge
         if edge >= half:
@@ -233,21 +234,21 @@ def _share_light(i: int, hits: Hits, strength: Array, device: Device, seed: int)
 
 @kernel
 def receive(hits: Hits, strength: Array, device: Device, air: Air, steady: Array, seed: int, image: RangeImage) -> None:
-    """Turn what the rays hit into what the lidar reports.
+    """Convert hits to the reported range image.
 
     Parameters
     ----------
     hits, strength : (layers * columns,)
-        From `Scene.cast` and `reflect`.
+        Results of `Scene.cast` and `reflect`.
     device : Device
     air : Air
     steady : (256,) bool
-        Materials whose returns are never lost for no reason: ground, and nothing. An argument and no constant,
-        because compiled kernels are cached by the text of this file alone.
+        Materials without random losses: ground, and no hit. An argument instead of a constant, because compiled
+        kernels are cached by the source of this file only.
     seed : int
-        Of everything random.
+        Seed of all random numbers.
     image : RangeImage
-        Filled; of shape (layers * columns,) each. No return: 0, 0, -1, 255.
+        Output, (layers * columns,) per attribute. Without return: 0, 0, -1, 255.
     """
     near, far = device.near, device.far
     for i in range(device.layers * device.columns):
@@ -258,7 +259,7 @@ def receive(hits: Hits, strength: Array, device: Device, air: Air, steady: Array
         if m == FOLIAGE:  # leaves fill part of the beam
             p *= 0.1 + 0.9 * uniform(8 * i, seed + 2)
         p *= device.gain[layer]
-        # air: it dims, and sometimes returns light itself
+        # Air attenuates the return, and drops in it may return light.
         if air.extinction > 0:
             p *= math.exp(-2 * air.extinction * min(d, 1e4))
         if air.drops > 0 and uniform(8 * i + 1, seed + 2) < 1 - math.exp(-air.drops):
@@ -266,16 +267,16 @@ def receive(hits: Hits, strength: Array, device: Device, air: Air, steady: Array
             if first < d:
                 d, p, m, owner = first, 4.0 * uniform(8 * i + 3, seed + 2), NOTHING, -1
         p *= math.exp(SPECKLE * _normal(4 * i + 2, seed + 2))
-        # is it detected?
+        # Detection.
         threshold = 100 * (d / device.reach) ** 2
         lost = not near <= d <= far or p < threshold * (1 + WAVER * _normal(4 * i + 3, seed + 2))
         if not steady[m] and uniform(i, seed + 5) < LOST:
             lost = True
-        if m == NOTHING and d < far:  # drops that are detected at all are so by definition
+        if m == NOTHING and d < far:  # `drops` counts detected returns only
             lost = False
         if lost or p <= 0:
             continue
-        # how exactly: weak returns, and those of a long footprint on slanting ground, are less so
+        # Accuracy: weak returns, and long footprints on slanted ground, have larger errors.
         c = max(1.0 * hits.cosine[source], 0.05)
         footprint = 0.03 * d * device.divergence * math.sqrt(1 - c * c) / c
         error = math.sqrt(device.noise * device.noise * (1 + threshold / p) + footprint * footprint)

@@ -1,12 +1,12 @@
-"""Samples in the layout of the paper's data (van Kempen et al. 2021), PCD and PNG, and pictures of them.
+"""Export of samples in the layout of the paper's dataset (van Kempen et al. 2021), PCD and PNG, and pictures of them.
 
 ::
 
     input_train/0000000001.pcd    x, y, z [m], intensity 0 ... 255, float32, sensor frame
-    label_train/0000000001.png    512 x 352, row 0 the front, column 0 the left: green free, blue occupied
+    label_train/0000000001.png    512 x 352, row 0 in front, column 0 on the left: green free, blue occupied
     input_valid/ label_valid/ input_test/ label_test/
 
-Files are numbered from 1 and belong together by name.
+Files are numbered from 1; the points and the label of a sample have equal numbers.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -36,22 +36,22 @@ FOLDERS = {"training": "train", "validation": "valid", "test": "test"}
 def export(
     store: Store, path: FilePath, *, tick: Callable[[Iterable[int], str], Iterable[int]] = lambda numbers, _: numbers
 ) -> int:
-    """Write a data set's finished samples in the paper's layout; sequences have no place in it.
+    """Write the finished samples of a dataset in the paper's layout, except sequences, which it does not include.
 
-    Cells that are to be ignored become unknown, as the layout knows no other.
+    Ignored cells become unknown, because the layout has no other state.
 
     Parameters
     ----------
     store : Store
     path : path
-        Folder to write to; made if need be. Files of the same names are replaced.
+        Output folder, created if missing. Existing files of the same names are replaced.
     tick : callable
-        ``tick(numbers, name)`` iterates over the numbers, and may draw a progress bar.
+        ``tick(numbers, name)`` iterates over the numbers, for instance with a progress bar.
 
     Returns
     -------
     int
-        Samples written.
+        Number of samples written.
     """
     count = 0
     for split in [name for name in FOLDERS if name in store.counts]:
@@ -68,7 +68,7 @@ def export(
 
 
 def write_pcd(path: FilePath, points: Floats32) -> None:
-    """Write a cloud (N, 4): x, y, z [m] and intensity [0, 1], which the file counts 0 ... 255."""
+    """Write a point cloud (N, 4): x, y, z [m], and intensity [0, 1], stored as 0 to 255."""
     n = len(points)
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\n"
@@ -80,9 +80,7 @@ def write_pcd(path: FilePath, points: Floats32) -> None:
 
 
 def write_label(path: FilePath, truth: Truth) -> None:
-    """Write a truth grid as a picture: green 255 free, blue 255 occupied; row 0 the front, column 0 the left."""
-    from PIL import Image
-
+    """Write a truth grid as an image: green 255 free, blue 255 occupied; row 0 in front, column 0 on the left."""
     upright = truth.state[::-1, ::-1]
     image = np.zeros((*upright.shape, 3), np.uint8)
     image[..., 1] = 255 * (upright == CellState.FREE)
@@ -92,21 +90,21 @@ def write_label(path: FilePath, truth: Truth) -> None:
 
 
 def read_label(path: FilePath, spec: GridSpec = PAPER_GRID) -> Truth:
-    """Read a truth grid from a picture.
+    """Read a truth grid from an image.
 
     Parameters
     ----------
     path : path
-        RGB: green free, blue occupied, neither unknown; any value above 0 counts, red does not.
+        RGB image: green free, blue occupied, neither unknown. All values above 0 count; red is ignored.
     spec : GridSpec
-        The area that it shows.
+        Area of the image.
 
     Raises
     ------
     FileNotFoundError
-        If there is none.
+        If the file is missing.
     OgmError
-        If it is no PNG picture, is damaged, has another size than `spec`, or a cell is both free and occupied.
+        If the file is not a PNG image, is damaged, differs from `spec` in size, or has a cell both free and occupied.
     """
     with open_image(path) as picture:
         if picture.mode not in ("RGB", "RGBA") or (picture.height, picture.width) != spec.shape:
@@ -117,13 +115,13 @@ def read_label(path: FilePath, spec: GridSpec = PAPER_GRID) -> Truth:
         image = np.asarray(picture)
     free, occupied = image[::-1, ::-1, 1] > 0, image[::-1, ::-1, 2] > 0
     if both := np.count_nonzero(free & occupied):
-        raise OgmError(f"{path} has {both} cells both free and occupied; in a label a cell is one or neither")
+        raise OgmError(f"{path} has {both} cells both free and occupied; a cell of a label must be only one of them")
     return Truth(spec, (free * CellState.FREE + occupied * CellState.OCCUPIED).astype(np.uint8))
 
 
-MOST, COLUMNS = 24, 6  # samples of a contact sheet, and those side by side
-GREY = (0.45, 0.45, 0.45)  # cells to be ignored
-# The kinds that the picture of HD points distinguishes, each by one colour.
+MAX_TILES, COLUMNS = 24, 6  # samples of a contact sheet, in all and per row
+GREY = (0.45, 0.45, 0.45)  # ignored cells
+# Groups of materials in the picture of HD points, with their colours.
 KINDS: dict[str, tuple[tuple[float, float, float], set[M]]] = {
     "road": ((0.45, 0.45, 0.50), {M.ASPHALT, M.WORN_ASPHALT, M.WET_ASPHALT, M.COBBLES}),
     "marking": ((1.0, 1.0, 1.0), {M.MARKING}),
@@ -139,7 +137,7 @@ SKY = np.array([0.72, 0.82, 0.93])
 
 
 def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
-    """Show a truth grid: free, occupied and unknown in the colours of `ogm.plot.colours`, grey to be ignored."""
+    """Return a panel of a truth grid: states in the colours of `ogm.plot.colours`, ignored cells grey."""
     shades = np.empty((4, 3))
     order = [CellState.FREE, CellState.OCCUPIED, CellState.UNKNOWN, CellState.IGNORE]
     shades[order] = *colours().legend.values(), GREY
@@ -148,21 +146,21 @@ def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
 
 
 def sample_panels(sample: SimulatedSample, spec: GridSpec = PAPER_GRID) -> tuple[plot.Panel, plot.Panel]:
-    """Show a sample's points, coloured by height, and its truth."""
+    """Return panels of a sample's points, coloured by height, and of its truth."""
     ground = -float(sample.T_vehicle_sensor[2, 3])
     cloud = plot.points_panel(sample.points, spec, f"{len(sample.points)} points of {sample.lidar}", ground)
     return cloud, truth_panel(sample.truth.crop(spec))
 
 
 def materials_panel(points: Floats32, material: Bytes, spec: GridSpec, title: str) -> plot.Panel:
-    """Show points from above, coloured by what they hit.
+    """Return a panel of points seen from above, coloured by material.
 
     Parameters
     ----------
     points : (N, 3) float32
-        In the frame of `spec` [m].
+        Points in the frame of `spec` [m].
     material : (N,) uint8
-        `Material` of each.
+        `Material` of each point.
     spec : GridSpec
     title : str
     """
@@ -174,22 +172,22 @@ def materials_panel(points: Floats32, material: Bytes, spec: GridSpec, title: st
 
 
 def contact_sheet(path: FilePath, store: Store) -> None:
-    """Draw samples of a data set to a .png, points beside truth, spread evenly over what is finished."""
+    """Draw samples, spread evenly over the finished samples of a dataset, to a .png: points and truth of each."""
     tiles: list[tuple[str, Bytes]] = []
     finished = {name: store[name].finished for name in store.counts}
     total = sum(map(len, finished.values()))
     for name, numbers in finished.items():
-        share = min(len(numbers), round(MOST * len(numbers) / max(total, 1)) or 1)
+        share = min(len(numbers), round(MAX_TILES * len(numbers) / max(total, 1)) or 1)
         for k in np.linspace(0, len(numbers) - 1, share).round().astype(int):
             sample = store[name][int(numbers[k])]
             tiles.append((f"{sample.split} {sample.index}: {sample.lidar}", _tile(sample)))
-    _save(path, tiles, max(1, min(COLUMNS, len(tiles))), 13)
+    save_sheet(path, tiles, max(1, min(COLUMNS, len(tiles))), 13)
 
 
 def _tile(sample: SimulatedSample) -> Bytes:
-    """Draw a sample small: two pictures of a pixel per cell of 0.32 m side by side."""
+    """Draw a small picture of a sample: points and truth side by side, one pixel per 0.32 m."""
     cloud, truth = sample_panels(sample)
-    # Of the 4 x 4 fine cells of a pixel, the brightest shows: thin things do not vanish.
+    # A pixel shows the brightest of its 4 x 4 fine cells, so that thin objects stay visible.
     blocks = cloud.image.reshape(256, 4, 176, 4, 3).swapaxes(1, 2).reshape(256, 176, 16, 3)
     brightest = blocks.sum(axis=-1).argmax(axis=-1)
     points = np.take_along_axis(blocks, brightest[..., None, None], axis=2)[:, :, 0]
@@ -200,14 +198,14 @@ def _tile(sample: SimulatedSample) -> Bytes:
 
 
 class Camera(NamedTuple):
-    """Where a picture is taken from.
+    """Camera of a rendered picture.
 
     Attributes
     ----------
     eye, target : (x, y, z)
-        [m]
+        Position of the camera, and the point in the middle of the picture [m].
     width, height : int
-        Pixels.
+        Size of the picture [pixel].
     field : float
         Horizontal field of view [rad].
     """
@@ -219,7 +217,7 @@ class Camera(NamedTuple):
     field: float = np.pi / 3
 
     def directions(self) -> Floats32:
-        """Return the unit direction of every pixel, (height, width, 3) float32."""
+        """Return the unit directions of all pixels, (height, width, 3) float32."""
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -231,13 +229,8 @@ class Camera(NamedTuple):
         return np.asarray((rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32))
 
 
-def save_views(path: FilePath, views: Sequence[tuple[str, Bytes]]) -> None:
-    """Write pictures below each other to one PNG file, each with a title."""
-    _save(path, views, 1, 24)
-
-
-def _save(path: FilePath, images: Sequence[tuple[str, Array]], columns: int, text: int) -> None:
-    """Write pictures of one width to a PNG file, in rows, each below its title in a font of some size [px]."""
+def save_sheet(path: FilePath, images: Sequence[tuple[str, Array]], columns: int, text: int) -> None:
+    """Write titled pictures of equal width in rows to a PNG file; `text` is the size of the font [px]."""
     wide = images[0][1].shape[1] if images else 0
     gap, line = text // 2, 2 * text
     rows = [images[k : k + columns] for k in range(0, len(images), columns)]

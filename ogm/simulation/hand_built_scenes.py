@@ -1,9 +1,9 @@
-"""Hand-built scenes with known truth, for tests of an inverse sensor model: what it must predict free, and what not.
+"""Hand-built scenes with known truth, for tests of inverse sensor models.
 
 >>> from ogm.geometric import RayISM
 >>> from ogm.simulation.hand_built_scenes import SPEC, hand_built_scene
 >>> scene = hand_built_scene("step 0.40 m at 12 m")
->>> mass = RayISM(SPEC)(scene.scan).mass[scene.regions["face"]]      # of cells with returns from the step's face
+>>> mass = RayISM(SPEC)(scene.scan).mass[scene.regions["face"]]      # cells with returns from the step's face
 >>> bool((mass[:, 0] > 0.5).mean() < 0.1)                            # share that is predicted free
 True
 
@@ -45,12 +45,12 @@ def upright(a: tuple[float, float], b: tuple[float, float], height: float) -> Me
 
 
 def road() -> Mesh:
-    """Make a level road without end."""
+    """Make a level road over the whole plane."""
     return plate(-FAR, FAR, -FAR, FAR)
 
 
 def profile(line: list[tuple[float, float]], *, across: bool = False) -> Mesh:
-    """Span a surface whose height follows a line (x, z), or (y, z) if `across`, and is level the other way [m]."""
+    """Make a surface along a line (x, z), or (y, z) if `across` [m], level in the other direction."""
     right, left = (
         np.array([(side * FAR, a, z) if across else (a, side * FAR, z) for a, z in line]) for side in (-1, 1)
     )
@@ -81,7 +81,7 @@ def rough(rng: Rng, deviation: float) -> HandBuiltScene:
 
 
 def slope(rng: Rng, rise: float, start: float) -> HandBuiltScene:
-    """Build a road that climbs, or descends, from x = start on; everywhere if that is -inf. The sensor is level."""
+    """Build a road that climbs or descends from x = start on, everywhere for -inf. The sensor is level."""
     line = [(-FAR, 0.0), (start, 0.0)] if start > -FAR else [(-FAR, -rise * FAR)]
     return scan_shapes(rng, {"ground": profile([*line, (FAR, rise * (FAR - max(start, 0)))])})
 

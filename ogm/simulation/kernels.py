@@ -1,4 +1,4 @@
-"""Work per ray around Open3D's ray casting: aiming, the nearest hit, glass, dust, and where a scan sees at all."""
+"""Kernels around Open3D's ray casting: ray directions, nearest hit, glass, dust, and the visibility of a scan."""
 
 import math
 from typing import NamedTuple
@@ -11,19 +11,19 @@ from ogm.simulation.mesh import Array, Bytes, Floats, Floats32, Ints32, Mask
 
 
 class Hits(NamedTuple):
-    """What each ray hits first.
+    """First hit of each ray.
 
     Attributes
     ----------
     distance : (N,) float32
-        [m]; inf for nothing.
+        Distance [m]; inf without a hit.
     material : (N,) uint8
-        `Material`; 255 for nothing.
+        `Material` of the surface; 255 without a hit.
     object : (N,) int32
-        Number of the moving thing in the list given to `Scene.place`; -1 for static things or nothing, -2
-        for the ego vehicle.
+        Index of the moving object in the list given to `Scene.place`; -1 for static surfaces and without a hit, -2 for
+        the ego vehicle.
     cosine : (N,) float32
-        Of the angle between ray and surface normal, [0, 1]; 0 for nothing.
+        Cosine of the angle between ray and surface normal, [0, 1]; 0 without a hit.
     """
 
     distance: Floats32
@@ -33,33 +33,34 @@ class Hits(NamedTuple):
 
     @classmethod
     def allocate(cls, count: int) -> "Hits":
-        """Return arrays with arbitrary content."""
-        return cls._make(np.empty(count, dtype) for dtype in ("f4", "u1", "i4", "f4"))
+        """Return the hits of rays that hit nothing."""
+        return cls._make(
+            np.full(count, value, dtype) for value, dtype in ((np.inf, "f4"), (255, "u1"), (-1, "i4"), (0, "f4"))
+        )
 
     def part(self, start: int, stop: int) -> "Hits":
-        """Return views of the hits of some rays."""
+        """Return views of the hits of the rays from `start` to `stop`."""
         return Hits._make(column[start:stop] for column in self)
 
     def spread(self, index: NDArray[np.intp], count: int) -> "Hits":
-        """Return the hits of `count` rays, of which these are those of `index`; the others hit nothing."""
+        """Return hits of `count` rays with these at positions `index`; the other rays hit nothing."""
         whole = Hits.allocate(count)
-        whole.distance[:], whole.material[:], whole.object[:], whole.cosine[:] = np.inf, 255, -1, 0
         for k in range(len(self)):
             whole[k][index] = self[k]
         return whole
 
 
 class Answer(NamedTuple):
-    """What Open3D returns for n rays, and what its triangles are.
+    """Result of Open3D for n rays, with the attributes of its triangles.
 
     Attributes
     ----------
     t : (n,) float32
-        Distance [m]; inf for nothing.
+        Distance [m]; inf without a hit.
     primitive : (n,) uint32
-        Triangle.
+        Index of the triangle.
     normals : (n, 3) float32
-        Unit normal of the triangle; 0 for nothing.
+        Unit normal of the triangle; 0 without a hit.
     materials : (T,) uint8; things : (T,) int32
         `Hits.material` and `Hits.object` of each triangle.
     """
@@ -73,7 +74,7 @@ class Answer(NamedTuple):
 
 @inline
 def uniform(a: int, b: int) -> float:
-    """Return a number in [0, 1) that depends on two integers only (the finaliser of SplitMix64)."""
+    """Return a number in [0, 1) that is a hash of two integers (the finaliser of SplitMix64)."""
     z = (np.uint64(a) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     z = z + np.uint64(b) * np.uint64(0xD1B54A32D192ED03)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -84,7 +85,7 @@ def uniform(a: int, b: int) -> float:
 
 @kernel
 def aim(origins: Array, directions: Array, rotation: Array) -> Floats32:
-    """Return rays (n, 6): origins (1 or n, 3), and directions turned by `rotation` (3, 3)."""
+    """Return rays (n, 6) from origins (1 or n, 3) and directions rotated by `rotation` (3, 3)."""
     rays = np.empty((len(directions), 6), np.float32)
     a, b, c = rotation
     for i in range(len(rays)):
@@ -99,7 +100,7 @@ def aim(origins: Array, directions: Array, rotation: Array) -> Floats32:
 
 @kernel
 def keep_nearer(hits: Hits, index: Ints32, rays: Floats32, base: Floats32, answer: Answer, normals: Floats32) -> None:
-    """Where an answer is nearer than the hit so far, take it, and its normal where `normals` (N, 3) are wanted.
+    """Update hits by nearer answers in place, and their `normals` (N, 3) unless that array is empty.
 
     Answer i belongs to ray `index[i]` of `hits` and to `rays[i]`, which starts `base[i]` [m] from the sensor.
     """
@@ -119,9 +120,9 @@ def keep_nearer(hits: Hits, index: Ints32, rays: Floats32, base: Floats32, answe
 
 @kernel
 def transmitted(material: Bytes, transmission: Array, first: int, salt: int, index: Ints32) -> Ints32:
-    """Return those of the rays `index` that pass through what they hit, by a hash of their number and `salt`.
+    """Return the rays of `index` that pass through the glass they hit, selected by a hash of ray number and `salt`.
 
-    `material` (n,) is what each ray of a batch hit; `first` is the number of its first ray.
+    `material` (n,) is the material that each ray of a batch hit; `first` is the number of the first ray.
     """
     passed = np.zeros(len(index), np.bool_)
     for n in range(len(index)):
@@ -133,7 +134,7 @@ def transmitted(material: Bytes, transmission: Array, first: int, salt: int, ind
 
 @kernel
 def restart(hits: Hits, index: Ints32, rays: Floats32, skin: np.float32) -> tuple[Floats32, Floats32]:
-    """Return rays (n, 6) that start behind what the rays `index` hit, and how far they had come; forget the hits."""
+    """Return the rays (n, 6) that continue behind their hits, and their distances so far [m]; reset these hits."""
     onward, base = np.empty((len(index), 6), np.float32), np.empty(len(index), np.float32)
     for n in range(len(index)):
         k = index[n]
@@ -145,25 +146,25 @@ def restart(hits: Hits, index: Ints32, rays: Floats32, skin: np.float32) -> tupl
     return onward, base
 
 
-BINS = 3600  # of azimuth
-# Shares of what a white target sends back: of grass or gravel at grazing incidence, of a bright wall or leaf head-on.
+BINS = 3600  # azimuth bins of a view
+# Returned shares relative to a white target: grass or gravel at grazing incidence; a bright wall or leaf head-on.
 BRIGHT_GROUND, BRIGHT_WALL = 0.1, 0.3
 
 
 class View(NamedTuple):
-    """Where the beams of a scan see, and how far.
+    """Visibility of a scan: elevations per azimuth bin, and limits of the range.
 
     Attributes
     ----------
     low, high : (BINS,) float32
-        Sines of the lowest and the highest elevation that is seen at an azimuth, from -pi on; low above high where
-        nothing is.
+        Sines of the lowest and highest visible elevation per azimuth bin, starting at -pi; `low` exceeds `high` in bins
+        without visible elevations.
     near, far, reach : float
         `LidarSpec.range_min`, `range_max` and `reach` [m].
     extinction : float
-        Of the air [1/m].
+        Extinction coefficient of the air [1/m].
     dust : (P, 5) float64
-        As in `ogm.simulation.conditions.Conditions`.
+        Balls of dust, see `ogm.simulation.conditions.Conditions`.
     """
 
     low: Floats32
@@ -176,22 +177,22 @@ class View(NamedTuple):
 
 
 def make_view(directions: Floats32, seeing: Mask, limits: tuple[float, float, float], air: float, dust: Floats) -> View:
-    """Return what a scan can see.
+    """Return the visibility of a scan.
 
     Parameters
     ----------
     directions : (layers, columns, 3) float32
-        Of all beams, in the sensor's frame.
+        Unit directions of all beams in the sensor's frame.
     seeing : (layers, columns) bool
-        Beams that see anything.
+        Beams that are not blocked or missing.
     limits : (near, far, reach)
-        As in `View` [m].
+        See `View` [m].
     air : float
-        Extinction [1/m].
+        Extinction coefficient [1/m].
     dust : (P, 5) float64
     """  # fmt: skip
     low, high = np.full(BINS, 2, np.float32), np.full(BINS, -2, np.float32)
-    half = max(1, math.ceil(BINS / directions.shape[1] / 2))  # bins that half a column covers
+    half = max(1, math.ceil(BINS / directions.shape[1] / 2))  # bins covered by half a column
     _widen(low, high, directions, seeing, half)
     return View(low, high, *limits, air, dust)
 
@@ -216,7 +217,7 @@ def _widen(low: Floats32, high: Floats32, directions: Floats32, seeing: Mask, ha
 
 @kernel
 def in_view(directions: Array, view: View) -> Array:
-    """Return which rays (N, 3), unit vectors in the sensor's frame, pass where beams see: (N,) bool."""
+    """Return a mask (N,) of the rays (N, 3) within the view; rays are unit vectors in the sensor's frame."""
     result = np.zeros(len(directions), np.bool_)
     for i in range(len(directions)):
         b = _bin(directions[i, 0], directions[i, 1])
@@ -226,7 +227,7 @@ def in_view(directions: Array, view: View) -> Array:
 
 @kernel
 def _meet(direction: Array, ball: Array, far: float) -> tuple[float, float, float]:
-    """Return where a ray from the origin enters and leaves a ball of dust [m] before `far`, and the optical depth."""
+    """Return the distances at which a ray enters and leaves a dust ball, at most `far` [m], and the optical depth."""
     along = direction[0] * ball[0] + direction[1] * ball[1] + direction[2] * ball[2]
     apart = ball[0] ** 2 + ball[1] ** 2 + ball[2] ** 2 - along * along
     inside = ball[3] ** 2 - apart
@@ -234,16 +235,15 @@ def _meet(direction: Array, ball: Array, far: float) -> tuple[float, float, floa
         return 0.0, 0.0, 0.0
     half = math.sqrt(inside)
     start, stop = min(max(along - half, 0.0), far), min(max(along + half, 0.0), far)
-    # extinction falls as 1 - (r / radius)^2: its integral along the whole chord, and the share that is passed
+    # Extinction falls as 1 - (r / radius)^2: its integral along the whole chord, times the share of it before `far`.
     return start, stop, ball[4] * 4 / 3 * half**3 / ball[3] ** 2 * (stop - start) / (2 * half)
 
 
 @kernel
 def lose_sight(distance: Array, directions: Array, ground: Array, view: View) -> None:
-    """Set the distance of hits (N,) to inf where the lidar would see no bright surface.
+    """Set distances (N,) to inf for hits too far for the lidar to see even a bright surface there.
 
-    Hits of `ground` (N,) bool are seen as far as bright ground is at grazing incidence, all others as far as a bright
-    wall is, head-on.
+    Hits of `ground` (N,) bool count as bright ground at grazing incidence, all others as a bright wall hit head-on.
     """
     for i in range(len(distance)):
         d = 1.0 * distance[i]
@@ -261,19 +261,20 @@ def lose_sight(distance: Array, directions: Array, ground: Array, view: View) ->
 def beams_in_dust(
     distance: Array, strength: Array, directions: Array, dust: Array, draws: Array, scattered: Array
 ) -> None:
-    """Let dust dim what beams return, or return light itself.
+    """Apply dust to returns: attenuate them, or replace them by returns from the dust.
 
     Parameters
     ----------
     distance, strength : (N,) float32
-        Of the beams' returns [m], [percent]; changed in place.
+        Ranges [m] and strengths [percent] of the returns; changed in place.
     directions : (N, 3) float32
-        In the sensor's frame.
+        Unit directions in the sensor's frame.
     dust : (P, 5) float64
+        Balls of dust, see `ogm.simulation.conditions.Conditions`.
     draws : (N, 3) float32
-        In [0, 1).
+        Uniform random numbers in [0, 1).
     scattered : (N,) bool
-        Set where the return comes from dust.
+        Set to True for returns from dust.
     """
     for i in range(len(distance)):
         wanted, depth, nearest = -math.log(1.0 - draws[i, 0]), 0.0, math.inf

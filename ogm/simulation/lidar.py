@@ -1,4 +1,4 @@
-"""One turn of a lidar in a scene: ranges and intensities as a real one reports them.
+"""Simulation of one turn of a lidar in a scene: ranges and intensities as reported by real lidars.
 
 >>> import numpy as np
 >>> from ogm.pose import pose
@@ -34,7 +34,7 @@ __all__ = ["CLEAR", "RangeImage", "Weather", "air_of", "scan", "to_points"]
 
 
 CLEAR = Weather()
-_STEADY = np.zeros(256, np.bool_)  # materials whose returns are never lost for no reason
+_STEADY = np.zeros(256, np.bool_)  # materials without random losses
 _STEADY[[*GROUND, NOTHING]] = True
 
 
@@ -61,18 +61,18 @@ def scan(
         Pose in the middle of the turn.
     rng : numpy.random.Generator
     velocity : (3,) array
-        Of the sensor in the world frame [m/s]. The range image is as raw as a real one: each column as seen
-        from where the sensor was then (`spec.times`).
+        Velocity of the sensor in the world frame [m/s]. The range image is not corrected for motion: each column is
+        measured from the sensor's position at that time (`spec.times`).
     yaw_rate : float
-        About the sensor's z axis, to the left [rad/s].
+        Yaw rate about the sensor's z axis, positive to the left [rad/s].
     weather : Weather
     coats : (K,) integers, optional
-        One for each moving thing of the scene: the same number is the same paint, in any scan. By default
-        their places in the list.
+        Number of each moving object's paint: equal numbers have equal paint in all scans. By default the index of the
+        object.
     seeing : (layers, columns) bool, optional
-        Beams that may return anything; by default all.
+        Beams that are not blocked or missing; by default all.
     dust : (P, 5) float64, optional
-        Clouds of dust, as in `ogm.simulation.conditions.Conditions`.
+        Balls of dust, see `ogm.simulation.conditions.Conditions`.
 
     Returns
     -------
@@ -81,12 +81,12 @@ def scan(
     Raises
     ------
     ValueError
-        If the pose is none, or a number is not finite or impossible.
+        If the pose is invalid, or a number is not finite or out of range.
     """
     T = check_pose(T_world_sensor, "T_world_sensor")
     motion = np.asarray(velocity, np.float64)
     if motion.shape != (3,) or not np.isfinite(motion).all() or not np.isfinite(yaw_rate):
-        raise ValueError(f"velocity must be three finite numbers and yaw_rate one, got {velocity!r}, {yaw_rate}")
+        raise ValueError(f"velocity must be 3 finite numbers, and yaw_rate one, got {velocity!r} and {yaw_rate}")
     seed = int(rng.integers(2**62))
     rays = spec.aims().reshape(-1, 3)
     moving = spec.origins or motion.any() or yaw_rate
@@ -99,7 +99,7 @@ def scan(
         hits = scene.cast(starts, directions[index], salt=seed % 2**31).spread(index, len(rays))
     paint = np.arange(scene.things) if coats is None else np.asarray(coats)
     if paint.shape != (scene.things,) or (paint.size and paint.dtype.kind not in "iu"):
-        raise ValueError(f"coats must be one integer for each of the {scene.things} things in the scene, got {coats!r}")
+        raise ValueError(f"coats must be one integer per object in the scene, {scene.things}, got {coats!r}")
     strength = np.empty(len(rays), np.float32)
     reflect(rays, T, hits, _optics(weather.wet), paint.astype(np.int64), strength)
     if dust is not None and len(dust):
@@ -110,14 +110,14 @@ def scan(
     receive(hits, strength, _device(spec), air_of(weather), _STEADY, seed, image)
     if spec.noise_growth:
         _blur_depths(image, rays, spec, rng)
-    if seeing is not None:  # drops right before the sensor, and light from beside the edge
+    if seeing is not None:  # remove drops in front of the sensor, and returns from neighbouring beams
         blind = ~seeing.ravel()
         image.range[blind], image.intensity[blind], image.object[blind], image.material[blind] = 0, 0, STATIC, NOTHING
     return RangeImage._make(column.reshape(spec.shape) for column in image)
 
 
 def _blur_depths(image: RangeImage, rays: Floats32, spec: LidarSpec, rng: Generator) -> None:
-    """Add the noise of a depth camera, which grows with the square of the depth."""
+    """Add the noise of a depth camera, proportional to the squared depth, in place."""
     along = rays[:, 0].astype(np.float64)
     depth = image.range * along
     depth += spec.noise_growth * depth**2 * rng.standard_normal(len(depth))
@@ -128,7 +128,7 @@ def _blur_depths(image: RangeImage, rays: Floats32, spec: LidarSpec, rng: Genera
 
 
 def _moving_rays(spec: LidarSpec, T: Floats, velocity: Floats, yaw_rate: float) -> tuple[Floats32, Floats32]:
-    """Return origins and directions in the world (layers * azimuths, 3), of a sensor that moves."""
+    """Return world origins and directions (layers * azimuths, 3) of the rays of a moving sensor."""
     turned = yaw_rate * spec.times
     cosine, sine = np.cos(turned), np.sin(turned)
     rotation = np.zeros((spec.azimuths, 3, 3))
@@ -144,7 +144,7 @@ def _moving_rays(spec: LidarSpec, T: Floats, velocity: Floats, yaw_rate: float) 
 
 
 def _device(spec: LidarSpec) -> Device:
-    """Return a lidar's numbers as kernels use them."""
+    """Return the parameters of a lidar for kernels."""
     spacing = np.diff(spec.elevations, append=math.inf)
     upwards = spec.divergence / 2 / np.maximum(spacing, 1e-9)
     if spec.origins:
@@ -161,9 +161,9 @@ def _device(spec: LidarSpec) -> Device:
 
 
 def _optics(wet: float) -> Floats32:
-    """Return the table of materials with wet ground: darker, and more like a mirror."""
+    """Return the optics of materials with wet ground, which is darker and more specular."""
     if not 0 <= wet <= 1:
-        raise ValueError(f"wet must lie in 0 ... 1, got {wet}")
+        raise ValueError(f"wet must be in 0 ... 1, got {wet}")
     optics = table()
     soaked = optics[Material.WET_ASPHALT].copy()
     for m in GROUND - {Material.WET_ASPHALT}:
@@ -177,16 +177,16 @@ def _optics(wet: float) -> Floats32:
 
 
 def air_of(weather: Weather) -> Air:
-    """Return what the weather makes of the air.
+    """Return the optical properties of the air in some weather.
 
-    Extinction: Koschmieder's law for fog, a power law of the rate for rain (order of magnitude of published
-    measurements at 905 nm). The returns are ours: about one ray in fifty in strong rain, most of them in
-    dense fog, from close by.
+    Extinction follows Koschmieder's law for fog, and a power law of the rate for rain (order of magnitude of published
+    measurements at 905 nm). The returns are estimates: about one ray in fifty in strong rain, most rays in dense fog,
+    at short range.
     """
     if not (weather.rain >= 0 and math.isfinite(weather.rain)):
         raise ValueError(f"rain must be 0 mm/h or more, got {weather.rain}")
     if not weather.fog > 0:
-        raise ValueError(f"fog, the visibility, must be positive [m], inf for none, got {weather.fog}")
+        raise ValueError(f"fog must be a visibility above 0 m, inf for clear air, got {weather.fog}")
     extinction = 2e-4 * weather.rain**0.7 + 3.912 / weather.fog
     drops = 1e-3 * weather.rain + 10 / weather.fog
     depth = 3.0 if not math.isfinite(weather.fog) else 2 + 0.05 * min(weather.fog, 200.0)
@@ -194,17 +194,17 @@ def air_of(weather: Weather) -> Air:
 
 
 def to_points(image: RangeImage, spec: LidarSpec) -> tuple[Floats32, Ints, Ints]:
-    """Return the returns of a range image as points, layer by layer.
+    """Convert a range image to points, layer by layer.
 
     Returns
     -------
     points : (N, 4) float32
-        x, y, z in the sensor frame [m], intensity [0, 1].
+        Positions in the sensor frame [m], intensity [0, 1].
     layer, column : (N,) int64
-        Place of each in the range image.
+        Position of each point in the range image.
     """
     if image.range.shape != spec.shape:
-        raise ValueError(f"a range image of {spec.name} has shape {spec.shape}, got {image.range.shape}")
+        raise ValueError(f"the range image of {spec.name} must have shape {spec.shape}, got {image.range.shape}")
     layer, column = np.nonzero(image.range)
     points = np.empty((len(layer), 4), np.float32)
     points[:, :3] = image.range[layer, column, None] * spec.directions()[layer, column]

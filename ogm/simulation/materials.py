@@ -1,4 +1,4 @@
-"""What surfaces are made of: how a lidar at 905 nm sees them, and their colours in pictures.
+"""Surface materials: reflection of a lidar beam at 905 nm, and colours in pictures.
 
 >>> from ogm.simulation.materials import GROUND, Material
 >>> Material.ASPHALT in GROUND, Material.ASPHALT.optics.retro
@@ -14,20 +14,20 @@ __all__ = ["GROUND", "Material", "Optics", "table"]
 
 
 class Optics(NamedTuple):
-    """How a material answers a beam at 905 nm.
+    """Optical properties of a material at 905 nm.
 
     Attributes
     ----------
     reflectivity : float
-        Diffuse reflectivity [0, 1]: the share a matt white target would return, times this.
+        Diffuse reflectivity [0, 1], relative to a matt white target.
     spread : float
-        Standard deviation of its logarithm from one patch to the next.
+        Standard deviation of the logarithm of the reflectivity between patches.
     retro : float
-        Extra return of retroreflective sheeting, in multiples of a matt white target seen head-on.
+        Additional return of retroreflective sheeting, in multiples of a matt white target hit head-on.
     specular : float
-        Share [0, 1] that leaves as from a mirror: it comes back at normal incidence only.
+        Share [0, 1] of mirror-like reflection, which returns to the sensor at normal incidence only.
     transmission : float
-        Share [0, 1] of the rays that pass through and go on.
+        Share [0, 1] of the rays that pass through.
     """
 
     reflectivity: float
@@ -38,19 +38,19 @@ class Optics(NamedTuple):
 
 
 class Material(IntEnum):
-    """Materials by number, which a mesh carries one of per triangle; with optics, and RGB colours for pictures."""
+    """Materials of mesh triangles by number, with optics, and RGB colours for pictures."""
 
     optics: Optics
     colour: tuple[float, float, float]
 
     def __new__(cls, number: int, optics: Optics, colour: tuple[float, float, float]) -> Self:
-        """Make a number with attributes."""
+        """Make a material number with attributes."""
         material = int.__new__(cls, number)
         material._value_, material.optics, material.colour = number, optics, colour
         return material
 
-    # Effective values at 905 nm, ours: began from typical ones, then darkened until the spread of intensities lay
-    # between those of real Velodyne scans (benchmarks/realism.py): dirt, gloss and partly filled beams are in them.
+    # Effective values at 905 nm, which include dirt, gloss and partly filled beams. Estimates: typical values, darkened
+    # until the spread of intensities was within that of real Velodyne scans (benchmarks/realism.py).
     ASPHALT = 0, Optics(0.11, 0.35), (0.30, 0.30, 0.32)
     WORN_ASPHALT = 1, Optics(0.20, 0.25), (0.38, 0.38, 0.38)
     WET_ASPHALT = 2, Optics(0.05, 0.4, specular=0.5), (0.18, 0.20, 0.24)
@@ -68,7 +68,7 @@ class Material(IntEnum):
     STONE = 14, Optics(0.14, 0.4), (0.60, 0.57, 0.50)
     WOOD = 15, Optics(0.16, 0.4), (0.55, 0.40, 0.25)
     ROOF = 16, Optics(0.12, 0.3), (0.52, 0.25, 0.20)
-    WINDOW = 17, Optics(0.06, 0.4, specular=0.6), (0.25, 0.33, 0.42)  # nothing beyond it is modelled
+    WINDOW = 17, Optics(0.06, 0.4, specular=0.6), (0.25, 0.33, 0.42)  # opaque: the interior is not modelled
     METAL_SHEET = 18, Optics(0.15, 0.4, specular=0.3), (0.62, 0.65, 0.70)
     METAL_POLE = 19, Optics(0.15, 0.4, specular=0.2), (0.45, 0.47, 0.50)
     FOLIAGE = 20, Optics(0.25, 0.5), (0.20, 0.42, 0.16)
@@ -92,14 +92,14 @@ class Material(IntEnum):
 
 
 M = Material
-# What a vehicle may drive over: hits on these make a cell free, hits on all others make it occupied.
+# Materials that a vehicle may drive over: hits on them make a cell free, hits on others make it occupied.
 GROUND = frozenset(
     {M.ASPHALT, M.WORN_ASPHALT, M.WET_ASPHALT, M.COBBLES, M.PAVING, M.GRAVEL, M.GRASS, M.SOIL, M.MARKING}
 )
 
 
 def table() -> np.ndarray:
-    """Return the optics as an array that kernels can index.
+    """Return the optics of all materials as an array for kernels.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Triangles with a material each, the shapes that all in a town is put together from, and types of their arrays.
+"""Triangle meshes with a material per triangle, builders of basic shapes, and types of their arrays.
 
 >>> from ogm.simulation.materials import Material
 >>> from ogm.simulation.mesh import box, merge
@@ -25,18 +25,18 @@ Ints32 = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Array = NDArray[Any]
-HeightAt = Callable[[Floats, Floats], Array]  # height of the ground [m] at x, y [m]
+HeightAt = Callable[[Floats, Floats], Array]  # ground height [m] at x, y [m]
 
 
 class Mesh(NamedTuple):
-    """Triangles.
+    """A triangle mesh with materials.
 
     Attributes
     ----------
     vertices : (V, 3) float32
         x, y, z [m].
     triangles : (T, 3) uint32
-        Vertices of each triangle. Both sides count, so their order is free.
+        Vertex indices of each triangle, in any order: both sides are visible.
     material : (T,) uint8
         `Material` of each triangle.
     """
@@ -46,13 +46,13 @@ class Mesh(NamedTuple):
     material: Bytes
 
     def moved(self, T: ArrayLike) -> "Mesh":
-        """Return the mesh seen from another frame: `T` is a 4x4 ``T_to_from``."""
+        """Return the mesh transformed to another frame by a (4, 4) `T`, a ``T_to_from``."""
         T = np.asarray(T, np.float64)
         vertices = self.vertices @ T[:3, :3].T + T[:3, 3]
         return Mesh(vertices.astype(np.float32), self.triangles, self.material)
 
     def painted(self, material: Material) -> "Mesh":
-        """Return the mesh with one material all over."""
+        """Return the mesh with one material on all triangles."""
         return self._replace(material=np.full(len(self.triangles), material, np.uint8))
 
     @property
@@ -76,7 +76,7 @@ def empty() -> Mesh:
 
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
-    """Put meshes together into one."""
+    """Merge meshes into one."""
     if not (parts := list(meshes)):
         return empty()
     starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
@@ -93,9 +93,9 @@ def quads(corners: ArrayLike, material: int | ArrayLike) -> Mesh:
     Parameters
     ----------
     corners : (N, 4, 3) array
-        Corners in order around each.
+        Corners of each quadrilateral, in order around it.
     material : Material or (N,) array
-        One for all or one for each.
+        One material for all, or one for each quadrilateral.
     """
     corners = np.asarray(corners, np.float64).reshape(-1, 4, 3)
     first = 4 * np.arange(len(corners))[:, None]
@@ -105,13 +105,13 @@ def quads(corners: ArrayLike, material: int | ArrayLike) -> Mesh:
 
 
 def sheet(left: ArrayLike, right: ArrayLike, material: int) -> Mesh:
-    """Span a strip between two lines of the same number of points: a road between its edges, a fence."""
+    """Make a strip between two lines of equal length, such as a road between its edges or a fence."""
     left, right = np.asarray(left, np.float64), np.asarray(right, np.float64)
     return quads(np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1), material)
 
 
 def wall(line: ArrayLike, height: float | ArrayLike, material: int, *, depth: float = 0.0) -> Mesh:
-    """Raise an upright sheet from a line (M, 3), from `depth` below it to `height` above it [m]."""
+    """Make an upright sheet along a line (M, 3), from `depth` below the line to `height` above it [m]."""
     line = np.asarray(line, np.float64)
     up = np.zeros_like(line)
     up[:, 2] = height
@@ -119,7 +119,7 @@ def wall(line: ArrayLike, height: float | ArrayLike, material: int, *, depth: fl
 
 
 def box(lower: ArrayLike, upper: ArrayLike, material: int) -> Mesh:
-    """Make a box along the axes between two corners."""
+    """Make an axis-aligned box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
     p = np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)])
     faces = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -127,16 +127,16 @@ def box(lower: ArrayLike, upper: ArrayLike, material: int) -> Mesh:
 
 
 def loft(sections: ArrayLike, material: int | ArrayLike, *, caps: int | None = None) -> Mesh:
-    """Span a skin over closed cross sections, as a car body over its frames.
+    """Make a surface through closed cross sections, such as a car body.
 
     Parameters
     ----------
     sections : (S, P, 3) array
-        S closed outlines of P points each, point p of one joined to point p of the next.
+        S closed outlines of P points each; point p of an outline connects to point p of the next.
     material : Material or (S - 1, P) array
-        One for all, or one for each quadrilateral between sections s and s + 1, points p and p + 1.
+        One for all, or one per quadrilateral between sections s and s + 1, points p and p + 1.
     caps : Material, optional
-        Closes the first and the last outline (which should be convex).
+        Material of end caps on the first and last outline, which should be convex; without caps if None.
     """
     sections = np.asarray(sections, np.float64)
     following = np.roll(sections, -1, axis=1)
@@ -159,11 +159,11 @@ def cylinder(
     sides: int = 8,
     caps: bool = True,
 ) -> Mesh:
-    """Make a cylinder or, with another `end_radius`, a cone between two points [m], which must differ."""
+    """Make a cylinder between two distinct points [m], or a cone with another `end_radius`."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = np.linalg.norm(end - start)
     if not length > 0:
-        raise ValueError(f"a cylinder needs two points apart from each other, got {start} and {end}")
+        raise ValueError(f"start and end of a cylinder must differ, got {start} and {end}")
     axis = (end - start) / length
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
@@ -174,7 +174,7 @@ def cylinder(
 
 
 def ellipsoid(center: ArrayLike, radii: ArrayLike, material: int, *, sides: int = 10) -> Mesh:
-    """Make an ellipsoid along the axes."""
+    """Make an axis-aligned ellipsoid."""
     polar = np.linspace(0, np.pi, sides // 2 + 1)
     around = 2 * np.pi * np.arange(sides) / sides
     sine, cosine = np.sin(polar)[:, None], np.cos(polar)[:, None]
@@ -182,11 +182,11 @@ def ellipsoid(center: ArrayLike, radii: ArrayLike, material: int, *, sides: int 
     return loft(np.asarray(center, np.float64) + unit * np.asarray(radii, np.float64), material)
 
 
-SUNK = 0.3  # [m] feet reach this far into the ground, so that they stand on a slope as well
+SUNK = 0.3  # [m] depth of feet in the ground, so that they also reach it on a slope
 
 
 def upright(x: float, y: float, z: float, yaw: float = 0.0) -> Floats:
-    """Return the transform (4, 4) of a piece that stands upright at a place."""
+    """Return the transform (4, 4) of an upright part at a position [m] and yaw [rad]."""
     T = np.eye(4)
     T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     T[:3, 3] = x, y, z
@@ -194,7 +194,7 @@ def upright(x: float, y: float, z: float, yaw: float = 0.0) -> Floats:
 
 
 def triangles(corners: ArrayLike, material: int) -> Mesh:
-    """Make triangles (N, 3, 3) that share no corners."""
+    """Make separate triangles from their corners (N, 3, 3)."""
     vertices = np.asarray(corners, np.float32).reshape(-1, 3)
     faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
     return Mesh(vertices, faces, np.full(len(faces), material, np.uint8))

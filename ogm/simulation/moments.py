@@ -1,4 +1,4 @@
-"""A moment of a drive through a town: everything in place, ready for rays, and the radar sweeps around it."""
+"""Scene of a moment of a drive, ready for ray casting, and its radar sweeps."""
 
 import math
 from dataclasses import replace
@@ -25,12 +25,12 @@ from ogm.simulation.traffic.bodies import ego_body
 from ogm.simulation.traffic.departure import Object
 from ogm.simulation.traffic.motion import Traffic, TrafficState
 
-REACH = 120.0  # [m] around the ego vehicle, within which moving things are put in place
-DRIVES_KEPT = 12  # drives whose traffic is kept in memory, to go on from where they were
+REACH = 120.0  # [m] radius around the ego vehicle within which moving objects are placed
+CACHED_DRIVES = 12  # drives with their traffic in memory, to continue them
 
 
 class World(NamedTuple):
-    """A town, ready for rays."""
+    """A town with scenes of all its static meshes and of its ground."""
 
     town: Town
     scene: Scene
@@ -38,21 +38,21 @@ class World(NamedTuple):
 
 
 class SceneSetup(NamedTuple):
-    """One moment in the world, everything in place: what a sample is made from.
+    """Everything a sample is made from: one moment in the world.
 
     Attributes
     ----------
     world : World
-        Its scene has the moving things where they are.
+        Town with the moving objects placed in its scene.
     state : TrafficState
     objects : tuple of Object
-        Those in the scene, in the order of its object numbers.
+        Objects in the scene, in the order of its object indices.
     spec : LidarSpec
     T_vehicle_sensor, T_world_sensor : (4, 4) float64
     conditions : Conditions, optional
-        What a recipe does to the scan.
+        Conditions of the scan drawn from a recipe.
     steepest : float
-        As `ogm.simulation.survey.Limits.steepest`.
+        See `ogm.simulation.survey.Limits.steepest`.
     """
 
     world: World
@@ -65,7 +65,7 @@ class SceneSetup(NamedTuple):
     steepest: float = np.inf
 
 
-# The last towns and drives are kept: building a town takes seconds, and traffic goes on from where it was.
+# Recent towns and drives are cached: building a town takes seconds, and traffic continues from its last state.
 _town = lru_cache(maxsize=1)(build_town)
 the_ego_body = lru_cache(maxsize=1)(ego_body)
 
@@ -76,13 +76,13 @@ def _world(seed: int, size: float, country: Country | None, threads: int) -> Wor
     return World(town, Scene(town.mesh, threads=threads), Scene(town.ground, threads=threads))
 
 
-@lru_cache(maxsize=DRIVES_KEPT)
+@lru_cache(maxsize=CACHED_DRIVES)
 def _drive(town: int, size: float, country: Country | None, seed: int, clockwise: bool) -> Traffic:
     return Traffic(_town(town, size, country), seed, clockwise=clockwise)
 
 
 def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SceneSetup:
-    """Put everything where it is in a sample's moment; `threads` processor cores cast rays, 0 for all."""
+    """Return the scene of a sample's moment; `threads` processor cores cast rays, 0 for all."""
     at = moment(plan, split, index)
     recipe = RECIPES.get(plan.recipe)
     world = _world(at.town, plan.town_size, recipe and recipe.country, threads)
@@ -90,15 +90,15 @@ def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> Scene
     near = put_in_place(world, state)
     mount, (height, forward, roll, pitch) = draw_mount(plan, split, index)
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
-    spec = replace(sensor_spec(mount.lidar), unit=at.traffic)  # another vehicle, another sensor of this kind
+    spec = replace(sensor_spec(mount.lidar), unit=at.traffic)  # each vehicle has its own unit of the sensor
     here = SceneSetup(world, state, near, spec, T_vehicle_sensor, state.ego @ T_vehicle_sensor)
     return here if recipe is None else _by_recipe(here, recipe, mount.view, _sequence_rng(plan, split, index, 2))
 
 
 def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, tuple[float, float, float, float]]:
-    """Draw the lidar of a sample and its mounting: height, forward [m], roll, pitch [rad].
+    """Draw the lidar of a sample and its height and forward position [m], roll and pitch [rad].
 
-    All samples of a sequence have the same.
+    All samples of a sequence share the result.
     """
     rng = _sequence_rng(plan, split, index, 0)
     shares = np.cumsum([mount.share for mount in plan.mounts])
@@ -111,29 +111,31 @@ def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, t
 
 
 def traffic_of(plan: DatasetPlan, at: Moment) -> Traffic:
-    """Return the traffic of a drive; that of the last drives is kept."""
+    """Return the traffic of a drive, cached for recent drives."""
     recipe = RECIPES.get(plan.recipe)
     return _drive(at.town, plan.town_size, recipe and recipe.country, at.traffic, at.clockwise)
 
 
 def put_in_place(world: World, state: TrafficState) -> tuple[Object, ...]:
-    """Put the things near the ego vehicle where they are, and return them in the order of the scene."""
-    near = tuple(one for one in state.objects if np.hypot(*(one.pose - state.ego)[:2, 3]) < REACH)
-    world.scene.place([one.mesh.moved(one.pose) for one in near], the_ego_body().mesh.moved(state.ego))
+    """Place the objects near the ego vehicle in the scene, and return them in order."""
+    near = tuple(thing for thing in state.objects if np.hypot(*(thing.pose - state.ego)[:2, 3]) < REACH)
+    world.scene.place([thing.mesh.moved(thing.pose) for thing in near], the_ego_body().mesh.moved(state.ego))
     return near
 
 
 def _sequence_rng(plan: DatasetPlan, split: str, index: int, purpose: int) -> Generator:
-    """Return the random numbers of one sample and one purpose; all samples of a sequence have the same."""
+    """Return the random generator of a sample for a purpose; all samples of a sequence share it."""
     return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, purpose)
 
 
 def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator) -> SceneSetup:
-    """Give the sensor the errors of its unit, and the scan its conditions."""
+    """Apply the calibration errors of the unit to the sensor, and the conditions to the scan."""
     spec = here.spec
     elevation, distance = layer_errors(recipe, spec.name, spec.layers, spec.unit)
     T = inverse(here.T_world_sensor)
-    movers = [np.r_[transform_points(T, one.pose[None, :3, 3])[0], T[:2, :3] @ one.velocity] for one in here.objects]
+    movers = [
+        np.r_[transform_points(T, thing.pose[None, :3, 3])[0], T[:2, :3] @ thing.velocity] for thing in here.objects
+    ]
     conditions = draw_conditions(recipe, beams_of(spec), view, np.array(movers).reshape(-1, 5), rng)
     return here._replace(
         spec=replace(spec, elevation_errors=elevation, range_errors=distance),
@@ -143,10 +145,10 @@ def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator
 
 
 def sweep_times(split: str, time: float, rate: float) -> list[float]:
-    """Return when the sweeps of a radar are taken that belong to a sample [s].
+    """Return the times of a radar's sweeps that belong to a sample [s].
 
-    In `sequences`, whole multiples of the radar's period within the lidar's turn, so that every sweep of a drive
-    belongs to one sample; in the other splits, the sample's time alone.
+    In `sequences`, these are the multiples of the radar's period within the lidar's turn, so that every sweep of a
+    drive belongs to one sample. In the other splits, it is the sample's time only.
     """
     if split != "sequences":
         return [time]
@@ -161,14 +163,14 @@ def sample_sweeps(plan: DatasetPlan, split: str, index: int, world: World) -> tu
     Parameters
     ----------
     plan, split, index
-        As of `ogm.simulation.dataset.make_sample`.
+        See `ogm.simulation.dataset.make_sample`.
     world : World
-        The sample's; its moving things stay where the last sweep had them.
+        World of the sample. Its moving objects stay at their positions of the last sweep.
 
     Returns
     -------
     tuple of PlacedSweep
-        In the order of the plan's radars, each in the order of time.
+        Sweeps in the order of the plan's radars, each radar's in order of time.
     """
     at = moment(plan, split, index)
     taken = [
@@ -180,8 +182,8 @@ def sample_sweeps(plan: DatasetPlan, split: str, index: int, world: World) -> tu
     for time in dict.fromkeys(time for time, _ in sorted(taken)):
         state = traffic_of(plan, at).at(time)
         near = put_in_place(world, state)
-        velocities = np.array([one.velocity for one in near]).reshape(-1, 3)
-        tracks = np.array([*(one.track for one in near), -1])
+        velocities = np.array([thing.velocity for thing in near]).reshape(-1, 3)
+        tracks = np.array([*(thing.track for thing in near), -1])
         for number in (number for other, number in taken if other == time):
             mount = plan.radars[number]
             T = state.ego @ pose(mount.x, mount.y, mount.z, yaw=mount.yaw)

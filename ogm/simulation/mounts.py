@@ -1,7 +1,7 @@
-"""Which lidars and radars a data set has, how they are mounted, and how often.
+"""Lidars and radars of a dataset and their mounting positions.
 
->>> from ogm.simulation.mounts import only, radars_at
->>> only("vlp-16")[0].lidar, [radar.name for radar in radars_at(["ars548"])]
+>>> from ogm.simulation.mounts import single_sensor, radars_at
+>>> single_sensor("vlp-16")[0].lidar, [radar.name for radar in radars_at(["ars548"])]
 ('vlp-16', ['ars548-front'])
 """
 
@@ -12,31 +12,30 @@ from dataclasses import dataclass
 from ogm.simulation.radars import RADARS
 from ogm.simulation.robot_sensors import sensor_spec
 
-__all__ = ["FULL_TURN", "MOUNTS", "PLACES", "LidarMount", "RadarMount", "only", "radars_at"]
+__all__ = ["FULL_TURN", "MOUNTS", "PLACES", "LidarMount", "RadarMount", "single_sensor", "radars_at"]
 
 FULL_TURN = 2 * math.pi
 
 
 @dataclass(frozen=True)
 class LidarMount:
-    """A lidar, planar laser or depth camera, how it is mounted, and how often.
+    """A lidar, planar laser or depth camera with its mounting position and its share of the samples.
 
     Parameters
     ----------
     lidar : str
         Name in `ogm.simulation.sensors.LIDARS` or `ogm.simulation.robot_sensors.ROBOT_SENSORS`.
     share : float
-        Share of the samples taken with it, relative to that of the other mounts.
+        Share of the samples with this sensor, relative to the shares of the other mounts.
     height : (float, float), optional
-        Lowest and highest mounting height above the ground [m]; drawn anew for each sample (each sequence). By
-        default the lidar's usual height.
+        Lowest and highest mounting height above the ground [m], drawn uniformly for each sample or sequence. By
+        default the usual height of the sensor.
     forward : (float, float)
-        The same along the vehicle's x axis, from the middle of its footprint [m].
+        Rearmost and foremost position along the vehicle's x axis, from the middle of its footprint [m].
     tilt : float
-        Largest roll and pitch of the mounting [rad], drawn likewise.
+        Largest roll and pitch of the mounting [rad], 0 to 0.2, drawn uniformly.
     view : float
-        Width of the sector around straight ahead in which it fires [rad]: less than a turn for a lidar that does not
-        turn. Recipes alone regard it.
+        Width of the fired sector, centred straight ahead [rad], above 0 and up to 2 pi. Only recipes use it.
     """
 
     lidar: str
@@ -51,11 +50,11 @@ class LidarMount:
             object.__setattr__(self, "height", tuple(map(float, self.height)))
         object.__setattr__(self, "forward", tuple(map(float, self.forward)))
         if not (self.share > 0 and math.isfinite(self.share)):
-            raise ValueError(f"the share of {self.lidar} must be positive, got {self.share}")
+            raise ValueError(f"share of {self.lidar} must be positive and finite, got {self.share}")
         for name, pair, low, high in (("height", self.height, 0.1, 5.0), ("forward", self.forward, -3.0, 3.0)):
             if pair is not None and (len(pair) != 2 or not low <= pair[0] <= pair[1] <= high):
                 raise ValueError(
-                    f"{name} of {self.lidar} must be two numbers, rising, in {low} ... {high} m, got {pair}"
+                    f"{name} of {self.lidar} must be an ascending pair within {low} ... {high} m, got {pair}"
                 )
         if not 0 <= self.tilt <= 0.2:
             raise ValueError(f"tilt of {self.lidar} must be in 0 ... 0.2 rad, got {self.tilt}")
@@ -63,7 +62,7 @@ class LidarMount:
             raise ValueError(f"view of {self.lidar} must be in 0 ... 2 pi rad, got {self.view}")
 
 
-# Four samples in five as in the paper; the others so that a network can be trained for more than one car.
+# Four of five samples use the paper's sensor and mount. The others let a network be trained for several cars.
 MOUNTS = (
     LidarMount("vlp-32c", 0.80),
     LidarMount("vlp-32c", 0.05, (1.7, 2.4), (-0.4, 0.4), 0.03),
@@ -74,42 +73,44 @@ MOUNTS = (
 )
 
 
-def only(lidar: str) -> tuple[LidarMount, ...]:
-    """Return the mounts of a data set that has one sensor, level: a lidar mid-roof as the paper's, others at the front.
+def single_sensor(lidar: str) -> tuple[LidarMount, ...]:
+    """Return the mounts of a dataset with one level sensor: a lidar mid-roof as in the paper, others at the front.
 
     Parameters
     ----------
     lidar : str
-        A name of `LidarMount`, and perhaps ``@`` and a height above the ground [m], as ``utm-30lx@0.5``.
+        Name as in `LidarMount`, optionally followed by ``@`` and a height above the ground [m]: ``utm-30lx@0.5``.
 
     Raises
     ------
     ValueError
-        If there is no such sensor, or the height is none.
+        If the sensor is unknown, or the height is not a number within the bounds of `LidarMount`.
     """
     name, at, height = lidar.partition("@")
     forward = sensor_spec(name).forward
     try:
         heights = (float(height),) * 2 if at else None
     except ValueError:
-        raise ValueError(f"after @ of {name} stands a height above the ground [m], got {height!r}") from None
+        raise ValueError(f"@ after {name} must be followed by a height above the ground [m], got {height!r}") from None
     return (LidarMount(name, height=heights, forward=(forward, forward)),)
 
 
 @dataclass(frozen=True)
 class RadarMount:
-    """A radar and where it is mounted.
+    """A radar and its mounting position.
 
     Parameters
     ----------
     name : str
-        Of the sensor; no other radar of the vehicle has the same.
+        Name of the sensor, unique on the vehicle; 1 to 64 printable characters.
     radar : str
         Name in `ogm.simulation.radars.RADARS`.
-    x, y, z : float
-        From the middle of the vehicle's footprint, on the ground [m].
+    x, y : float
+        Position from the middle of the vehicle's footprint [m], within 20 m and 5 m.
+    z : float
+        Height above the ground [m], 0.1 to 5.
     yaw : float
-        Of the middle of its field of view [rad].
+        Direction of the middle of its field of view [rad], -pi to pi.
     """
 
     name: str
@@ -121,18 +122,18 @@ class RadarMount:
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isprintable() or len(self.name) > 64:
-            raise ValueError(f"the name of a radar must be 1 to 64 characters, got {self.name!r}")
+            raise ValueError(f"the name of a radar must be 1 to 64 printable characters, got {self.name!r}")
         if self.radar not in RADARS:
-            raise ValueError(f"there is no radar {self.radar!r}; there are {', '.join(RADARS)}")
+            raise ValueError(f"unknown radar {self.radar!r}; known radars: {', '.join(RADARS)}")
         bounds = {"x": (-20.0, 20.0), "y": (-5.0, 5.0), "z": (0.1, 5.0), "yaw": (-math.pi, math.pi)}
         for key, (low, high) in bounds.items():
             value = float(getattr(self, key))
             if not low <= value <= high:  # NaN fails too
-                raise ValueError(f"{key} of {self.name} must lie in {low:.4g} ... {high:.4g}, got {value}")
+                raise ValueError(f"{key} of {self.name} must be in {low:.4g} ... {high:.4g}, got {value}")
             object.__setattr__(self, key, value)
 
 
-_HALF, _SIDE = 2.45, 1.0  # [m] the bumpers, and the corners, of the ego vehicle
+_HALF, _SIDE = 2.45, 1.0  # [m] from the middle of the ego vehicle to its bumpers and to its corners
 PLACES = {  # x, y, z [m], yaw [degrees]
     "front": (_HALF, 0.0, 0.5, 0.0),
     "rear": (-_HALF, 0.0, 0.5, 180.0),
@@ -145,29 +146,29 @@ _CORNERS = tuple(place for place in PLACES if "-" in place)
 
 
 def radars_at(names: Iterable[str]) -> tuple[RadarMount, ...]:
-    """Return radars by words such as ``ars548`` or ``ars408@rear``.
+    """Return radar mounts by names such as ``ars548`` or ``ars408@rear``.
 
     Parameters
     ----------
     names : iterable of str
-        A name in `RADARS`, and perhaps ``@`` and a name in `PLACES`. Without a place, ``corner`` is one radar at each
-        of the four corners, and another radar is in front.
+        Names in `RADARS`, each optionally followed by ``@`` and a name in `PLACES`. Without a place, ``corner`` gives
+        one radar at each of the four corners, and any other name one radar at the front.
 
     Raises
     ------
     ValueError
-        If there is no such radar or place, or two are at one place with one name.
+        If a radar or a place is unknown.
     """
     result = []
     for word in names:
         radar, _, place = word.partition("@")
         if radar not in RADARS or place not in ("", *PLACES):
             raise ValueError(
-                f"a radar is one of {', '.join(RADARS)}, or such a name, @ and a place, which is one of "
-                f"{', '.join(PLACES)}; got {word!r}"
+                f"a radar must be one of {', '.join(RADARS)}, optionally followed by @ and one of {', '.join(PLACES)}; "
+                f"got {word!r}"
             )
         places = (place,) if place else _CORNERS if radar == "corner" else ("front",)
-        for one in places:
-            x, y, z, degrees = PLACES[one]
-            result.append(RadarMount(f"{radar}-{one}", radar, x, y, z, math.radians(degrees)))
+        for position in places:
+            x, y, z, degrees = PLACES[position]
+            result.append(RadarMount(f"{radar}-{position}", radar, x, y, z, math.radians(degrees)))
     return tuple(result)

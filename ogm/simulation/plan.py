@@ -1,8 +1,8 @@
-"""What a data set shall hold: `DatasetPlan`, and which drive each of its samples is taken from.
+"""Plan of a dataset: `DatasetPlan`, and the drive from which each sample is taken.
 
->>> from ogm.simulation.mounts import only
+>>> from ogm.simulation.mounts import single_sensor
 >>> from ogm.simulation.plan import DatasetPlan
->>> DatasetPlan(samples=20, validation=4, test=0, town_size=240, mounts=only("os1-64")).counts
+>>> DatasetPlan(samples=20, validation=4, test=0, town_size=240, mounts=single_sensor("os1-64")).counts
 {'training': 20, 'validation': 4, 'test': 0, 'sequences': 0}
 """
 
@@ -19,62 +19,62 @@ from ogm.simulation.recipe import RECIPES, DataRecipe
 __all__ = ["SPLITS", "DatasetPlan", "count_towns", "moment", "sample_rng"]
 
 SPLITS = ("training", "validation", "test", "sequences")
-RUN = 10  # samples of one drive before the next one's turn: one shard
-LAP = 1000.0  # [s] of a drive, from which samples are taken
-WARM_UP = 20.0  # [s] that traffic has run before the first sample
-BOUNDS = {  # of numbers of a `DatasetPlan`, and their unit
+RUN = 10  # consecutive samples of one drive: one shard
+LAP = 1000.0  # [s] length of a drive
+WARM_UP = 20.0  # [s] of traffic before the first sample
+BOUNDS = {  # bounds of `DatasetPlan` parameters, and their unit
     "drives": (1, 1000, ""), "spacing": (0.1, 100.0, " s"), "hd_layers": (2, math.inf, ""),
     "town_size": (240.0, 1000.0, " m"),
     "bad_weather": (0, 1, ", a share of the samples"), "in_motion": (0, 1, ", a share of the samples"),
 }  # fmt: skip
-# settings that older data sets lack; their defaults are what those did
+# Settings missing in older datasets, which were made with today's defaults.
 ADDED = {"drives", "test_towns", "spacing", "recipe", "radars"}
-SEQUENCE = 100  # samples of one sequence: 10 s at 10 Hz
-PERIOD = 0.1  # [s] from sample to sample of a sequence
+SEQUENCE = 100  # samples per sequence: 10 s at 10 Hz
+PERIOD = 0.1  # [s] between samples of a sequence
 
 
 @dataclass(frozen=True)
 class DatasetPlan:
-    """What a data set shall hold; with the number of a sample, all that is needed to make it.
+    """Plan of a dataset, which determines each sample by its index.
 
     The default is the paper's recipe (Sec. V): ten drives through one town, half of them clockwise, at 1 Hz;
-    validation in the same town with other traffic; test in another town. Samples of one drive 1 s apart are much
-    alike: intervals over a test need many drives (`drives`, `test_towns`), or samples further apart (`spacing`).
+    validation in the same town with other traffic; test in another town. Samples 1 s apart on a drive are very similar.
+    Confidence intervals over a test need many drives (`drives`, `test_towns`) or a larger `spacing`.
 
     Parameters
     ----------
     seed : int
-        Random seed.
+        Seed of all random numbers.
     samples, validation, test : int
-        Numbers of samples in these splits.
+        Number of samples in each split.
     sequences : int
-        Pieces of 10 s at 10 Hz with exact poses and velocities, 100 samples each.
+        Number of sequences of 100 samples (10 s at 10 Hz) with exact poses and velocities.
     truth : {"aimed", "hd", "none"}
-        How the truth is observed: rays aimed at every cell, or the paper's lidar of many layers; or not at all, for
-        drives that maps are made of: the scans are the same, in a sixth of the time.
-    mounts : tuple of Mount
+        Observation of the truth: rays aimed at every cell; the paper's lidar of many layers; or no truth, for drives
+        to be mapped. The scans are the same, and without truth take a sixth of the time.
+    mounts : tuple of LidarMount
+        Range sensors with their shares of the samples.
     bad_weather : float
         Share [0, 1] of the samples in rain, in fog or on wet roads.
     in_motion : float
-        Share [0, 1] of the samples that the ego motion distorts during the turn (rolling shutter).
+        Share [0, 1] of the samples distorted by ego motion during the turn (rolling shutter).
     towns : int
-        Towns that training and validation drive through in turn; the paper has one. The test's are always
-        others.
+        Number of towns of the training and validation drives, in turn; 1 in the paper. The test has towns of its own.
     town_size : float
-        Side of the towns [m].
+        Side length of the towns [m], 240 to 1000.
     hd_layers : int
-        Layers of the lidar behind the "hd" truth.
+        Number of layers of the lidar for "hd" truth.
     drives : int
-        Drives that the samples of a split are taken from in turn, ten samples each time.
+        Number of drives per split, which contribute ten samples each in turn.
     test_towns : int
-        Towns that the drives of the test go through in turn.
+        Number of towns of the test drives, in turn.
     spacing : float
-        Time from one sample of a drive to its next one [s]. Of `sequences` it is always 0.1 s.
+        Time between samples of a drive [s], 0.1 to 100; always 0.1 s in `sequences`.
     recipe : str
         Name in `ogm.simulation.recipe.RECIPES`, or "" for none. A recipe sets mounts, towns, drives, spacing, weather
-        and motion; only the seed, the numbers of samples, the truth and the radars are left to choose.
+        and motion; the user chooses only the seed, the numbers of samples, the truth and the radars.
     radars : tuple of RadarMount
-        Of every sample, beside its lidar.
+        Radars of every sample, in addition to its lidar.
     """
 
     seed: int = 1
@@ -100,15 +100,15 @@ class DatasetPlan:
         for name in whole:
             value = getattr(self, name)
             if not (isinstance(value, int | float | np.integer) and value >= 0 and value % 1 == 0):
-                raise ValueError(f"{name} must be a whole number from 0 on, got {value!r}")
+                raise ValueError(f"{name} must be a whole number, 0 or more, got {value!r}")
             object.__setattr__(self, name, int(value))
         for name, kind in (("mounts", tuple), ("radars", tuple), ("town_size", float), ("spacing", float)):
             object.__setattr__(self, name, kind(getattr(self, name)))
-        if len({one.name for one in self.radars}) < len(self.radars):
-            raise ValueError(f"each radar needs a name of its own, got {_short(self.radars)}")
+        if len({radar.name for radar in self.radars}) < len(self.radars):
+            raise ValueError(f"each radar needs a unique name, got {_short(self.radars)}")
         self._follow_recipe()
         if not sum(self.counts.values()):
-            raise ValueError("the data set would be empty: ask for at least one sample")
+            raise ValueError("the dataset would be empty: give at least one sample")
         if self.truth not in ("aimed", "hd", "none"):
             raise ValueError(f'truth must be "aimed", "hd" or "none", got {self.truth!r}')
         if not self.mounts:
@@ -119,45 +119,45 @@ class DatasetPlan:
                 raise ValueError(f"{name} must be in {low:g} ... {high:g}{unit}, got {getattr(self, name)}")
 
     def _follow_recipe(self) -> None:
-        """Take over what the recipe sets, and refuse other values."""
+        """Apply the settings of the recipe; raise ValueError for other values of them."""
         if not self.recipe:
             return
         if self.recipe not in RECIPES:
-            raise ValueError(f"there is no recipe {self.recipe!r}; there is {', '.join(RECIPES)}")
+            raise ValueError(f"unknown recipe {self.recipe!r}; known recipes: {', '.join(RECIPES)}")
         given = RECIPES[self.recipe]
         skies = given.skies
         bad = skies.fog + skies.rain + skies.wet + skies.dust
         wanted = {"mounts": given.mounts, "town_size": given.town_size, "spacing": given.spacing}
         wanted |= {"in_motion": given.in_motion, "bad_weather": bad}
-        usual = {one.name: one.default for one in fields(self)}
+        usual = {field.name: field.default for field in fields(self)}
         for name in (*wanted, "towns", "test_towns", "drives"):
             value = wanted.get(name, usual[name])
             if getattr(self, name) not in (usual[name], value):
                 got = _short(getattr(self, name))
-                raise ValueError(f"the recipe {self.recipe} sets {name} itself, got {got}; leave the option out")
+                raise ValueError(f"recipe {self.recipe} sets {name} itself, got {got}; leave the option out")
             object.__setattr__(self, name, value)
 
     @property
     def counts(self) -> dict[str, int]:
-        """Samples of each split."""
+        """Number of samples in each split."""
         counts = (self.samples, self.validation, self.test, SEQUENCE * self.sequences)
         return dict(zip(SPLITS, counts, strict=True))
 
     @classmethod
     def of_recipe(cls, name: str, *, samples: int | None = None, **chosen: Any) -> "DatasetPlan":
-        """Make the plan of a recipe, by default of its usual size: a twentieth as many samples for validation, no test.
+        """Make the plan of a recipe; by default validation has a twentieth of the training samples, test none.
 
         Parameters
         ----------
         name : str
-            In `ogm.simulation.recipe.RECIPES`.
+            Name in `ogm.simulation.recipe.RECIPES`.
         samples : int, optional
-            Of training.
+            Number of training samples; by default `DataRecipe.samples`.
         **chosen
-            Other sizes, the seed, the truth: parameters of `DatasetPlan`.
+            Further parameters of `DatasetPlan`: other sizes, the seed, the truth.
         """
         if name not in RECIPES:
-            raise ValueError(f"there is no recipe {name!r}; there is {', '.join(RECIPES)}")
+            raise ValueError(f"unknown recipe {name!r}; known recipes: {', '.join(RECIPES)}")
         usual = RECIPES[name].samples if samples is None else samples
         sizes: dict[str, Any] = {"samples": usual, "validation": usual // 20, "test": 0}
         return cls(**(sizes | chosen), recipe=name)
@@ -166,22 +166,22 @@ class DatasetPlan:
     def from_options(
         cls, before: "DatasetPlan | None" = None, *, recipe: str | None = None, **chosen: Any
     ) -> "DatasetPlan":
-        """Return the plan of a new dataset, or that of a larger one.
+        """Return the plan of a new or growing dataset.
 
         Parameters
         ----------
         before : DatasetPlan, optional
-            Plan of the dataset that grows; its counts are kept where they are larger.
+            Plan of the existing dataset; its larger counts are kept.
         recipe : str, optional
             See `of_recipe`.
         **chosen
-            Parameters that differ from those of `before`, of the recipe, or from the defaults. Without a recipe, a new
-            dataset has a tenth as many samples for validation, at least one, and a hundredth for the test.
+            Parameters that differ from `before`, the recipe or the defaults. Without a recipe, a new dataset has a
+            tenth as many samples for validation, at least one, and a hundredth for the test.
 
         Raises
         ------
         ValueError
-            If a parameter is out of its range, or the dataset was begun with another.
+            If a parameter is out of range, or differs from the existing dataset's.
         """
         if recipe is not None:
             plan = cls.of_recipe(recipe, **chosen)
@@ -193,53 +193,53 @@ class DatasetPlan:
 
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "DatasetPlan":
-        """Make from what `dataclasses.asdict` returned, or from what JSON made of it; also by an older version."""
+        """Make a plan from its `dataclasses.asdict`, also after a round trip through JSON or from an older version."""
         known = {field.name for field in fields(cls)}
         if odd := sorted((set(numbers) ^ known) - ADDED):
-            raise ValueError(f"the plan has other settings than this version of ogm: {', '.join(odd)}")
-        mounts = tuple(LidarMount(**one) for one in numbers["mounts"])
-        radars = tuple(RadarMount(**one) for one in numbers.get("radars", ()))
+            raise ValueError(f"the plan has settings unknown to this version of ogm, or lacks some: {', '.join(odd)}")
+        mounts = tuple(LidarMount(**mount) for mount in numbers["mounts"])
+        radars = tuple(RadarMount(**radar) for radar in numbers.get("radars", ()))
         return cls(**(dict(numbers) | {"mounts": mounts, "radars": radars}))
 
     def grown(self, before: "DatasetPlan") -> "DatasetPlan":
-        """Return this plan, with `before`'s counts where those are larger, if it is `before` in all else.
+        """Return this plan, with the counts of `before` that are larger.
 
         Raises
         ------
         ValueError
-            If another setting differs: the samples of one data set are made by one recipe.
+            If another setting differs: all samples of a dataset have one recipe.
         """
         sizes = ("samples", "validation", "test", "sequences")
         for field in fields(self):
             mine, theirs = getattr(self, field.name), getattr(before, field.name)
             if field.name not in sizes and mine != theirs:
                 raise ValueError(
-                    f"the data set was begun with {field.name} = {_short(theirs)}, got {_short(mine)}; "
-                    "leave the option out to go on, or give a new folder"
+                    f"the dataset was begun with {field.name} = {_short(theirs)}, got {_short(mine)}; "
+                    "leave the option out to continue it, or give a new folder"
                 )
         return replace(self, **{name: max(getattr(self, name), getattr(before, name)) for name in sizes})
 
 
 def _short(value: object) -> str:
     if isinstance(value, tuple):
-        names = (one.name if isinstance(one, RadarMount) else f"{one.share:g} x {one.lidar}" for one in value)
+        names = (mount.name if isinstance(mount, RadarMount) else f"{mount.share:g} x {mount.lidar}" for mount in value)
         return " + ".join(names) or "none"
     return str(value)
 
 
 class Moment(NamedTuple):
-    """When and where a sample is taken.
+    """Drive and time of a sample.
 
     Attributes
     ----------
     town, traffic : int
-        Seeds.
+        Seeds of the town and of its traffic.
     clockwise : bool
-        Which way round the ego vehicle drives.
+        Direction of the ego vehicle's round trip.
     scenario : int
-        Number of the drive within the split.
+        Index of the drive within the split.
     time : float
-        [s] from the drive's beginning.
+        Time since the start of the drive [s].
     """
 
     town: int
@@ -250,15 +250,15 @@ class Moment(NamedTuple):
 
 
 def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
-    """Return which drive a sample is from, and when.
+    """Return the drive and the time of a sample.
 
-    Runs of ten samples are taken from the drives in turn, so that a part of a data set is as mixed as the
-    whole, and a longer one begins with the shorter one's samples.
+    The drives contribute runs of ten samples in turn, so that a part of a dataset is as mixed as the whole, and a
+    longer dataset begins with the samples of a shorter dataset.
     """
     if split not in SPLITS:
         raise ValueError(f"split must be one of {', '.join(SPLITS)}, got {split!r}")
     if index < 0:
-        raise ValueError(f"samples are counted from 0, got {index}")
+        raise ValueError(f"index must be 0 or more, got {index}")
     number = SPLITS.index(split)
     if plan.recipe:
         return _recipe_moment(plan, RECIPES[plan.recipe], split, index)
@@ -273,14 +273,14 @@ def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
         time = WARM_UP + plan.spacing * (run // plan.drives * RUN + sample)
     test = split == "test"
     town = _integer(plan.seed, int(test), scenario % (plan.test_towns if test else plan.towns))
-    # both ways round by turns, in every town
+    # Directions alternate in every town.
     towns = plan.test_towns if test and plan.test_towns > 1 else plan.towns
     way = scenario + (scenario // towns if towns % 2 == 0 else 0)
     return Moment(town, _integer(plan.seed, 2, number, scenario), way % 2 == 0, scenario, float(time))
 
 
 def _recipe_moment(plan: DatasetPlan, recipe: DataRecipe, split: str, index: int) -> Moment:
-    """Return a drive for every ten samples, and a new town after so many drives; every split has its own towns."""
+    """Return the drive and the time of a sample of a recipe: a drive per ten samples, other towns in every split."""
     number = SPLITS.index(split)
     scenario, sample = divmod(index, SEQUENCE if split == "sequences" else RUN)
     town = _integer(plan.seed, 4, number, town_number(recipe, split, scenario))
@@ -291,25 +291,25 @@ def _recipe_moment(plan: DatasetPlan, recipe: DataRecipe, split: str, index: int
 
 
 def town_number(recipe: DataRecipe, split: str, scenario: int) -> int:
-    """Return which of a recipe's towns a drive goes through, counted from 0 in each split."""
+    """Return the index of a drive's town, counted from 0 in each split."""
     if split == "sequences":
         return scenario
     return scenario * RUN // (recipe.town_samples if split == "training" else recipe.town_others)
 
 
 def count_towns(plan: Mapping[str, Any], split: str, scenarios: Iterable[int]) -> int:
-    """Return how many towns some drives of a split go through, by a plan as a data set keeps it."""
+    """Return the number of towns of the given drives of a split; `plan` is a dataset's stored plan."""
     if name := plan.get("recipe"):
-        return len({town_number(RECIPES[name], split, one) for one in scenarios})
+        return len({town_number(RECIPES[name], split, scenario) for scenario in scenarios})
     planned = plan.get("test_towns" if split == "test" else "towns", 1)
-    return len({one % planned for one in scenarios})
+    return len({scenario % planned for scenario in scenarios})
 
 
 def sample_rng(plan: DatasetPlan, split: str, index: int, purpose: int) -> np.random.Generator:
-    """Return the random numbers that belong to one sample and one purpose."""
+    """Return the random generator of a sample for a purpose."""
     return np.random.default_rng([plan.seed, 3, SPLITS.index(split), index, purpose])
 
 
 def _integer(*key: int) -> int:
-    """Return a seed below 2**31 that depends on all numbers of the key."""
+    """Return a seed below 2**31 derived from all numbers of the key."""
     return int(np.random.SeedSequence(key).generate_state(1)[0] >> 1)

@@ -1,9 +1,9 @@
-"""One sweep of a radar in a scene: paths of rays with their power, bins, detections.
+"""Simulation of one radar sweep in a scene: ray paths with their power, bins, detections.
 
-Every ray of a fan takes power to what it hits, and from mirrors (ground at a grazing angle, walls, metal) on to what
-lies behind them. The power comes back by the radar equation, and is summed in bins of range, Doppler and azimuth. What
-exceeds the noise and its neighbours is a detection. Left out: rotating wheels and moving limbs, interference between
-radars, weather, paths with more than one mirror, range side lobes.
+Every ray of a fan carries power to its hit, and from mirrors (ground at a grazing angle, walls, metal) onward to the
+surface behind them. The power returns by the radar equation and is summed in bins of range, Doppler and azimuth. Bins
+above the noise and their neighbours are detections. Not modelled: rotating wheels and moving limbs, interference
+between radars, weather, paths with more than one mirror, range side lobes.
 
 >>> import numpy as np
 >>> from ogm.pose import pose
@@ -37,29 +37,29 @@ from ogm.simulation.scene import EGO, Scene
 __all__ = ["Origin", "RadarSweep", "sweep"]
 
 FLASH = math.radians(4.0)  # width of specular reflection: facades and panels are not flat
-GRAZING = math.radians(6.0)  # at which the ground ceases to be a mirror
+GRAZING = math.radians(6.0)  # width of grazing angles at which the ground is a mirror
 
-# Of each material: diffuse echo per area across the beam [dB], extra echo of a mirror that faces the sensor [dB],
-# share of the power that a mirror sends on. Effective values, ours: chosen for published cross sections of whole
-# things (cars 10, lorries 20, people -8 dBsm) and for weak ground; corners and wheels of metal are in those of paint.
+# Diffuse echo per area across the beam [dB], extra echo of a mirror that faces the sensor [dB], and share of the power
+# that a mirror passes on. Effective values, estimated to match published cross sections of whole objects (cars 10,
+# lorries 20, people -8 dBsm) and weak ground. The values of paint include corners and wheels of metal.
 _WALL, _METAL, _BODY, _SOFT = (-14, 14, 0.2), (0, 18, 0.6), (5, 15, 0.5), (-12, 0, 0.0)
 _GROUNDS = {Material.GRASS: -24, Material.SOIL: -25, Material.GRAVEL: -23, Material.COBBLES: -24, Material.PAVING: -30}
 _ECHO: dict[Material, tuple[float, float, float]] = {
-    **{one: (-30, 0, 0.5) for one in GROUND},
-    **{one: (level, 0, 0.2) for one, level in _GROUNDS.items()},
-    **{one: _WALL for one in (Material.PLASTER_LIGHT, Material.PLASTER_DARK, Material.BRICK, Material.CONCRETE)},
-    **{one: _WALL for one in (Material.STONE, Material.ROOF, Material.KERB)},
+    **{ground: (-30, 0, 0.5) for ground in GROUND},
+    **{ground: (level, 0, 0.2) for ground, level in _GROUNDS.items()},
+    **dict.fromkeys((Material.PLASTER_LIGHT, Material.PLASTER_DARK, Material.BRICK, Material.CONCRETE), _WALL),
+    **dict.fromkeys((Material.STONE, Material.ROOF, Material.KERB), _WALL),
     Material.WINDOW: (-20, 14, 0.3),
     Material.CAR_GLASS: (-10, 10, 0.2),
-    **{one: _METAL for one in (Material.METAL_SHEET, Material.METAL_POLE, Material.SIGN)},
-    **{one: _BODY for one in (Material.PAINT_LIGHT, Material.PAINT_MEDIUM, Material.PAINT_DARK, Material.PAINT_BLACK)},
-    **{one: _BODY for one in (Material.PLATE, Material.LAMP, Material.TYRE, Material.EGO_VEHICLE)},
+    **dict.fromkeys((Material.METAL_SHEET, Material.METAL_POLE, Material.SIGN), _METAL),
+    **dict.fromkeys((Material.PAINT_LIGHT, Material.PAINT_MEDIUM, Material.PAINT_DARK, Material.PAINT_BLACK), _BODY),
+    **dict.fromkeys((Material.PLATE, Material.LAMP, Material.TYRE, Material.EGO_VEHICLE), _BODY),
     Material.TARPAULIN: (3, 10, 0.2),
     Material.PLASTIC_DARK: (-8, 0, 0.0),
     Material.WOOD: (-14, 4, 0.05),
     Material.BARK: (-10, 0, 0.0),
     Material.FOLIAGE: (-15, 0, 0.0),
-    **{one: (-6, 0, 0.0) for one in (Material.CLOTH_LIGHT, Material.CLOTH_DARK, Material.SKIN, Material.HIGH_VIS)},
+    **dict.fromkeys((Material.CLOTH_LIGHT, Material.CLOTH_DARK, Material.SKIN, Material.HIGH_VIS), (-6, 0, 0.0)),
 }
 _TABLE = np.zeros((256, 3))
 for _material in Material:
@@ -70,30 +70,30 @@ IS_GROUND[list(GROUND)] = True
 
 
 def cross_section(material: Bytes, cosine: Floats32) -> Floats:
-    """Return the radar cross section per area across the beam."""
+    """Return the radar cross section per area across the beam, (N,)."""
     angle = np.arccos(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
     return np.asarray(_TABLE[material, 0] + _TABLE[material, 1] * np.exp(-((angle / FLASH) ** 2)))
 
 
 def mirror_share(material: Bytes, cosine: Floats32) -> Floats:
-    """Return the share of the power that goes on as from a mirror; of the ground only at a grazing angle."""
+    """Return the share of power reflected as by a mirror, (N,); by the ground only at grazing angles."""
     grazing = np.arcsin(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
     return np.asarray(_TABLE[material, 2] * np.where(IS_GROUND[material], np.exp(-((grazing / GRAZING) ** 2)), 1.0))
 
 
-AZIMUTH_STEP, ELEVATION_STEP = math.radians(0.5), math.radians(1.0)  # of the rays
-STRAY = 1.0  # [m] a detection that is reported further from what it is of is a ghost
+AZIMUTH_STEP, ELEVATION_STEP = math.radians(0.5), math.radians(1.0)  # between rays
+STRAY = 1.0  # [m] detections reported further from their cause are ghosts
 BEAM_BINS = 2  # azimuth bins per resolution
 
 
 class _Paths(NamedTuple):
-    """Ways from the sensor to something and back; one row each."""
+    """Paths from the sensor to a surface and back, one row each."""
 
-    distance: Floats  # [m] half the whole way
-    rate: Floats  # [m/s] its change
+    distance: Floats  # [m] half the length of the path
+    rate: Floats  # [m/s] its rate of change
     azimuth: Floats
     elevation: Floats
-    power: Floats  # signal-to-noise ratio that it adds
+    power: Floats  # contribution to the signal-to-noise ratio
     origin: Bytes
     object: Ints32
 
@@ -107,31 +107,31 @@ def sweep(
     velocity: ArrayLike = (0.0, 0.0, 0.0),
     velocities: ArrayLike | None = None,
 ) -> RadarSweep:
-    """Simulate one sweep of a radar.
+    """Simulate one radar sweep.
 
     Parameters
     ----------
     scene : Scene
     spec : RadarSpec
     T_world_sensor : (4, 4) array
-        Pose of the sensor: x ahead, y to the left.
+        Pose of the sensor, x ahead and y to the left.
     rng : numpy.random.Generator
     velocity : (3,) array
-        Of the sensor in the world frame [m/s]; that of a turning vehicle differs from place to place.
+        Velocity of the sensor itself in the world frame [m/s]; it varies over a turning vehicle.
     velocities : (K, 3) array, optional
-        Of the moving things of the scene, in their order, in the world frame [m/s]; by default they stand.
+        Velocities of the scene's moving objects, in their order, in the world frame [m/s]; 0 by default.
 
     Raises
     ------
     ValueError
-        If the pose is none, or the numbers have the wrong shape or are not finite.
+        If the pose is invalid, or velocities have a wrong shape or are not finite.
     """
     T = check_pose(T_world_sensor, "T_world_sensor")
     own = np.asarray(velocity, np.float64)
     moving = np.zeros((scene.things, 3)) if velocities is None else np.asarray(velocities, np.float64)
     if own.shape != (3,) or moving.shape != (scene.things, 3) or not np.isfinite(np.r_[own, moving.ravel()]).all():
         raise ValueError(
-            f"velocity must be 3 finite numbers and velocities 3 for each of the {scene.things} things in the scene, "
+            f"velocity must be 3 finite numbers, and velocities 3 for each of the {scene.things} objects in the scene, "
             f"got shapes {own.shape} and {moving.shape}"
         )
     salt = int(rng.integers(2**31))
@@ -140,17 +140,17 @@ def sweep(
         paths = _paths(scene, spec, mode, T, own, np.vstack([moving, np.zeros(3)]), salt)
         found.append(_detections(paths, spec, mode, rng))
     columns = [np.concatenate(column) for column in zip(*found, strict=True)]
-    strongest = np.sort(np.argsort(-columns[4], kind="stable")[: spec.most])
-    distance, rate, azimuth, elevation, snr, rcs, origin, number = (one[strongest] for one in columns)
+    strongest = np.sort(np.argsort(-columns[4], kind="stable")[: spec.max_detections])
+    distance, rate, azimuth, elevation, snr, rcs, origin, number = (column[strongest] for column in columns)
     unit = _unit(azimuth, elevation)
     low, high = spec.velocity
     doppler = (rate - low) % (high - low) + low
     compensated = doppler + unit @ (T[:3, :3].T @ own)
-    compensated -= (high - low) * np.round(compensated / (high - low))  # the fold nearest to standing still
+    compensated -= (high - low) * np.round(compensated / (high - low))  # the fold nearest to 0
     xyz = distance[:, None] * unit
     if not spec.elevation_resolution:
         xyz[:, 2] = 0
-    result: Any = [one.astype(np.float32) for one in (xyz, doppler, compensated, rcs, 10 * np.log10(snr))]
+    result: Any = [column.astype(np.float32) for column in (xyz, doppler, compensated, rcs, 10 * np.log10(snr))]
     result += [origin.astype(np.uint8), number.astype(np.int32)]
     return RadarSweep(*result)
 
@@ -163,7 +163,7 @@ def _unit(azimuth: Floats, elevation: Floats) -> Floats:
 def _paths(
     scene: Scene, spec: RadarSpec, mode: RadarMode, T: Floats, own: Floats, velocities: Floats, salt: int
 ) -> _Paths:
-    """Follow the rays of a mode, and those that go on from mirrors."""
+    """Return the paths of a mode's rays, direct and through one mirror."""
     edge = mode.half_width + 2 * mode.azimuth_resolution
     across = np.arange(-edge, edge, AZIMUTH_STEP) + AZIMUTH_STEP / 2
     upward = np.arange(-2 * spec.half_height, 2 * spec.half_height, ELEVATION_STEP) + ELEVATION_STEP / 2
@@ -183,7 +183,7 @@ def _paths(
     power = constant * gain[index] * echo / np.maximum(distance, 1.0) ** 2
     direct = _Paths(distance, rate, azimuth[index], elevation[index], power, origin, hits.object[index])
 
-    # on from mirrors
+    # reflections by mirrors
     share = mirror_share(material, cosine) ** 2
     on = np.flatnonzero(share > 1e-3)
     n = normals[index[on]].astype(np.float64)
@@ -211,13 +211,13 @@ def _paths(
 
 
 def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator) -> tuple[Any, ...]:
-    """Sum power in bins, and return what exceeds noise and neighbours.
+    """Sum power in bins, and return the bins above noise and their neighbours.
 
     The columns are distance, rate, azimuth, elevation, signal-to-noise ratio, cross section [dBsm], origin and object.
     """
     low, high = spec.velocity
     rate = (paths.rate - low) % (high - low)
-    sine = np.sin(paths.azimuth)  # a beam is equally wide in it everywhere
+    sine = np.sin(paths.azimuth)  # the beam width in it is constant
     steps = mode.range_resolution, mode.doppler_resolution, mode.azimuth_resolution / BEAM_BINS
     rows = (paths.distance, rate, sine + 1)
     number = [np.floor(row / step).astype(np.int64) + 2 for row, step in zip(rows, steps, strict=True)]
@@ -229,7 +229,7 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
     last = np.flatnonzero(np.diff(np.sort(group), append=-1))
     leader = np.lexsort((paths.power, group))[last]
 
-    # Swerling 1: every bin's echo fluctuates; the antenna smears it in azimuth; the receiver adds noise of power 1
+    # Swerling 1: the echo of every bin fluctuates, the antenna smears it in azimuth, the receiver adds noise of power 1
     echo, total = power * rng.exponential(size=len(key)), rng.exponential(size=len(key))
     for shift in range(-BEAM_BINS, BEAM_BINS + 1):
         total += np.exp2(-2 * (2 * shift / BEAM_BINS) ** 2) * _at(key, key + shift, echo)
@@ -240,7 +240,7 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
                 if r or d or a:
                     peak &= total > _at(key, key + (r * stride[0] + d) * stride[1] + a, total)
 
-    # what is measured of them
+    # measurements with errors
     found = np.flatnonzero(peak)
     snr = np.maximum(total[found] - 1, 1.0)
     error = 0.05 + 0.5 / np.sqrt(2 * snr)
@@ -265,16 +265,16 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
     elevation = elevation if spec.elevation_resolution else np.zeros_like(elevation)
     gain = _gain(spec, mode, azimuth, elevation)
     rcs = 10 * np.log10(snr / (REFERENCE_SNR * gain) * (np.maximum(distance, 1.0) / mode.reach) ** 4)
-    seen = (np.abs(sine) <= edge) & (distance > mode.range_min) & (rcs >= spec.least_rcs)
+    seen = (np.abs(sine) <= edge) & (distance > mode.range_min) & (rcs >= spec.min_rcs)
     return tuple(column[seen] for column in (distance, rate, azimuth, elevation, snr, rcs, origin, thing))
 
 
 def _at(key: Ints, wanted: Ints, values: Floats) -> Floats:
-    """Return the values of other bins, 0 where a bin is empty; `key` is sorted."""
+    """Return the values of the `wanted` bins, 0 for empty bins; `key` is sorted."""
     place = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
     return np.where(key[place] == wanted, values[place], 0.0) if len(key) else values
 
 
 def _gain(spec: RadarSpec, mode: RadarMode, azimuth: Floats, elevation: Floats) -> Floats:
-    """Return the gain of the antenna, there and back, against straight ahead."""
+    """Return the two-way antenna gain relative to straight ahead."""
     return np.exp2(-2 * ((azimuth / (1.2 * mode.half_width)) ** 2 + (elevation / spec.half_height) ** 2))

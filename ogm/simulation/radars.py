@@ -1,4 +1,4 @@
-"""Radars by their numbers: field of view, resolution, reach.
+"""Specifications of radars: field of view, resolution, reach.
 
 >>> from ogm.simulation.radars import RADARS
 >>> sorted(RADARS), max(mode.range_max for mode in RADARS["ars548"].modes)
@@ -13,20 +13,20 @@ __all__ = ["RADARS", "RadarMode", "RadarSpec"]
 
 @dataclass(frozen=True)
 class RadarMode:
-    """One of the wave forms that a radar sends in turns.
+    """A waveform of a radar, transmitted in turn with its other modes.
 
     Parameters
     ----------
     half_width : float
-        Half the field of view in azimuth [rad].
+        Half the field of view in azimuth [rad], up to pi / 2.
     range_max : float
-        [m]
+        Largest range [m].
     range_resolution, doppler_resolution, azimuth_resolution : float
-        Resolution [m, m/s, rad]; that of azimuth straight ahead.
+        Resolution of range [m], radial velocity [m/s], and azimuth straight ahead [rad].
     reach : float
-        Where a target of 0 dBsm straight ahead has a signal-to-noise ratio of 13 dB [m].
+        Range at which a target of 0 dBsm straight ahead has a signal-to-noise ratio of 13 dB [m].
     range_min : float
-        [m]
+        Smallest range [m].
     """
 
     half_width: float
@@ -41,39 +41,39 @@ class RadarMode:
         bounds = {"half_width": math.pi / 2, "range_max": 1000, "range_resolution": 20, "doppler_resolution": 20}
         for name, high in (bounds | {"azimuth_resolution": 1.0, "reach": 2000}).items():
             if not 0 < getattr(self, name) <= high:  # NaN fails too
-                raise ValueError(f"{name} must lie above 0 and up to {high:g}, got {getattr(self, name)}")
+                raise ValueError(f"{name} must be above 0 and at most {high:g}, got {getattr(self, name)}")
         if not 0 <= self.range_min < self.range_max:
-            raise ValueError(f"range_min must lie in 0 ... range_max, got {self.range_min}")
+            raise ValueError(f"range_min must be in 0 ... range_max, got {self.range_min}")
 
     @property
     def noise(self) -> tuple[float, float]:
-        """Standard deviations of range and azimuth that sensor models take [m, rad]: a third of the resolution."""
+        """Standard deviations of range [m] and azimuth [rad] for sensor models: a third of the resolution."""
         return max(self.range_resolution / 3, 0.1), self.azimuth_resolution / 3
 
 
 @dataclass(frozen=True)
 class RadarSpec:
-    """An automotive radar; x points ahead.
+    """An automotive radar; its x axis points ahead.
 
     Parameters
     ----------
     name : str
     modes : tuple of RadarMode
-        All of them make one sweep.
+        Modes that together make one sweep.
     half_height : float
         Half the 3 dB width of the antenna in elevation [rad].
     elevation_resolution : float
-        [rad]; 0 for a radar that measures no elevation, whose detections have z = 0.
+        Resolution of elevation [rad]; 0 for a radar without elevation, which reports z = 0.
     velocity : (low, high)
-        Unambiguous radial velocities, positive away from it [m/s]; others are folded into them.
+        Interval of unambiguous radial velocities, positive away from the sensor [m/s]; others are folded into it.
     rate : float
         Sweeps per second [Hz].
     false_alarms : float
-        Detections of noise per sweep, on average.
-    most : int
-        Detections that it reports; the strongest.
-    least_rcs : float
-        What has a smaller radar cross section is not reported [dBsm].
+        Mean number of noise detections per sweep.
+    max_detections : int
+        Largest number of reported detections: the strongest are kept.
+    min_rcs : float
+        Smallest radar cross section of reported detections [dBsm].
     """
 
     name: str
@@ -83,23 +83,26 @@ class RadarSpec:
     velocity: tuple[float, float] = (-111.0, 55.0)
     rate: float = 13.0
     false_alarms: float = 4.0
-    most: int = 250
-    least_rcs: float = -25.0
+    max_detections: int = 250
+    min_rcs: float = -25.0
 
     def __post_init__(self) -> None:
         if not self.modes:
-            raise ValueError(f"{self.name}: modes are empty; a radar has at least one")
+            raise ValueError(f"{self.name}: modes are empty, give at least one RadarMode")
         if not self.velocity[0] < 0 < self.velocity[1]:
-            raise ValueError(f"{self.name}: velocity must hold 0, got {self.velocity}")
+            raise ValueError(f"{self.name}: velocity must be an interval around 0, got {self.velocity}")
         for name, low, high in (("half_height", 1e-3, 1.5), ("elevation_resolution", 0.0, 1.0), ("rate", 0.1, 1000.0)):
             if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
-        if not 0 <= self.false_alarms <= 1e4 or self.most < 1:
-            raise ValueError(f"{self.name}: false_alarms must be 0 or more and most 1 or more")
+                raise ValueError(f"{self.name}: {name} must be in {low:g} ... {high:g}, got {getattr(self, name)}")
+        if not 0 <= self.false_alarms <= 1e4 or self.max_detections < 1:
+            raise ValueError(
+                f"{self.name}: false_alarms must be in 0 ... 10000 and max_detections 1 or more, got "
+                f"{self.false_alarms} and {self.max_detections}"
+            )
 
     @property
     def widest(self) -> RadarMode:
-        """The mode with the widest field of view, by which sensor models know the radar."""
+        """The mode with the widest field of view, which represents the radar in sensor models."""
         return max(self.modes, key=lambda mode: mode.half_width)
 
     @property
@@ -110,14 +113,14 @@ class RadarSpec:
 
 _DEGREE = math.pi / 180
 _KMH = 1 / 3.6
-# Fields of view, ranges, resolutions and velocities of the ARS408 are its data sheet's (near and far scan). Those of
-# the ARS548 are of descriptions and of one recorded frame: standard deviations of 0.2 m, 0.25 m/s and 0.5 degrees,
-# nothing below -20 dBsm, no ambiguity within 22.9 m/s, and a reach that goes with its smallest cross sections, such as
-# -10 dBsm at 120 m. Other reaches are ours, raised once until sweeps in training towns had the published numbers of
-# detections; so are false alarms, and the whole of the corner radar.
+# ARS408: fields of view, ranges, resolutions and velocities of the data sheet (near and far scan).
+# ARS548: from descriptions and one recorded frame: standard deviations of 0.2 m, 0.25 m/s and 0.5 degrees, nothing
+# below -20 dBsm, no ambiguity within 22.9 m/s, and a reach that fits its smallest cross sections, such as -10 dBsm at
+# 120 m. Estimates: the other reaches, increased once until sweeps in training towns had the published numbers of
+# detections; the false alarms; all parameters of the corner radar.
 RADARS = {
-    one.name: one
-    for one in (
+    spec.name: spec
+    for spec in (
         RadarSpec(
             "ars408",
             (
@@ -136,8 +139,8 @@ RADARS = {
             velocity=(-22.9, 22.9),
             rate=20.0,
             false_alarms=8.0,
-            most=800,
-            least_rcs=-20.0,
+            max_detections=800,
+            min_rcs=-20.0,
         ),
         RadarSpec(
             "corner",

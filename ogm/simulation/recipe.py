@@ -1,8 +1,8 @@
-"""Recipes of data sets: frozen sets of numbers, by name.
+"""Recipes of datasets: named, frozen sets of parameters.
 
-The default of `DatasetPlan` is the paper's recipe: clear weather, intact sensors. ``gen2`` holds what a sensor model
-meets beside that and must not be wrong about: other lidars and mounts, calibration errors, sectors, blocked views, lost
-packets, dead layers, fog, rain and dust, and country roads between banks, ditches, high grass and woods.
+The default of `DatasetPlan` is the paper's recipe: clear weather and intact sensors. ``gen2`` adds conditions that a
+sensor model must handle: other lidars and mounts, calibration errors, sectors, blocked views, lost packets, dead
+layers, fog, rain and dust, and country roads between banks, ditches, high grass and woods.
 
 >>> from ogm.simulation.recipe import RECIPES
 >>> RECIPES["gen2"].samples, len({mount.lidar for mount in RECIPES["gen2"].mounts})
@@ -10,25 +10,28 @@ packets, dead layers, fog, rain and dust, and country roads between banks, ditch
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ogm.simulation.mounts import LidarMount
 
 __all__ = ["GEN2", "RECIPES", "LayerErrors", "Country", "Faults", "DataRecipe", "Skies"]
 
 
+_DEGREE = math.pi / 180
+
+
 @dataclass(frozen=True)
 class LayerErrors:
-    """How far the layers of a lidar are from where its data sheet has them; the same in all scans of one unit.
+    """Calibration errors of a lidar's layers, constant over all scans of a unit.
 
     Parameters
     ----------
     elevation : float
-        Standard deviation of the error of each layer's elevation [rad], none beyond twice that.
+        Standard deviation of each layer's elevation error [rad], truncated at twice this value.
     offset : float
-        Largest error that all layers have in common [rad].
+        Largest common elevation error of all layers [rad].
     range : float
-        Standard deviation of the error of each layer's range [m], none beyond twice that.
+        Standard deviation of each layer's range error [m], truncated at twice this value.
     """
 
     elevation: float
@@ -38,18 +41,18 @@ class LayerErrors:
 
 @dataclass(frozen=True)
 class Country:
-    """The country around a town; pairs are the smallest and the largest.
+    """Country in and around a town; pairs are lower and upper bounds.
 
     Parameters
     ----------
     share
-        Of the meshes between streets that are country.
+        Share of the areas between streets that are country.
     slope
-        Of banks and of the sides of ditches: height over run.
+        Slope of banks and of the sides of ditches, height over run.
     bank, ditch
         Height of banks and depth of ditches [m].
     shoulder
-        Level ground beside the road [m].
+        Width of the level ground along the road [m].
     """
 
     share: tuple[float, float] = (0.1, 0.7)
@@ -61,163 +64,142 @@ class Country:
 
 @dataclass(frozen=True)
 class Faults:
-    """Shares of the scans in which beams are missing, and how many; pairs are the smallest and the largest.
+    """Shares of scans with missing beams, and the extent of the gaps; pairs are lower and upper bounds.
 
     Parameters
     ----------
     sector, sector_width
-        Only a sector is fired or reported; its width [rad].
+        Share of scans in which only a sector is fired or reported; its width [rad].
     blocked, blocked_views, blocked_width
-        Something hides up to so many views, each so wide [rad]: half of them at all elevations, the others from
-        below. In half of such scans the driver leaves those beams out, in the others they come without echo.
+        Share of scans with blocked views; their largest number; the width of each [rad]. Half of them block all
+        elevations, the others the lower ones. In half of these scans the driver omits the blocked beams, in the others
+        they are beams without echo.
     lost, lost_packets, packet
-        Packets are lost, such a share of them; columns in a packet.
+        Share of scans with lost packets; the share of packets lost; columns per packet.
     dead, dead_layers
-        Layers are dead, such a share of them.
+        Share of scans with dead layers; the share of layers that are dead.
     """
 
-    sector: float
-    sector_width: tuple[float, float]
-    blocked: float
-    blocked_views: int
-    blocked_width: tuple[float, float]
-    lost: float
-    lost_packets: tuple[float, float]
-    packet: tuple[int, int]
-    dead: float
-    dead_layers: tuple[float, float]
+    sector: float = 0.25
+    sector_width: tuple[float, float] = (60 * _DEGREE, 270 * _DEGREE)
+    blocked: float = 0.15
+    blocked_views: int = 3
+    blocked_width: tuple[float, float] = (5 * _DEGREE, 60 * _DEGREE)
+    lost: float = 0.15
+    lost_packets: tuple[float, float] = (0.005, 0.25)
+    packet: tuple[int, int] = (1, 16)
+    dead: float = 0.12
+    dead_layers: tuple[float, float] = (0.02, 0.2)
 
 
 @dataclass(frozen=True)
 class Skies:
-    """Shares of the scans in bad weather, and how strong it is; all strengths are drawn by their logarithms.
+    """Shares of scans in bad weather, and its strength, drawn log-uniformly; pairs are lower and upper bounds.
 
     Parameters
     ----------
     fog, visibility
-        Fog of such a meteorological visibility [m].
+        Share of scans in fog; meteorological visibility [m].
     rain, rate
-        Rain of such a rate [mm/h], on wet roads.
+        Share of scans in rain, on wet roads; rain rate [mm/h].
     wet
-        Roads that are still wet.
+        Share of scans on wet roads without rain.
     dust, dust_extinction, dust_clouds, dust_radius
-        So many clouds of dust at most, their extinction [1/m] and radius [m].
+        Share of scans in dust; extinction coefficient [1/m]; largest number of clouds; their radius [m].
     """
 
-    fog: float
-    visibility: tuple[float, float]
-    rain: float
-    rate: tuple[float, float]
-    wet: float
-    dust: float
-    dust_extinction: tuple[float, float]
-    dust_clouds: int
-    dust_radius: tuple[float, float]
+    fog: float = 0.07
+    visibility: tuple[float, float] = (12.0, 400.0)
+    rain: float = 0.06
+    rate: tuple[float, float] = (0.5, 60.0)
+    wet: float = 0.05
+    dust: float = 0.06
+    dust_extinction: tuple[float, float] = (0.02, 0.8)
+    dust_clouds: int = 8
+    dust_radius: tuple[float, float] = (0.8, 6.0)
+
+
+_ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
+_MOUNTS = (
+    LidarMount("vlp-32c", 0.08, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("hdl-32e", 0.10, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("hdl-64e", 0.10, (1.65, 2.1), _MIDDLE, _SLIGHT),
+    LidarMount("vls-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("os1-64", 0.08, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("os1-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("vlp-16", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("xt32", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("pandar40p", 0.07, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("pandar64", 0.05, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("ot128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+    LidarMount("qt128", 0.04, (1.65, 2.2), _MIDDLE, _SLIGHT),
+    LidarMount("dual-vlp-32c", 0.04, (1.8, 2.4), _MIDDLE, _SLIGHT),
+    LidarMount("at128", 0.05, (1.6, 2.1), (0.2, 0.9), _SLIGHT, 120 * _DEGREE),
+    LidarMount("at128", 0.01, (0.5, 1.0), (2.5, 2.7), _SLIGHT, 120 * _DEGREE),  # at the bumper
+    # As high as on a truck or a bus, and tilted.
+    LidarMount("vlp-32c", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
+    LidarMount("os1-64", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
+    LidarMount("vlp-16", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
+    LidarMount("pandar64", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
+)
+_CALIBRATIONS = (
+    ("hdl-64e", LayerErrors(elevation=0.1 * _DEGREE, offset=0.2 * _DEGREE, range=0.025)),
+    ("hdl-32e", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
+    ("os1-64", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
+    ("pandar40p", LayerErrors(elevation=0.04 * _DEGREE, offset=0.15 * _DEGREE, range=0.015)),
+)
 
 
 @dataclass(frozen=True)
 class DataRecipe:
-    """All that the samples of a data set are drawn by, but for the seed and their number.
+    """All parameters from which the samples of a dataset are drawn, except the seed and the number of samples.
 
     Parameters
     ----------
     samples : int
-        Usual size of the training. Validation and test are made from towns of their own.
+        Default number of training samples. Validation and test use towns of their own.
     mounts : tuple of LidarMount
     country : Country
-        Of every town.
+        Country in every town.
     town_size : float
-        Side of the towns [m].
+        Side length of the towns [m].
     town_samples, town_others : int
-        Samples after which a new town begins: of training; of validation and test. Multiples of ten.
+        Samples per town, in training and in the other splits; multiples of ten.
     spacing : float
         Time between the samples of a drive [s]; a new drive begins every ten samples.
     faults : Faults
     skies : Skies
     in_motion : float
-        Share of the scans that the ego motion distorts.
+        Share of scans distorted by the ego motion.
     no_intensity : float
-        Share of the scans without intensities: all are 0.
+        Share of scans without intensities: all are 0.
     steepest : float
-        Ground that rises or falls more than this (height over run) counts as an obstacle.
+        Largest slope (height over run) of ground that is not an obstacle.
     calibration : LayerErrors
-        Of lidars that `calibrations` does not name.
+        Calibration errors of lidars that `calibrations` does not name.
     calibrations : tuple of (name, LayerErrors)
+        Calibration errors by lidar.
     """
 
-    samples: int
-    mounts: tuple[LidarMount, ...]
-    country: Country
-    town_size: float
-    town_samples: int
-    town_others: int
-    spacing: float
-    faults: Faults
-    skies: Skies
-    in_motion: float
-    no_intensity: float
-    steepest: float
-    calibration: LayerErrors
-    calibrations: tuple[tuple[str, LayerErrors], ...] = field(default=())
+    samples: int = 4800
+    mounts: tuple[LidarMount, ...] = _MOUNTS
+    country: Country = Country()
+    town_size: float = 400.0
+    town_samples: int = 70
+    town_others: int = 40
+    spacing: float = 8.0
+    faults: Faults = Faults()
+    skies: Skies = Skies()
+    in_motion: float = 0.5
+    no_intensity: float = 0.5
+    steepest: float = 0.4
+    calibration: LayerErrors = LayerErrors(elevation=0.02 * _DEGREE, offset=0.05 * _DEGREE, range=0.01)
+    calibrations: tuple[tuple[str, LayerErrors], ...] = _CALIBRATIONS
 
     def calibration_of(self, lidar: str) -> LayerErrors:
-        """Return the errors of a kind of lidar."""
+        """Return the calibration errors of a lidar model."""
         return dict(self.calibrations).get(lidar, self.calibration)
 
 
-_ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
-_DEGREE = math.pi / 180
-
-# Other lidars and mounts, faults, bad weather, country roads: see docs/simulation.md
-GEN2 = DataRecipe(
-    samples=4800,
-    mounts=(
-        LidarMount("vlp-32c", 0.08, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("hdl-32e", 0.10, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("hdl-64e", 0.10, (1.65, 2.1), _MIDDLE, _SLIGHT),
-        LidarMount("vls-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("os1-64", 0.08, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("os1-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("vlp-16", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("xt32", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("pandar40p", 0.07, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("pandar64", 0.05, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("ot128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
-        LidarMount("qt128", 0.04, (1.65, 2.2), _MIDDLE, _SLIGHT),
-        LidarMount("dual-vlp-32c", 0.04, (1.8, 2.4), _MIDDLE, _SLIGHT),
-        LidarMount("at128", 0.05, (1.6, 2.1), (0.2, 0.9), _SLIGHT, 120 * _DEGREE),
-        LidarMount("at128", 0.01, (0.5, 1.0), (2.5, 2.7), _SLIGHT, 120 * _DEGREE),  # at the bumper
-        # High up as on a truck or a bus, and tilted.
-        LidarMount("vlp-32c", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
-        LidarMount("os1-64", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
-        LidarMount("vlp-16", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
-        LidarMount("pandar64", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
-    ),
-    country=Country(),
-    town_size=400.0,
-    town_samples=70,
-    town_others=40,
-    spacing=8.0,
-    faults=Faults(
-        sector=0.25, sector_width=(60 * _DEGREE, 270 * _DEGREE),
-        blocked=0.15, blocked_views=3, blocked_width=(5 * _DEGREE, 60 * _DEGREE),
-        lost=0.15, lost_packets=(0.005, 0.25), packet=(1, 16),
-        dead=0.12, dead_layers=(0.02, 0.2),
-    ),
-    skies=Skies(
-        fog=0.07, visibility=(12.0, 400.0), rain=0.06, rate=(0.5, 60.0), wet=0.05,
-        dust=0.06, dust_extinction=(0.02, 0.8), dust_clouds=8, dust_radius=(0.8, 6.0),
-    ),
-    in_motion=0.5,
-    no_intensity=0.5,
-    steepest=0.4,
-    calibration=LayerErrors(elevation=0.02 * _DEGREE, offset=0.05 * _DEGREE, range=0.01),
-    calibrations=(
-        ("hdl-64e", LayerErrors(elevation=0.1 * _DEGREE, offset=0.2 * _DEGREE, range=0.025)),
-        ("hdl-32e", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
-        ("os1-64", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
-        ("pandar40p", LayerErrors(elevation=0.04 * _DEGREE, offset=0.15 * _DEGREE, range=0.015)),
-    ),
-)  # fmt: skip
-
+GEN2 = DataRecipe()  # further lidars and mounts, faults, bad weather, country roads: see docs/simulation.md
 RECIPES: dict[str, DataRecipe] = {"gen2": GEN2}

@@ -1,6 +1,6 @@
-"""One sample of a data set: the lidar's range image, the truth around it, and the traffic participants nearby.
+"""One sample of a dataset: lidar range image, true cell states around the sensor, and nearby traffic participants.
 
-Needs numpy only, so that data sets are read where the simulator is not installed.
+Needs numpy only, so that datasets can be read without the simulator installed.
 
 >>> from ogm.simulation.sample import Weather
 >>> Weather(fog=50.0)                                                       # visibility [m]
@@ -22,38 +22,38 @@ from ogm.state import Truth
 
 __all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "SimulatedSample", "Weather"]
 
-# columns of a detection in a data set, in this order; the first three are x, y, z in the sensor's frame
+# Columns of a stored detection, in this order; x, y and z are in the sensor's frame.
 DETECTION = ("x", "y", "z", "doppler", "compensated", "rcs", "snr", "origin", "object")
 
 
 class Origin(IntEnum):
-    """What a detection is of."""
+    """Cause of a radar detection."""
 
-    OBJECT = 0  # anything that stands or moves where it is reported
+    OBJECT = 0  # a static or moving object at the reported position
     GROUND = 1
-    GHOST = 2  # a real thing in a wrong place, by way of a mirror
+    GHOST = 2  # an object at a wrong position, seen through a mirror
     CLUTTER = 3  # noise
 
 
 class RadarSweep(NamedTuple):
-    """The detections of one sweep, in the sensor's frame.
+    """Detections of one radar sweep, in the sensor's frame.
 
     Attributes
     ----------
     xyz : (N, 3) float32
-        [m]; z is 0 for a radar without elevation.
+        Positions [m]; z is 0 for a radar without elevation.
     doppler : (N,) float32
-        Radial velocity against the sensor, positive away from it, folded into the unambiguous interval [m/s].
+        Radial velocity relative to the sensor, positive away from it, folded into the unambiguous interval [m/s].
     compensated : (N,) float32
-        The same over ground: of what stands still it is 0 but for noise, and for ghosts.
+        Radial velocity over ground [m/s]: 0 up to noise for static objects, except for ghosts.
     rcs : (N,) float32
         Radar cross section [dBsm].
     snr : (N,) float32
         Signal-to-noise ratio [dB].
     origin : (N,) uint8
-        `Origin`.
+        `Origin` of each detection.
     object : (N,) int32
-        Number of the moving thing in the list given to `Scene.place`; -1 for none.
+        Index of the moving object in the list given to `Scene.place`; -1 for other causes.
     """
 
     xyz: Floats32
@@ -65,39 +65,38 @@ class RadarSweep(NamedTuple):
     object: Ints32
 
     def scan(self, stamp: float | None = None, sensor: str = "", doppler_interval: float | None = None) -> Scan:
-        """Return what a real radar gives: points with Doppler, against the sensor, and cross sections."""
-        points = np.zeros((len(self.xyz), 4), np.float32)
-        points[:, :3] = self.xyz
+        """Return the sweep as a `Scan` with Doppler velocities relative to the sensor and radar cross sections."""
+        points = np.pad(self.xyz, ((0, 0), (0, 1)))
         return Scan(
             points, stamp=stamp, doppler=self.doppler, rcs=self.rcs, sensor=sensor, doppler_interval=doppler_interval
         )
 
     @property
     def table(self) -> Floats32:
-        """The columns `DETECTION`, (N, 9)."""
+        """Columns `DETECTION`, (N, 9)."""
         return np.column_stack([self.xyz, *self[1:]]).astype(np.float32)
 
     @classmethod
     def of_table(cls, table: Floats32) -> "RadarSweep":
-        """Make from what `table` returned."""
+        """Make a sweep from its `table`."""
         doppler, compensated, rcs, snr, origin, number = table[:, 3:].T
         return cls(table[:, :3], doppler, compensated, rcs, snr, origin.astype(np.uint8), number.astype(np.int32))
 
 
 class PlacedSweep(NamedTuple):
-    """A sweep of a data set.
+    """A radar sweep of a dataset with its stamp, pose and velocity.
 
     Attributes
     ----------
     radar : int
-        Number of the radar in the plan.
+        Index of the radar in the plan.
     stamp : float
-        [s]
+        Time of the sweep [s].
     T_world_sensor : (4, 4) float64
     velocity : (3,) float64
-        Of the sensor in the world's axes [m/s].
+        Velocity of the sensor, along the axes of the world frame [m/s].
     detections : RadarSweep
-        Its `object` are the tracks of the sample's objects; -1 for none.
+        Detections of the sweep. Their `object` is the track of a traffic participant, -1 for other causes.
     """
 
     radar: int
@@ -107,31 +106,31 @@ class PlacedSweep(NamedTuple):
     detections: RadarSweep
 
 
-RANGE_STEP = 0.004  # [m] in which ranges are kept, as Velodyne's packets do
+RANGE_STEP = 0.004  # [m] resolution of stored ranges, as in Velodyne's packets
 LABELS = ("car", "van", "truck", "trailer", "bus", "motorcycle", "bicycle", "pedestrian")
 _BOX = ("x", "y", "z", "length", "width", "height", "yaw", "vx", "vy")
-# One traffic participant. label: number in LABELS; x, y, z: middle of the upright box in the sensor's frame [m];
-# length, width, height [m]; yaw: of the forward axis about the sensor's z axis [rad]; vx, vy: velocity over ground
-# along the sensor's x and y axes [m/s]; track: the same for one participant in all samples of a scenario;
-# returns: points of this sample on it.
+# One traffic participant. label: index in LABELS; x, y, z: centre of the upright box in the sensor's frame [m];
+# length, width, height [m]; yaw: direction of the forward axis about the sensor's z axis [rad]; vx, vy: velocity over
+# ground along the sensor's x and y axes [m/s]; track: number of the participant, constant within a scenario;
+# returns: number of this sample's points on it.
 OBJECT = np.dtype(
     [("label", np.uint8), *((name, np.float32) for name in _BOX), ("track", np.int32), ("returns", np.int32)]
 )
 
 
 class Weather(NamedTuple):
-    """What is in the air and on the road.
+    """Rain, fog, dust and wetness of the ground.
 
     Attributes
     ----------
     rain : float
-        Rate [mm/h].
+        Rain rate [mm/h].
     fog : float
         Meteorological visibility [m], inf for clear air.
     wet : float
-        How wet the ground is, from 0, dry, to 1: asphalt as `ogm.simulation.materials.Material.WET_ASPHALT`.
+        Wetness of the ground, 0 (dry) to 1 (asphalt as `ogm.simulation.materials.Material.WET_ASPHALT`).
     dust : float
-        Extinction of the densest cloud of dust [1/m].
+        Extinction coefficient of the densest dust cloud [1/m].
     """
 
     rain: float = 0.0
@@ -141,34 +140,34 @@ class Weather(NamedTuple):
 
 
 def shown_share(kind: str, columns: int, step: float) -> float:
-    """Return the share of a turn's time in which a sensor measures: 0 for a camera."""
+    """Return the share of a turn in which a sensor measures; 0 for a depth camera."""
     return 0.0 if kind == "depth" else min(abs(step) * columns / (2 * np.pi), 1.0)
 
 
 @dataclass(frozen=True)
 class Beams:
-    """Where the beams of a lidar point: enough to turn a range image into points.
+    """Beam directions of a lidar, which turn a range image into points.
 
     Parameters
     ----------
     name : str
     elevation : tuple of float
-        Of each layer above the sensor's xy plane [rad], ascending.
+        Elevation of each layer above the sensor's xy plane [rad], ascending.
     azimuth : tuple of float
-        Of each layer's beam in column 0, from x towards y [rad].
+        Azimuth of each layer's beam in column 0, from x towards y [rad].
     step : float
-        From one column to the next [rad]; negative where the lidar turns clockwise, seen from above.
+        Angle between columns [rad]; negative for a lidar that turns clockwise, seen from above.
     columns : int
         Beams per layer and turn.
     rate : float
-        Turns per second [Hz].
+        Rotation rate [Hz].
     origin : tuple of (x, y, z)
-        Where each layer's beams start in the sensor's frame [m].
+        Start of each layer's beams in the sensor's frame [m].
     kind : {"", "planar", "depth"}
-        See `ogm.scan.Scan.kind`. The layers of a depth camera are the rows of its image, `elevation` counts in the
-        middle column, and `step` counts from pixel to pixel of an image at distance 1.
+        See `ogm.scan.Scan.kind`. The layers of a depth camera are the image rows, `elevation` is measured in the middle
+        column, and `step` is the pixel spacing on an image plane at distance 1.
     range_min, range_max : float
-        Least and greatest range of a planar laser or depth camera [m]; not kept of lidars.
+        Smallest and largest range of a planar laser or depth camera [m]; 0 for lidars.
     """
 
     name: str
@@ -189,20 +188,26 @@ class Beams:
             raise ValueError(f"{self.name} must have one elevation, azimuth and origin per layer, got {counts}")
         angles = (*self.elevation, *self.azimuth, self.step, self.rate, *sum(self.origin, ()))
         if not np.isfinite(angles).all():
-            raise ValueError(f"angles, places and rate of {self.name} must be finite")
+            raise ValueError(f"angles, origins and rate of {self.name} must be finite, got NaN or inf")
         if self.kind not in ("", "planar", "depth") or bool(self.kind) != (0 <= self.range_min < self.range_max < 1e4):
             limits = f"{self.range_min:g} ... {self.range_max:g} m"
-            raise ValueError(f"{self.name} must be a lidar, planar or depth with limits, got {self.kind!r}, {limits}")
+            raise ValueError(
+                f'kind of {self.name} must be "" without range limits, or "planar" or "depth" with limits, got '
+                f"{self.kind!r}, {limits}"
+            )
         if self.kind == "depth" and not (
             np.abs((*self.elevation, *self.azimuth)).max() < np.pi / 2 and len({*self.azimuth}) == 1 and self.step < 0
         ):
-            raise ValueError(f"{self.name} must have angles within a right angle and columns from left to right")
+            raise ValueError(
+                f"depth camera {self.name} must have angles below 90 degrees, one azimuth and a negative step "
+                "(columns from left to right)"
+            )
         if self.columns < 1 or not self.rate > 0:
             raise ValueError(f"columns and rate of {self.name} must be positive, got {self.columns} and {self.rate}")
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Layers and columns of a range image."""
+        """Number of layers and columns of a range image."""
         return len(self.elevation), self.columns
 
     @cached_property
@@ -221,25 +226,25 @@ class Beams:
 
     @cached_property
     def origins(self) -> Floats32:
-        """Where each layer's beams start [m], (layers, 3)."""
+        """Start of each layer's beams [m], (layers, 3)."""
         return np.array(self.origin, np.float32)
 
     @cached_property
     def times(self) -> Floats32:
-        """When each column is measured [s], (columns,) float32; 0 is the middle of the turn."""
+        """Time of each column [s], (columns,) float32; 0 in the middle of the turn."""
         times = ((np.arange(self.columns) + 0.5) / self.columns - 0.5) / self.rate
         if self.kind:
             times = times * shown_share(self.kind, self.columns, self.step)
         return times.astype(np.float32)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what `from_dict` takes; lidars have no kind and no limits."""
+        """Return the parameters as a dict for `from_dict`; a lidar has no kind and no range limits in it."""
         numbers = asdict(self)
         return numbers if self.kind else {name: numbers[name] for name in list(numbers)[:-3]}
 
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "Beams":
-        """Make from what `to_dict` returned, or from what JSON made of it."""
+        """Make beams from the dict of `to_dict`, also after a round trip through JSON."""
         angles = {name: tuple(map(float, numbers[name])) for name in ("elevation", "azimuth")}
         origin = tuple((float(x), float(y), float(z)) for x, y, z in numbers["origin"])
         return cls(**{**numbers, **angles, "origin": origin})
@@ -247,39 +252,39 @@ class Beams:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSample:
-    """One turn of a lidar, and the truth about the cells around it.
+    """One turn of a lidar with the true states of the cells around it.
 
     Parameters
     ----------
     beams : Beams
         The lidar.
     steps : (layers, columns) uint16
-        The range image in steps of `RANGE_STEP`; 0 where there was no return.
+        Range image in steps of `RANGE_STEP`; 0 for no return.
     intensities : (layers, columns) uint8
-        Calibrated as Velodyne's, 0 ... 255.
+        Intensities 0 to 255, calibrated as Velodyne's.
     truth : Truth
-        Around the sensor, in its x and y; with heights, where the data set has them.
+        True cell states in the sensor's x and y, with heights if the dataset has them.
     objects : (K,) array of `OBJECT`
         Traffic participants nearby.
     T_world_sensor, T_vehicle_sensor : (4, 4) float64
-        Where the sensor stood, and how it is mounted.
+        Pose of the sensor in the world, and in the vehicle.
     velocity : (3,) float64
-        Of the ego vehicle, in the world's axes [m/s].
+        Velocity of the ego vehicle, along the axes of the world frame [m/s].
     yaw_rate : float
-        Of the ego vehicle [rad/s].
+        Yaw rate of the ego vehicle [rad/s].
     stamp : float
-        Time in the scenario, in the middle of the turn [s].
+        Time since the start of the scenario, in the middle of the turn [s].
     split : str
-        The part of the data set: "training", "validation", "test" or "sequences".
+        Split of the dataset: "training", "validation", "test" or "sequences".
     index : int
-        Number in that part.
+        Index in the split.
     scenario : int
-        Number of the drive within the part: the same streets and traffic for all its samples.
+        Index of the drive within the split. Samples of a drive share streets and traffic.
     weather : Weather
     measured : (layers, columns) bool, optional
-        Beams that were fired and reported; None for all. The others are neither points nor beams without echo.
+        Beams that were fired and reported; None for all. Other beams are neither points nor beams without echo.
     sweeps : tuple of PlacedSweep
-        Of radars, in the order of the plan's radars, each in the order of time.
+        Radar sweeps, in the order of the plan's radars, each radar's in order of time.
     """
 
     beams: Beams
@@ -301,12 +306,12 @@ class SimulatedSample:
 
     @property
     def lidar(self) -> str:
-        """The lidar's name."""
+        """Name of the lidar."""
         return self.beams.name
 
     @cached_property
     def points(self) -> Floats32:
-        """The returns, (N, 4) float32: x, y, z in the sensor's frame [m], intensity [0, 1]; layer by layer."""
+        """Returns (N, 4) float32: x, y, z in the sensor's frame [m], intensity [0, 1]; layer by layer."""
         layer, column = np.nonzero(self.steps)
         distance = (self.steps[layer, column] * RANGE_STEP).astype(np.float32)
         result = np.empty((len(layer), 4), np.float32)
@@ -316,7 +321,7 @@ class SimulatedSample:
 
     @property
     def no_returns(self) -> Floats32:
-        """Unit directions of the beams that were measured and gave no return, (M, 3) float32; none of depth cameras."""
+        """Unit directions of measured beams without return, (M, 3) float32; empty for depth cameras."""
         if self.beams.kind == "depth":
             return np.zeros((0, 3), np.float32)
         silent = self.steps == 0
@@ -324,15 +329,15 @@ class SimulatedSample:
 
     @property
     def ring(self) -> NDArray[np.uint16]:
-        """The layer of each point, (N,) uint16; 0 is the lowest."""
+        """Layer of each point, (N,) uint16; 0 is the lowest."""
         return np.nonzero(self.steps)[0].astype(np.uint16)
 
     @property
     def column(self) -> NDArray[np.uint16]:
-        """The azimuth index of each point, (N,) uint16."""
+        """Column of each point, (N,) uint16."""
         return np.nonzero(self.steps)[1].astype(np.uint16)
 
     @property
     def time(self) -> Floats32:
-        """When each point was measured [s], counted from `stamp`, (N,) float32."""
+        """Time of each point relative to `stamp` [s], (N,) float32."""
         return self.beams.times[np.nonzero(self.steps)[1]]

@@ -1,4 +1,4 @@
-"""The world that rays are cast at: what stands still built once, what moves built anew for each frame.
+"""Ray casting in a world of static and moving meshes; static meshes are prepared once, moving ones for each frame.
 
 >>> import numpy as np
 >>> from ogm.pose import pose
@@ -26,42 +26,42 @@ from ogm.simulation.mesh import Array, Floats32, Ints32, Mesh, empty, merge
 
 __all__ = ["EGO", "NOTHING", "STATIC", "Hits", "Scene"]
 
-STATIC, EGO = -1, -2  # `Hits.object` of what stands still (or of no hit), and of the ego vehicle
-NOTHING = 255  # `Hits.material` where a ray hits nothing
-BATCH = 2**17  # rays per call of Open3D: its answers then stay in the processor's cache
-PASSES = 3  # panes of glass that a ray goes through at most
+STATIC, EGO = -1, -2  # `Hits.object` of static surfaces or no hit, and of the ego vehicle
+NOTHING = 255  # `Hits.material` without a hit
+BATCH = 2**17  # rays per call of Open3D, whose results then fit in the processor's cache
+PASSES = 3  # largest number of glass panes that a ray passes
 _NONE = np.empty((0, 3), np.float32)
-SKIN = np.float32(1e-3)  # [m] a ray goes on this far behind the glass it has passed
+SKIN = np.float32(1e-3)  # [m] distance behind a pane at which a ray continues
 
 
 class Scene:
-    """Triangles that rays are cast at; one caller at a time.
+    """Static and moving meshes for ray casting; used by one caller at a time.
 
     Parameters
     ----------
     static : Mesh
-        What stands still, in the world frame. May be empty.
+        Static mesh in the world frame; may be empty.
     threads : int
-        Processor cores that Open3D uses; 0 for all. The results do not depend on it. Open3D holds Python's lock
-        while it casts, so two scenes in two threads of one process gain nothing: use processes, or `threads`.
+        Number of processor cores for Open3D; 0 for all. The results do not depend on it. Open3D holds Python's global
+        lock, so threads do not cast in parallel: use processes, or `threads`.
     """
 
     def __init__(self, static: Mesh, *, threads: int = 0) -> None:
         if threads < 0:
-            raise ValueError(f"threads must be 0 (all cores) or a number of cores, got {threads}")
+            raise ValueError(f"threads must be 0 (all cores) or a positive number of cores, got {threads}")
         self.threads = threads or len(os.sched_getaffinity(0))
         self._static = _Shape(static, np.full(len(static.triangles), STATIC, np.int32), self.threads)
         self._moving = _Shape(empty(), np.zeros(0, np.int32), self.threads)
-        self.things = 0  # moving things that are in place, the ego vehicle not counted
+        self.things = 0  # number of moving objects, without the ego vehicle
         self._transmission = np.ascontiguousarray(table()[:, 4])
 
     def place(self, meshes: Sequence[Mesh], ego: Mesh | None = None) -> None:
-        """Put this frame's moving things where they are, instead of the last frame's.
+        """Place the moving objects of a new frame instead of the last frame's.
 
         Parameters
         ----------
         meshes : sequence of Mesh
-            In the world frame; `Hits.object` counts in their order.
+            Moving objects in the world frame; `Hits.object` is an index into this sequence.
         ego : Mesh, optional
             The vehicle that carries the sensor, in the world frame.
         """
@@ -81,31 +81,31 @@ class Scene:
         number: int = 0,
         normals: Floats32 | None = None,
     ) -> Hits:
-        """Find what rays hit first.
+        """Find the first hit of each ray.
 
-        Glass lets a share of the rays through, three panes at most: which ones, depends on `salt`, the ray's
-        number and nothing else.
+        Glass lets a share of the rays pass, through three panes at most. The selection depends only on `salt` and the
+        number of the ray.
 
         Parameters
         ----------
         origin : (3,), (N, 3) or (4, 4) array
-            Where all rays or each of them starts, in the world frame [m]; or the sensor's pose
-            ``T_world_sensor``, and then `directions` are in the sensor frame.
+            Start of all rays or of each ray, in the world frame [m]; or the sensor's pose ``T_world_sensor``, with
+            `directions` in the sensor frame.
         directions : (N, 3) float32
             Unit vectors.
         salt : int
-            Changes which rays pass through glass, for instance from frame to frame; 0 or more.
+            Seed of the selection of rays that pass through glass, 0 or more.
         number : int
-            Of the first ray, where one set of rays is cast in several calls.
+            Number of the first ray, for a set of rays that is cast in several calls.
         normals : (N, 3) float32, optional
-            Gets the unit normals of the triangles that are hit, of either side.
+            Output: unit normals of the hit triangles, on either side.
 
         Raises
         ------
         TypeError
             If `directions` are not float32.
         ValueError
-            If shapes do not fit.
+            If shapes do not match, or the origin is not finite or not a pose.
         """
         origins, rotation = _aim(origin, directions)
         count = len(directions)
@@ -119,8 +119,7 @@ class Scene:
         return hits
 
     def _cast_batch(self, rays: Floats32, hits: Hits, normals: Array, salt: int, number: int) -> None:
-        """Find what rays hit, and cast those again that glass lets through; `number` is that of the first ray."""
-        hits.distance[:], hits.material[:], hits.object[:], hits.cosine[:] = np.inf, NOTHING, STATIC, 0
+        """Find the first hits, and cast rays again behind glass; `number` counts from the first ray."""
         index = np.arange(len(rays), dtype=np.int32)
         self._keep_nearest(hits, normals, index, rays, np.zeros(len(rays), np.float32))
         for turn in range(PASSES):
@@ -136,7 +135,7 @@ class Scene:
 
 
 class _Shape:
-    """One Open3D scene and what its triangles are."""
+    """An Open3D scene with the attributes of its triangles."""
 
     def __init__(self, mesh: Mesh, things: Ints32, threads: int) -> None:
         _check(mesh)
@@ -147,7 +146,7 @@ class _Shape:
             self._scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
 
     def cast(self, rays: Floats32) -> Answer:
-        """Return distance, triangle and its unit normal for each ray (n, 6)."""
+        """Return the result of Open3D for rays (n, 6)."""
         answer = self._scene.cast_rays(_tensor(rays), nthreads=self.threads)
         names = ("t_hit", "primitive_ids", "primitive_normals")
         t, primitive, normals = (answer[name].numpy() for name in names)
@@ -159,21 +158,25 @@ def _tensor(array: Array) -> Any:
 
 
 def _check(mesh: Mesh) -> None:
-    """Refuse a mesh that Open3D would crash on."""
+    """Raise an error for a mesh that would crash Open3D."""
     for name, row, dtype in (("vertices", (3,), "float32"), ("triangles", (3,), "uint32"), ("material", (), "uint8")):
         array, shape = getattr(mesh, name), "(N, 3)" if row else "(N,)"
         if array.dtype != dtype or array.shape[1:] != row:
-            raise TypeError(f"the mesh's {name} must be {dtype} {shape}, got {array.dtype} {array.shape}")
+            raise TypeError(f"mesh {name} must be {dtype} {shape}, got {array.dtype} {array.shape}")
     if not np.isfinite(mesh.vertices).all():
-        raise ValueError("the mesh has vertices that are NaN or inf")
+        raise ValueError("vertices of the mesh must be finite, got NaN or inf")
     if len(mesh.triangles) and mesh.triangles.max() >= len(mesh.vertices):
-        raise ValueError(f"triangle corner {mesh.triangles.max()} but only {len(mesh.vertices)} vertices")
+        raise ValueError(
+            f"triangles must refer to the {len(mesh.vertices)} vertices of the mesh, got vertex {mesh.triangles.max()}"
+        )
     if len(mesh.material) != len(mesh.triangles):
-        raise ValueError(f"{len(mesh.triangles)} triangles but {len(mesh.material)} materials; each needs one")
+        raise ValueError(
+            f"the mesh needs one material per triangle, got {len(mesh.material)} for {len(mesh.triangles)}"
+        )
 
 
 def _aim(origin: ArrayLike, directions: Floats32) -> tuple[Floats32, Floats32]:
-    """Return origins (1 or N, 3) and the rotation that takes directions to the world."""
+    """Return origins (1 or N, 3), and the rotation of directions to the world frame."""
     if getattr(directions, "dtype", None) != np.float32:
         raise TypeError(f"directions must be a float32 array of shape (N, 3), got {np.asarray(directions).dtype}")
     if directions.ndim != 2 or directions.shape[1] != 3:
@@ -183,7 +186,7 @@ def _aim(origin: ArrayLike, directions: Floats32) -> tuple[Floats32, Floats32]:
         T = check_pose(place, "origin")
         place, rotation = T[:3, 3], T[:3, :3].astype(np.float32)
     if place.shape not in ((3,), directions.shape):
-        raise ValueError(f"origin must be (3,), (4, 4), or {directions.shape} as directions, got {place.shape}")
+        raise ValueError(f"origin must have shape (3,), (4, 4) or {directions.shape} of directions, got {place.shape}")
     if not np.isfinite(place).all():
-        raise ValueError("origin holds NaN or inf")
+        raise ValueError("origin must be finite, got NaN or inf")
     return np.ascontiguousarray(place.reshape(-1, 3), np.float32), rotation

@@ -75,7 +75,7 @@ def rectangle(x0: float, x1: float, y0: float, y1: float, *, whole: bool = False
 
 
 def within(distance: float) -> Mask:
-    """Return the cells whose middles lie within a distance of the sensor [m]."""
+    """Return the cells with their middle within a distance of the sensor [m]."""
     return np.asarray(np.hypot(*SPEC.cell_centers) < distance)
 
 
@@ -107,7 +107,7 @@ def scan_shapes(
     occupied : (nx, ny) bool, optional
         Cells that are truly occupied; all others are free.
     swallowed : str
-        Name of the shape whose beams do not return.
+        Name of the shape from which no beams return.
     glass : (str, float)
         Name of the shape that lets beams through, and their share.
     ghosts : (Mesh, int), optional

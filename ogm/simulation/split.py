@@ -1,4 +1,4 @@
-"""Arrays of one part of a data set on disk, and its samples read from them; ``docs/formats.md`` has the layout."""
+"""Samples of one split, read from its arrays on disk; ``docs/formats.md`` describes the layout."""
 
 import math
 import operator
@@ -21,13 +21,13 @@ from ogm.truth import TRUTH_SPEC
 
 
 class Damaged(OgmError):
-    """Bytes on disk are not what was written."""
+    """Bytes on disk differ from those written."""
 
 
 class Split(Sequence[SimulatedSample]):
-    """The samples of one part of a data set.
+    """Samples of one split of a dataset.
 
-    ``split[i]`` reads sample i; ``len(split)`` is the number planned, of which `finished` can be read. May be
+    ``split[i]`` reads sample i; ``len(split)`` is the planned number, of which `finished` can be read. A split can be
     pickled and used by several processes at once.
     """
 
@@ -57,11 +57,11 @@ class Split(Sequence[SimulatedSample]):
         Raises
         ------
         IndexError
-            Beyond the samples that are planned.
+            If the index exceeds the planned number of samples.
         ValueError
-            If the sample has not been made yet.
+            If the sample is not made yet.
         Damaged
-            If its bytes are not those that were written; the message has the command that makes them anew.
+            If the bytes of the sample differ from those written; the message gives the command that remakes it.
         """
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
@@ -86,7 +86,7 @@ class Split(Sequence[SimulatedSample]):
         return SimulatedSample(beams, *arrays, **facts)
 
     def objects(self, index: int) -> Array:
-        """Read the traffic participants of a sample alone, (K,) of `OBJECT`; errors are those of ``split[index]``."""
+        """Read only the traffic participants of a sample, (K,) of `OBJECT`; errors as for ``split[index]``."""
         i, row = self._row(index)
         count = int(row[self.columns.index("objects")])
         rows = self._shard("objects", i // SHARD)[i % SHARD]
@@ -94,7 +94,7 @@ class Split(Sequence[SimulatedSample]):
         return unstructured_to_structured(rows[:count], OBJECT)
 
     def sweeps(self, index: int) -> tuple[PlacedSweep, ...]:
-        """Read the radars' sweeps of a sample alone; errors are those of ``split[index]``."""
+        """Read only the radar sweeps of a sample; errors as for ``split[index]``."""
         if not self.contents.radars:
             return ()
         rows, table = self.sweep_rows(index), self._read("detections", self._row(index)[0])
@@ -107,26 +107,26 @@ class Split(Sequence[SimulatedSample]):
         return tuple(result)
 
     def sweep_rows(self, index: int) -> Floats:
-        """Read what is known of a sample's sweeps beside their detections, (sweeps, `SWEEP`)."""
+        """Read the rows of a sample's sweeps, (sweeps, `SWEEP`), without their detections."""
         if not self.contents.radars:
             return np.zeros((0, SWEEP))
         i, _ = self._row(index)
         rows: Floats = self._shard("sweeps", i // SHARD)[i % SHARD]
         self._compare("sweeps", i, rows[None])
         rows = rows[rows[:, 0] > 0]
-        most = self.contents.layout["detections"][0][0]
+        capacity = self.contents.layout["detections"][0][0]
         if not (
             np.isin(rows[:, 1], range(len(self.contents.radars))).all()
-            and np.isin(rows[:, 3], range(most + 1)).all()
-            and rows[:, 3].sum() <= most
+            and np.isin(rows[:, 3], range(capacity + 1)).all()
+            and rows[:, 3].sum() <= capacity
         ):
-            raise self._damaged("sweeps", i, "it has impossible numbers")
+            raise self._damaged("sweeps", i, "values out of range")
         return rows
 
     def damage(self) -> Iterator[tuple[int, Damaged]]:
-        """Read every finished sample; yield the number and the error of each that is damaged."""
+        """Read every finished sample; yield the index and error of each damaged sample."""
         for name in self.contents.large:
-            self._array(name)  # without which none can be read
+            self._array(name)  # raises if no sample can be read
         for i in range(len(self)):
             try:
                 self._row(i)
@@ -137,60 +137,60 @@ class Split(Sequence[SimulatedSample]):
             except Damaged as error:
                 yield i, error
             except ValueError:
-                continue  # has not been made yet
+                continue  # not made yet
 
     def _row(self, index: int) -> tuple[int, Floats]:
-        """Return the number of a sample that is made, counted from 0, and its facts."""
+        """Return the index of a finished sample, counted from 0, and its row of facts."""
         i = operator.index(index)
         i += len(self) if i < 0 else 0
         if not 0 <= i < len(self):
-            raise IndexError(f"{self.name} has {len(self)} samples, there is no number {index}")
-        if isinstance(self.path, ObjectPath):  # all of a shard at once: the time is that of the requests
+            raise IndexError(f"sample {index} is beyond the {len(self)} samples of {self.name}")
+        if isinstance(self.path, ObjectPath):  # fetch all arrays of the shard at once: requests take most of the time
             part = self.path / self.name
             self.path.fetch(shard_file(part, name, i // SHARD).key for name in self.contents.layout)
         row = self._shard("facts", i // SHARD)[i % SHARD]
         if not row[0]:
             raise ValueError(
-                f"sample {i} of {self.name} has not been made yet: go on with `ogm simulate {self.path} --resume`"
+                f"sample {i} of {self.name} is not made yet; make it with `ogm simulate {self.path} --resume`"
             )
         self._compare("facts", i, row[None])
         lidar, count, scenario = (row[self.columns.index(name)] for name in ("lidar", "objects", "scenario"))
         if not (0 <= lidar < len(self.contents.beams) and 0 <= count <= OBJECTS and np.isfinite(scenario)):
-            raise self._damaged("facts", i, "it has impossible numbers")
+            raise self._damaged("facts", i, "values out of range")
         return i, row
 
     @property
     def facts(self) -> Floats:
-        """What is known of every sample beside its arrays, (n, `columns`); zeros where it is not made."""
-        if isinstance(self.path, ObjectPath):  # all at once, zeros for shards that are not there
+        """Facts of every sample, (n, `columns`); zeros for samples not made yet."""
+        if isinstance(self.path, ObjectPath):  # one request; missing shards read as zeros
             return np.asarray(self._array("facts")[: len(self)], np.float64)
         shards = [self._shard("facts", shard) for shard in range(-(-len(self) // SHARD))]
         return np.concatenate([np.zeros((0, len(self.columns))), *shards])
 
     @property
     def finished(self) -> Ints:
-        """Numbers of the samples that can be read, ascending."""
+        """Indices of the finished samples, ascending."""
         return np.flatnonzero(self.facts[:, 0])
 
     def _shard(self, name: str, shard: int) -> Array:
-        """Read a small array of a shard, once for its ten samples."""
+        """Read a small array of a shard, cached for its ten samples."""
         key = name, shard
         if key not in self._small:
             rows = self._read(name, slice(shard * SHARD, min((shard + 1) * SHARD, len(self))))
             if name == "facts" and not rows[:, 0].all():
-                return rows  # may be written later
+                return rows  # not cached: incomplete shards may be written later
             self._small[key] = rows
         return self._small[key]
 
     def _array(self, name: str) -> Any:
-        """Open an array, once, and check that it is as `_grow` makes it."""
+        """Open an array, cached, and check its shape, type and chunks."""
         if name not in self._arrays:
             path = self.path / self.name / name
             array, (shape, kind) = open_array(path), self.contents.layout[name]
             if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
-                raise not_whole(f"{path} holds {array.dtype} {array.shape}, wanted {kind} {(len(self), *shape)}")
-            if math.prod(array.chunks) > SHARD * math.prod(shape):  # zarr allocates what is claimed
-                raise not_whole(f"{path} has chunks of {array.chunks}, wanted at most {SHARD} samples")
+                raise incomplete(f"{path} has {array.dtype} {array.shape}, wanted {kind} {(len(self), *shape)}")
+            if math.prod(array.chunks) > SHARD * math.prod(shape):  # zarr would allocate the declared size
+                raise incomplete(f"{path} has chunks of {array.chunks}, wanted at most {SHARD} samples")
             self._arrays[name] = array
         return self._arrays[name]
 
@@ -198,7 +198,7 @@ class Split(Sequence[SimulatedSample]):
         first = index if isinstance(index, int) else index.start
         there = shard_file(self.path / self.name, name, first // SHARD).exists()
         if name == "checksums" and not there:
-            # made by a version that kept none
+            # written by a version without checksums
             return np.zeros((index.stop - first, len(self.contents.checked)), np.uint32)
         array = self._array(name)
         if not there:
@@ -208,30 +208,30 @@ class Split(Sequence[SimulatedSample]):
         try:
             values: Array = array[index]
         except (ArithmeticError, EOFError, LookupError, MemoryError, RuntimeError, TypeError, ValueError) as error:
-            # what zarr and its codecs raise
+            # errors of zarr and its codecs
             raise self._damaged(name, first, str(error)) from error
         if name in self.contents.large:
             self._compare(name, index, values[None])
         return values
 
     def _compare(self, name: str, index: int, values: Array) -> None:
-        """Compare a sample's part of an array, (1, ...), with its checksum, if there is one."""
-        kept = self._shard("checksums", index // SHARD)[index % SHARD]
-        if kept.any() and kept[self.contents.checked.index(name)] != sample_checksums(self.name, index, values)[0]:
-            raise self._damaged(name, index, "its checksum differs")
+        """Compare a sample's part of an array, (1, ...), with its checksum, if any."""
+        stored = self._shard("checksums", index // SHARD)[index % SHARD]
+        if stored.any() and stored[self.contents.checked.index(name)] != sample_checksums(self.name, index, values)[0]:
+            raise self._damaged(name, index, "the checksum differs")
 
     def _damaged(self, name: str, index: int, why: str) -> Damaged:
         marker = shard_file(self.path / self.name, "facts", index // SHARD)
         return Damaged(
-            f"sample {index} of {self.name} in {self.path}: {name} damaged on disk ({why}); make it anew with "
-            f"`rm {marker}` and `ogm simulate {self.path} --resume`"
+            f"sample {index} of {self.name} in {self.path}: the array {name} is damaged on disk ({why}); remake it "
+            f"with `rm {marker}` and `ogm simulate {self.path} --resume`"
         )
 
 
 def sample_checksums(split: str, first: int, values: Array) -> NDArray[np.uint32]:
-    """Return the CRC-32 of each sample's part of an array, (k,), begun with the sample's split and number."""
+    """Return CRC-32 checksums (k,) of each sample's part of an array, seeded by split name and sample index."""
     little = values.astype(values.dtype.newbyteorder("<"), copy=False)
-    sums = [zlib.crc32(one.tobytes(), zlib.crc32(f"{split} {first + k}".encode())) for k, one in enumerate(little)]
+    sums = [zlib.crc32(part.tobytes(), zlib.crc32(f"{split} {first + k}".encode())) for k, part in enumerate(little)]
     return np.array(sums, np.uint32)
 
 
@@ -239,12 +239,18 @@ _DIMENSIONS = {name: len(shape) for name, (shape, _) in Contents().layout.items(
 
 
 def shard_file(split: Any, name: str, shard: int) -> Any:
-    """Return the file or the object that holds a shard of an array."""
+    """Return the file or object that stores a shard of an array."""
     return split.joinpath(name, "c", str(shard), *["0"] * _DIMENSIONS[name])
 
 
 def load_zarr() -> Any:
-    """Return the module, which unpacks Blosc by `CheckedBlosc`, or raise ImportError with the way to install it."""
+    """Import zarr and register `CheckedBlosc` as its Blosc codec.
+
+    Raises
+    ------
+    ImportError
+        If zarr is not installed; the message has the install line.
+    """
     zarr = import_extra("zarr", "sim")
     from ogm.simulation.blosc import CheckedBlosc
 
@@ -254,19 +260,19 @@ def load_zarr() -> Any:
 
 
 def open_array(path: Any, mode: str = "r") -> Any:
-    """Return a Zarr array, or raise `Damaged` where there is none that can be read."""
+    """Open a Zarr array; raise `Damaged` if it is missing or unreadable."""
     zarr = load_zarr()
     try:
         if isinstance(path, ObjectPath):
             return zarr.open_array(path.objects.zarr, path=path.key, mode=mode, zarr_format=3)
         return zarr.open_array(path, mode=mode)
     except FileNotFoundError as error:
-        raise not_whole(f"{path} is missing") from error
+        raise incomplete(f"{path} is missing") from error
     except (ArithmeticError, AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
-        # what zarr raises of odd metadata
-        raise not_whole(f"{path} is no array that can be read ({error})") from error
+        # errors of zarr for invalid metadata
+        raise incomplete(f"{path} is not a readable array ({error})") from error
 
 
-def not_whole(what: str) -> Damaged:
-    """Return the error for arrays that are missing or others than they should be."""
-    return Damaged(f"{what}: the data set is not whole; make it anew in a new folder")
+def incomplete(problem: str) -> Damaged:
+    """Return the error for missing or invalid arrays."""
+    return Damaged(f"{problem}: the dataset is incomplete; make it again in a new folder")

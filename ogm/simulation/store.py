@@ -1,4 +1,4 @@
-"""Data sets on disk: one Zarr v3 group per split, ten samples per shard, a checksum on every chunk.
+"""Datasets on disk: one Zarr v3 group per split, ten samples per shard, a checksum on every chunk.
 
 Reading needs numpy and zarr, neither Open3D nor Dask.
 
@@ -6,12 +6,11 @@ Reading needs numpy and zarr, neither Open3D nor Dask.
 >>> sample = Store.open("data")["training"][0]                              # doctest: +SKIP
 >>> sample.points, sample.truth, sample.objects, sample.T_world_sensor      # doctest: +SKIP
 
-``docs/formats.md`` has the layout: per split the arrays steps, intensities, truth, heights, objects, checksums, facts.
-A shard's facts are written last, in one step, so a row whose first number is 1 marks a complete sample.
+``docs/formats.md`` describes the layout: per split the arrays steps, intensities, truth, heights, objects, checksums
+and facts. A shard's facts are written last, in one step, so a row with a 1 in front marks a complete sample.
 
-The attributes of the root group hold the format, the plan that the samples were made by, the lidars, and the
-versions of the libraries that made them, and their own SHA-256; no date and no machine, so that the same plan gives the
-same bytes.
+The attributes of the root group have the format, the plan, the lidars, the library versions, and their own SHA-256.
+They name no date and no machine, so that equal plans give equal bytes.
 """
 
 import shutil
@@ -37,76 +36,76 @@ from ogm.truth import TRUTH_SPEC
 __all__ = ["FACTS", "FORMAT", "SHARD", "Damaged", "Split", "Store"]
 
 FORMAT = "ogm.samples/3"
-OLDER = "ogm.samples/2"  # without heights: is read, but not written
-GAPS = "ogm.samples/4"  # of recipes: some beams were not measured
-SWEEPS = "ogm.samples/5"  # with radars, of recipes or not
-KINDS = "ogm.samples/6"  # with planar lasers or depth cameras, which are no recipe's, with radars or not
-BEGUN = "ogm.samples/begun"  # format of a data set until all its arrays are created
-MOST = 1_000_000  # samples of a split
-_LEVEL = 5  # of zstd: above it, files shrink by 2 % and writing takes four times as long
+OLDER = "ogm.samples/2"  # without heights: readable, but not writable
+GAPS = "ogm.samples/4"  # of recipes: with unmeasured beams
+SWEEPS = "ogm.samples/5"  # with radars, with or without a recipe
+KINDS = "ogm.samples/6"  # with planar lasers or depth cameras, without a recipe, with or without radars
+BEGUN = "ogm.samples/begun"  # format of a dataset until all its arrays are created
+MAX_SAMPLES = 1_000_000  # in a split
+_LEVEL = 5  # of zstd: higher levels shrink files by 2 % and take four times as long
 
 
 class Store:
-    """A data set on disk. Open one with `Store.open`; the parts are ``store["training"]`` and so on."""
+    """A dataset on disk, opened with `Store.open`; its splits are ``store["training"]`` and so on."""
 
     def __init__(self, path: Any, attributes: Mapping[str, Any]) -> None:
         self.path = path
         self.format = str(attributes["format"])
         self.plan: dict[str, Any] = dict(attributes["plan"])
         self.versions: dict[str, str] = dict(attributes["versions"])
-        self.beams = tuple(Beams.from_dict(one) for one in attributes["lidars"])
+        self.beams = tuple(Beams.from_dict(lidar) for lidar in attributes["lidars"])
         radars = attributes["radars"] if self.format == SWEEPS or "radars" in attributes else ()
         self.radars = tuple(map(StoredRadar.from_dict, radars))
         self.counts = _counts(attributes["splits"])
         if not self.beams:
-            raise ValueError("it names no lidars")
+            raise ValueError("no lidars")
         gaps = self.format == GAPS or (self.format == SWEEPS and bool(self.plan.get("recipe")))
         self.contents = Contents(self.beams, self.radars, self.format != OLDER, gaps)
 
     @classmethod
     def open(cls, path: FilePath | ObjectPath) -> "Store":
-        """Open a data set to read, from a folder or an object store (``s3://...``, see `ogm.storage.remote.as_path`).
+        """Open a dataset for reading, in a folder or an object store (``s3://...``, see `ogm.storage.remote.as_path`).
 
         Raises
         ------
         FileNotFoundError
-            If there is none.
+            If there is no dataset.
         OgmError
-            If the folder holds something else, or a data set of another version.
+            If the folder holds anything else, or a dataset of another version.
         """
         place = as_path(path)
         try:
             attributes = decode_json((place / "zarr.json").read_bytes(), place)["attributes"]
             found = attributes["format"]
         except FileNotFoundError:
-            raise FileNotFoundError(f"{place} holds no data set; `ogm simulate {place}` makes one") from None
+            raise FileNotFoundError(f"{place} holds no dataset; make one with `ogm simulate {place}`") from None
         except NotADirectoryError:
-            raise OgmError(f"{place} is a file; a data set is a folder that `ogm simulate` made") from None
+            raise OgmError(f"{place} is a file; give the folder of a dataset made by `ogm simulate`") from None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise OgmError(f"{place} is no data set that `ogm simulate` made ({error!r})") from error
+            raise OgmError(f"{place} is not a dataset made by `ogm simulate` ({error!r})") from error
         if found == BEGUN:
             raise FileNotFoundError(
-                f"{place} holds no data set yet: making it was stopped at once; `ogm simulate {place}` begins again"
+                f"{place} holds an interrupted dataset without samples; start again with `ogm simulate {place}`"
             )
         if found not in (FORMAT, GAPS, SWEEPS, KINDS, OLDER):
             raise OgmError(
                 f"{place} has the format {found}, this version of ogm reads {FORMAT} to {KINDS}"
-                + (update_hint(found, FORMAT, KINDS) or "; make the data set anew, or use the version that made it")
+                + (update_hint(found, FORMAT, KINDS) or "; make the dataset again, or use the version that made it")
             )
         try:
             store = cls(place, attributes)
             if attributes.get("sha256", "") not in ("", attributes_checksum(attributes)):
-                raise ValueError("their SHA-256 differs")
+                raise ValueError("the SHA-256 differs")
             return store
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise Damaged(
-                f"{place / 'zarr.json'} holds other values than `ogm simulate` writes ({error!r}); "
-                "restore the file, or make the data set anew in a new folder"
+                f"{place / 'zarr.json'} differs from the files that `ogm simulate` writes ({error!r}); "
+                "restore the file, or make the dataset again in a new folder"
             ) from error
 
     @classmethod
     def exists(cls, path: FilePath) -> bool:
-        """Return whether there is a data set, be it damaged; what a killed `create` left is none."""
+        """Return whether a folder holds a dataset, even a damaged one, but not an interrupted `create`."""
         try:
             cls.open(path)
         except FileNotFoundError:
@@ -124,23 +123,23 @@ class Store:
         beams: Sequence[Beams],
         versions: Mapping[str, str],
     ) -> "Store":
-        """Begin a data set, or let one that was begun grow.
+        """Create a dataset, or extend an existing one.
 
         Parameters
         ----------
         path : path
-            A new or empty folder, or one whose data set has the same lidars.
+            A new or empty folder, or the folder of a dataset with the same lidars.
         plan, versions : dict
-            Provenance, kept as JSON.
+            Plan and library versions, stored as JSON.
         counts : dict of str to int
-            Samples that each split shall have; an existing split may grow, not shrink.
+            Number of samples per split; an existing split may grow, not shrink.
         beams : sequence of Beams
-            The lidars; a sample names its own by number.
+            Lidars of the samples, which refer to them by index.
 
         Raises
         ------
         ValueError
-            If the folder holds something else, or a split would shrink.
+            If the folder holds anything else, or a split would shrink.
         """
         path, counts, zarr = Path(path), _counts(counts), load_zarr()
         if path.is_file():
@@ -154,13 +153,15 @@ class Store:
                 )
             for name, count in before.counts.items():
                 if (got := counts.get(name, 0)) < count:
-                    raise ValueError(f"{path} has {count} samples of {name} planned, got {got}; a data set only grows")
+                    raise ValueError(
+                        f"{path} has {count} planned samples of {name}, got {got}; a dataset cannot shrink"
+                    )
             if before.beams != tuple(beams):
-                names = ", ".join(one.name for one in before.beams)
-                raise ValueError(f"{path} was begun with other lidars ({names}) or numbers of them; give a new folder")
+                names = ", ".join(lidar.name for lidar in before.beams)
+                raise ValueError(f"{path} has other lidars ({names}) or parameters of them; give a new folder")
             root = zarr.open_group(path, mode="r+")
         else:
-            if (path / "zarr.json").exists():  # made by a `create` that was killed
+            if (path / "zarr.json").exists():  # from an interrupted `create`
                 for name in counts:
                     shutil.rmtree(path / name, ignore_errors=True)
             elif path.is_dir() and any(path.iterdir()):
@@ -168,61 +169,63 @@ class Store:
             path.mkdir(parents=True, exist_ok=True)
             root = zarr.open_group(path, mode="a", zarr_format=3, attributes={"format": BEGUN})
         gaps = bool(plan.get("recipe"))
-        radars = tuple(StoredRadar.of_mount(RadarMount(**one)) for one in plan.get("radars", ()))
+        radars = tuple(StoredRadar.of_mount(RadarMount(**radar)) for radar in plan.get("radars", ()))
         for name, count in counts.items():
             _grow(root, name, count, Contents(tuple(beams), radars, gaps=gaps))
-        # Last: until then it is no data set, and is begun again.
-        kinds = any(one.kind for one in beams)
+        # Last, so that an interrupted `create` does not count as a dataset and is started again.
+        kinds = any(lidar.kind for lidar in beams)
         made: dict[str, Any] = {"format": KINDS if kinds else SWEEPS if radars else GAPS if gaps else FORMAT}
-        made |= {"plan": dict(plan), "splits": counts, "lidars": [one.to_dict() for one in beams]}
-        made |= {"radars": [one._asdict() for one in radars]} if radars else {}
+        made |= {"plan": dict(plan), "splits": counts, "lidars": [lidar.to_dict() for lidar in beams]}
+        made |= {"radars": [radar._asdict() for radar in radars]} if radars else {}
         made |= {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)}
         root.attrs.put(made | {"sha256": attributes_checksum(made)})
         return cls.open(path)
 
     def __getitem__(self, split: str) -> Split:
         if split not in self.counts:
-            raise KeyError(f"{self.path} has no split {split!r}; it has {', '.join(self.counts)}")
+            raise KeyError(f"{self.path} has no split {split!r}; splits: {', '.join(self.counts)}")
         return Split(self.path, split, self.counts[split], self.contents)
 
     def write(self, split: str, shard: int, samples: Sequence[SimulatedSample]) -> int:
-        """Write one shard: samples ``shard * SHARD`` and those that follow, all that the split has of it.
+        """Write one shard of ten samples, or of the rest of a split.
 
-        Shards may be written by several processes at once, each shard by one. A reader sees the shard when
-        all of it is on disk.
+        Several processes may write at once, but each shard is written by one of them. A reader sees a shard when all
+        of it is on disk.
 
         Returns
         -------
         int
-            Its size on disk [byte].
+            Size of the shard on disk [byte].
 
         Raises
         ------
         OSError
-            If the disk is full; shards written before stay whole.
+            If the disk is full. Shards written before stay complete.
+        ValueError
+            If the samples do not belong to the shard.
         """
         first = shard * SHARD
         wanted = min(SHARD, self.counts[split] - first)
-        if [one.index for one in samples] != list(range(first, first + wanted)):
-            raise ValueError(f"shard {shard} of {split} wants samples {first} to {first + wanted - 1}")
-        numbers = {one: k for k, one in enumerate(self.beams)}
+        if [sample.index for sample in samples] != list(range(first, first + wanted)):
+            raise ValueError(f"shard {shard} of {split} needs the samples {first} to {first + wanted - 1}, in order")
+        numbers = {lidar: k for k, lidar in enumerate(self.beams)}
         layout, checked = self.contents.layout, self.contents.checked
         columns = {array: np.zeros((wanted, *shape), kind) for array, (shape, kind) in layout.items()}
-        for k, one in enumerate(samples):
-            rows = one.objects[:OBJECTS]
-            columns["steps"][k, : one.steps.size] = self._steps(one).ravel()
-            columns["intensities"][k, : one.steps.size] = np.where(one.steps > 0, one.intensities, 0).ravel()
-            columns["truth"][k] = one.truth.state
-            if one.truth.height_cm is not None:
-                columns["heights"][k] = one.truth.height_cm
+        for k, sample in enumerate(samples):
+            rows = sample.objects[:OBJECTS]
+            columns["steps"][k, : sample.steps.size] = self._steps(sample).ravel()
+            columns["intensities"][k, : sample.steps.size] = np.where(sample.steps > 0, sample.intensities, 0).ravel()
+            columns["truth"][k] = sample.truth.state
+            if sample.truth.height_cm is not None:
+                columns["heights"][k] = sample.truth.height_cm
             columns["objects"][k, : len(rows)] = structured_to_unstructured(rows, np.float32)
-            columns["facts"][k] = _facts(one, numbers[one.beams], len(rows))[: layout["facts"][0][0]]
+            columns["facts"][k] = _facts(sample, numbers[sample.beams], len(rows))[: layout["facts"][0][0]]
             if self.radars:
-                _put_sweeps(one, columns["sweeps"][k], columns["detections"][k])
+                _put_sweeps(sample, columns["sweeps"][k], columns["detections"][k])
         sums = [sample_checksums(split, first, columns[name]) for name in checked]
         columns["checksums"] = np.stack(sums, axis=-1)
         files = [shard_file(self.path / split, name, shard) for name in columns]
-        for file in reversed(files):  # the facts first: until they are written again, the shard is not made
+        for file in reversed(files):  # the facts first: without them the shard counts as not made
             file.unlink(missing_ok=True)
         for name, values in columns.items():
             with load_zarr().config.set({"array.write_empty_chunks": True}):
@@ -230,15 +233,15 @@ class Store:
         return sum(file.stat().st_size for file in files)
 
     def _steps(self, sample: SimulatedSample) -> NDArray[np.uint16]:
-        """Return a range image as it is kept."""
+        """Return a range image as it is stored."""
         if sample.measured is None:
             return sample.steps
         if not self.contents.gaps:
-            raise ValueError(f"{self.path} is no data set of a recipe, and keeps no beams that were not measured")
+            raise ValueError(f"{self.path} is not a dataset of a recipe and cannot store unmeasured beams")
         return np.where(sample.measured, sample.steps, np.uint16(UNMEASURED))
 
     def describe(self) -> dict[str, str]:
-        """Return what the data set holds, as names and values to print."""
+        """Return a summary of the dataset as names and values to print."""
         files = [file for name in self.counts for file in (self.path / name).rglob("*")]
         size = sum(file.stat().st_size for file in files if file.is_file())
         facts = {"format": self.format, "made by": " ".join(f"{k} {v}" for k, v in self.versions.items())}
@@ -249,11 +252,11 @@ class Store:
             rows = rows[rows[:, 0] > 0]
             made += len(rows)
             lidars = np.bincount(rows[:, FACTS.index("lidar")].astype(int), minlength=len(self.beams))
-            by_lidar = ", ".join(f"{n} {one.name}" for n, one in zip(lidars, self.beams, strict=True) if n)
+            by_lidar = ", ".join(f"{n} {lidar.name}" for n, lidar in zip(lidars, self.beams, strict=True) if n)
             of = "" if len(rows) == len(split) else f" of {len(split)}"
             facts[name] = f"{len(rows)}{of} samples" + (f" ({by_lidar})" if by_lidar else "")
         if self.radars:
-            facts["radars"] = ", ".join(one.name for one in self.radars)
+            facts["radars"] = ", ".join(radar.name for radar in self.radars)
         facts["size"] = f"{size / 1e6:.1f} MB" + (f", {size / made / 1e3:.0f} kB per sample" if made else "")
         facts["truth"] = f"{TRUTH_SPEC.shape[0]} x {TRUTH_SPEC.shape[1]} cells of {TRUTH_SPEC.resolution:g} m"
         facts["plan"] = ", ".join(f"{k} {v}" for k, v in self.plan.items())
@@ -261,28 +264,28 @@ class Store:
 
 
 def _counts(splits: Mapping[str, int]) -> dict[str, int]:
-    """Return the samples of each split, or raise ValueError where they make no sense."""
+    """Return the number of samples per split; raise ValueError for invalid names or numbers."""
     for name, count in splits.items():
         if not name.isidentifier():
-            raise ValueError(f"a split's name is a word, got {name!r}")
-        if not isinstance(count, int) or not 0 <= count <= MOST:
-            raise ValueError(f"a split holds 0 to {MOST:,} samples, got {count!r} of {name}")
+            raise ValueError(f"the name of a split must be an identifier, got {name!r}")
+        if not isinstance(count, int) or not 0 <= count <= MAX_SAMPLES:
+            raise ValueError(f"samples of {name} must be in 0 ... {MAX_SAMPLES:,}, got {count!r}")
     return dict(splits)
 
 
 def _put_sweeps(sample: SimulatedSample, rows: Floats, table: Floats32) -> None:
-    """Write the sweeps of a sample into its rows."""
-    tables = [one.detections.table for one in sample.sweeps]
-    for row, one, detections in zip(rows, sample.sweeps, tables, strict=False):
-        pose = one.T_world_sensor[:3].ravel()
-        row[:] = [1.0, one.radar, one.stamp, len(detections), *pose, *one.velocity]
+    """Write the sweeps of a sample into its row of the arrays."""
+    tables = [placed.detections.table for placed in sample.sweeps]
+    for row, placed, detections in zip(rows, sample.sweeps, tables, strict=False):
+        pose = placed.T_world_sensor[:3].ravel()
+        row[:] = [1.0, placed.radar, placed.stamp, len(detections), *pose, *placed.velocity]
     if tables:
         every = np.concatenate(tables)
         table[: len(every)] = every
 
 
 def _grow(root: Any, name: str, count: int, contents: Contents) -> None:
-    """Make the arrays of a split, or lengthen them."""
+    """Create or lengthen the arrays of a split."""
     from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
     group = root.require_group(name)

@@ -1,11 +1,11 @@
-"""Pictures that need the simulator itself: HD points by material, and views of a town with its traffic."""
+"""Pictures rendered by the simulator: HD points by material, and views of a town with its traffic."""
 
 import numpy as np
 
 from ogm import plot
 from ogm.extras import import_extra
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
-from ogm.simulation.exchange import PAPER_GRID, SKY, SUN, Camera, materials_panel, sample_panels, save_views
+from ogm.simulation.exchange import PAPER_GRID, SKY, SUN, Camera, materials_panel, sample_panels, save_sheet
 from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Bytes, Floats32, Mesh, merge
 from ogm.simulation.plan import DatasetPlan
@@ -13,21 +13,21 @@ from ogm.simulation.sensors import hd_directions
 from ogm.simulation.traffic.bodies import ego_vehicle
 from ogm.storage.files import FilePath
 
-FAR = 900.0  # [m] at which the air hides a third of what is there
+FAR = 900.0  # [m] distance at which haze hides a third of the scene
 
 
 def preview(path: FilePath, town_path: FilePath, plan: DatasetPlan, index: int = 0) -> None:
-    """Draw a training sample as the paper's Fig. 2, and the town that it was taken in.
+    """Draw a training sample as in the paper's Fig. 2, and its town.
 
     Parameters
     ----------
     path : path
-        For points, HD points by material, and truth, side by side (.png).
+        File (.png) for points, HD points by material, and truth, side by side.
     town_path : path
-        For a view of the town from the air and one of the street (.png).
+        File (.png) for a view of the town from the air and a view of the street.
     plan : DatasetPlan
     index : int
-        Number of the sample.
+        Index of the training sample.
     """
     made = make_sample(plan, "training", index)
     here = set_up(plan, "training", index)
@@ -36,16 +36,15 @@ def preview(path: FilePath, town_path: FilePath, plan: DatasetPlan, index: int =
     middle = materials_panel(points, material, PAPER_GRID, "HD lidar, by material")
     plot.save_picture(path, cloud, middle, truth)
     everything = merge(
-        [here.world.town.mesh, *(one.mesh.moved(one.pose) for one in here.state.objects)]
+        [here.world.town.mesh, *(thing.mesh.moved(thing.pose) for thing in here.state.objects)]
         + [ego_vehicle().moved(here.state.ego)]
     )
     cameras = {"from the air": _from_the_air(here), "behind the ego vehicle": _from_behind(here)}
-    views = [(title, render(everything, camera)) for title, camera in cameras.items()]
-    save_views(town_path, views)
+    save_sheet(town_path, [(title, render(everything, camera)) for title, camera in cameras.items()], 1, 24)
 
 
 def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[Floats32, Bytes]:
-    """Return what an HD lidar hits, (N, 3) float32 in the sensor's frame [m], and the materials (N,)."""
+    """Return the points of an HD lidar, (N, 3) float32 in the sensor's frame [m], and their materials (N,)."""
     rays = hd_directions(here.spec, layers).reshape(-1, 3)
     hits = here.world.scene.cast(here.T_world_sensor, rays)
     seen = np.isfinite(hits.distance) & (hits.object != -2)
@@ -64,7 +63,7 @@ def _from_behind(here: SceneSetup) -> Camera:
 
 
 def render(mesh: Mesh, camera: Camera) -> Bytes:
-    """Draw triangles in sunlight, with shadows and haze; (height, width, 3) uint8."""
+    """Render a mesh in sunlight, with shadows and haze; (height, width, 3) uint8."""
     open3d = import_extra("open3d", "sim")
     tensor = open3d.core.Tensor
     scene = open3d.t.geometry.RaycastingScene()
@@ -77,7 +76,7 @@ def render(mesh: Mesh, camera: Camera) -> Bytes:
     hit = np.isfinite(distance)
     normals = answer["primitive_normals"].numpy()[hit]
     facing = np.where((normals * directions[hit]).sum(axis=1, keepdims=True) > 0, -normals, normals)
-    # Light: from the sky on all that faces up, from the sun where no shadow falls.
+    # Light comes from the sky on all upward faces, and from the sun outside shadows.
     shadow = np.empty((len(facing), 6), np.float32)
     shadow[:, :3] = rays[hit, :3] + directions[hit] * distance[hit, None] + 0.02 * facing
     shadow[:, 3:] = SUN

@@ -1,10 +1,9 @@
-"""How the simulator observes the truth: by rays from the sensor, and by rays straight down at the ground.
+"""Observation of the truth by rays from the sensor and vertical rays to the ground.
 
-Two ways to choose the rays. The *HD lidar* is the paper's (van Kempen et al. 2021, Sec. IV-B): thousands of
-layers over the sensor's field of view. Far away its layers meet the ground further apart than cells are long,
-and free space dissolves into rings. *Aimed* rays have no such rings: they go from the sensor to every cell's
-ground and to points above it. Both meet the same occlusions, stay within the sensor's field of view, and follow
-the same rules, those of `ogm.truth`.
+There are two sets of rays. The *HD lidar* follows the paper (van Kempen et al. 2021, Sec. IV-B): thousands of layers
+over the sensor's field of view. At long range its layers hit the ground more than a cell apart, and free space breaks
+up into rings. *Aimed* rays avoid such rings: they point from the sensor to every cell's ground and to points above it.
+Both have the same occlusions, stay within the sensor's field of view, and follow the rules of `ogm.truth`.
 """
 
 from typing import NamedTuple
@@ -26,23 +25,23 @@ from ogm.truth.observe import OBSTACLE_SEEN
 from ogm.truth.points import finalize_truth
 from ogm.truth.rays import observe_rays
 
-BATCH = 2**19  # rays per call: their hits stay small, however many rays there are
+BATCH = 2**19  # rays per call, which limits the memory of their hits
 
-KINDS = np.full(256, Kind.OTHER, np.uint8)  # `ogm.truth.Kind` of each material, OTHER for 255, no hit
+KINDS = np.full(256, Kind.OTHER, np.uint8)  # `ogm.truth.Kind` of each material; OTHER for 255, no hit
 KINDS[[*Material]] = Kind.OBSTACLE
 KINDS[[*GROUND]] = Kind.GROUND
 KINDS[[Material.KERB, Material.FOLIAGE, Material.EGO_VEHICLE]] = Kind.STEP, Kind.PLANT, Kind.OTHER
 
 
 class Known(NamedTuple):
-    """What is known of a frame without observing it, in the sensor's frame.
+    """Additional knowledge about a frame, in the sensor's frame.
 
     Attributes
     ----------
     boxes, returns
-        Traffic participants, and the points that the scan has on each, as in `ogm.truth.points.finalize_truth`.
+        Traffic participants and the scan's points on each, see `ogm.truth.points.finalize_truth`.
     ego : (nx, ny) bool
-        Cells under the ego vehicle, which become `IGNORE`.
+        Cells under the ego vehicle, set to `IGNORE`.
     """
 
     boxes: Boxes | None = None
@@ -54,14 +53,15 @@ _NOTHING = Known()
 
 
 class Limits(NamedTuple):
-    """What is asked beyond geometry: where the scan can see at all, and which ground is too steep to drive on.
+    """Limits of the truth: visibility of the scan, and the slope that can be driven on.
 
     Attributes
     ----------
     view : View, optional
-        Cells that no ray of the scan could tell stay unknown.
+        Visibility of the scan. Cells outside it stay unknown.
     steepest : float
-        Ground that rises or falls more (height over run) counts as an obstacle as high as it rises over three cells.
+        Largest slope (height over run) of ground that is not an obstacle. The height of such an obstacle is its rise
+        over three cells.
     """
 
     view: View | None = None
@@ -82,20 +82,20 @@ def hd_truth(
 ) -> Truth:
     """Observe the truth with an HD lidar.
 
-    Cells without ground, beyond the end of the world, become `IGNORE`: the height above ground of what is hit in
-    them is unknown. Only the box of a traffic participant makes them `OCCUPIED`.
+    Cells without ground, beyond the end of the world, become `IGNORE`, because heights above ground are unknown there.
+    Only the box of a traffic participant makes them `OCCUPIED`.
 
     Parameters
     ----------
     scene : Scene
-        All there is, with the frame's moving things in place.
+        The whole world, with the frame's moving objects placed.
     below : Below
-        From `measure_ground`: it has the cells and the sensor's pose.
+        Ground heights from `measure_ground`, with the cells and the sensor's pose.
     directions : (..., 3) float32
-        Of all rays, in the sensor's frame: `ogm.simulation.sensors.hd_directions`.
+        Directions of all rays in the sensor's frame, see `ogm.simulation.sensors.hd_directions`.
     known : Known
     salt : int
-        Decides which rays pass through glass, as in `Scene.cast`.
+        Seed of the selection of rays that pass through glass, see `Scene.cast`.
     limits : Limits
     """
     observer = _Observer(scene, below, salt, limits)
@@ -114,19 +114,19 @@ def aimed_truth(
 ) -> Truth:
     """Observe the truth with rays aimed at every cell.
 
-    A hit counts for the cell that it lies in, whichever the ray was aimed at. First rays go to all cells, then
-    more of them to those where that may have missed something: steps, and cells beside obstacles or beside cells
-    that are not observed. Cells without ground are treated as in `hd_truth`.
+    A hit counts for the cell that contains it, not for the target of its ray. The first rays go to all cells. Further
+    rays go to cells with possible gaps: steps, and neighbours of obstacles or of unobserved cells. Cells without ground
+    are treated as in `hd_truth`.
 
     Parameters
     ----------
     elevations : (float, float)
-        Lowest and highest of the sensor's field of view [rad].
+        Lowest and highest elevation of the sensor's field of view [rad].
 
-    Others as in `hd_truth`.
+    For the other parameters see `hd_truth`.
     """
     if not -np.pi / 2 <= elevations[0] < elevations[1] <= np.pi / 2:
-        raise ValueError(f"elevations must be the lowest and the highest [rad], got {elevations}")
+        raise ValueError(f"elevations must ascend within -pi/2 ... pi/2 rad, got {elevations}")
     observer = _Observer(scene, below, salt, limits)
     seen, spec = observer.seen, below.spec
 
@@ -151,12 +151,12 @@ def aimed_truth(
 
 
 def _with_neighbours(cells: Mask) -> Mask:
-    """Return these cells and those that touch one of them, with a side or a corner."""
+    """Return the cells and their eight neighbours."""
     return np.asarray(binary_dilation(cells, np.ones((3, 3))))
 
 
 class _Observer:
-    """Casts rays from one pose and notes the cells that they find ground or obstacles in."""
+    """Cast rays from one pose and collect the observations of each cell."""
 
     def __init__(self, scene: Scene, below: Below, salt: int, limits: Limits) -> None:
         self.scene, self.below, self.salt, self.view = scene, below, salt, limits.view
@@ -166,10 +166,10 @@ class _Observer:
             self._rise = np.where(self._steep, np.maximum(climb, below.rise), below.rise)
         self.seen = np.zeros(below.spec.shape, np.uint8)
         self.highest = np.zeros(below.spec.shape, np.float32)  # [m] of the obstacle hits in each cell
-        self._number = 0  # rays so far
+        self._number = 0  # number of rays cast
 
     def cast(self, directions: Floats32) -> None:
-        """Cast rays (N, 3), batch by batch."""
+        """Cast rays (N, 3) in batches."""
         _, ground, _, spec, T = self.below
         if self.view is not None:
             directions = directions[in_view(directions, self.view)]
@@ -197,7 +197,7 @@ class _Observer:
 def _steep_is_step(
     kinds: Bytes, distance: Floats32, directions: Floats32, steep: Mask, grid: tuple[float, float, float]
 ) -> None:
-    """Turn hits of ground (N,) in steep cells into hits of a step."""
+    """Change hits of ground (N,) in steep cells to hits of a step, in place."""
     resolution, x0, y0 = grid
     for i in range(len(kinds)):
         d = np.float64(distance[i])

@@ -1,4 +1,4 @@
-"""Make the shards of data sets, which are independent of each other: in this process, in many, or on a Dask cluster."""
+"""Creation of dataset shards: in this process, in worker processes, or on a Dask cluster."""
 
 import errno
 import os
@@ -20,13 +20,13 @@ from ogm.storage.files import FilePath, finish_zarr, temporary_folder
 from ogm.storage.locks import sweep
 from ogm.storage.workers import DIED, Workers
 
-MEMORY = 1.5e9  # [byte] that one worker takes, with its town
+MEMORY = 1.5e9  # [byte] used by one worker with its town
 
 SampleFunction = Callable[[DatasetPlan, str, int, int], SimulatedSample]
 
 
 class Job(NamedTuple):
-    """One shard to be made."""
+    """A shard to be made."""
 
     split: str
     shard: int
@@ -34,7 +34,7 @@ class Job(NamedTuple):
 
 
 class Made(NamedTuple):
-    """One shard that is on disk; seconds on one worker, bytes of its files."""
+    """A finished shard with its seconds on one worker and the size of its files [byte]."""
 
     job: Job
     seconds: float
@@ -42,9 +42,10 @@ class Made(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What the rest of a data set will take: seconds and [byte] of all samples, seconds of one on one worker.
+    """Estimated cost of the missing samples: their number, total time [s] and size [byte], and seconds per sample.
 
-    `start_up` are the seconds of `seconds` in which towns are built and kernels compiled.
+    `per_sample` is the time on one worker. `seconds` includes `start_up`, in which towns are built and kernels
+    compiled.
     """
 
     samples: int
@@ -67,21 +68,23 @@ class Estimate(NamedTuple):
 
 
 def begin(path: FilePath, plan: DatasetPlan, beams: Sequence[Beams], versions: dict[str, str]) -> Store:
-    """Begin a data set, or open one that was begun by the same plan, to go on with it.
+    """Create a dataset, or open one with the same plan to continue it.
 
-    Incomplete files of a killed run are removed. Where other versions of libraries go on, the data set names
-    all that made it.
+    Incomplete files of a killed run are removed. If the library versions changed, the dataset lists all versions that
+    made it.
 
     Raises
     ------
     ValueError
-        If the folder holds something else, or the data set was begun by another plan.
+        If the folder holds anything else, or the dataset has another plan.
     """
     path = Path(path)
     if Store.exists(path):
         before = Store.open(path)
         plan = plan.grown(DatasetPlan.from_dict(before.plan))
-        made_by = {name: [*before.versions.get(name, one).split(", "), one] for name, one in versions.items()}
+        made_by = {
+            name: [*before.versions.get(name, version).split(", "), version] for name, version in versions.items()
+        }
         versions = {name: ", ".join(dict.fromkeys(several)) for name, several in made_by.items()}
     store = Store.create(path, asdict(plan), plan.counts, beams, versions)
     _sweep(path)
@@ -90,7 +93,7 @@ def begin(path: FilePath, plan: DatasetPlan, beams: Sequence[Beams], versions: d
 
 @contextmanager
 def swept(folder: Path, *, alone: bool) -> Iterator[None]:
-    """After an error or an interrupt, leave no temporary file in a data set; with `alone` no one else is writing."""
+    """Remove temporary files after an error or interrupt; `alone` states that no other process is writing."""
     try:
         yield
     except BaseException:
@@ -101,19 +104,19 @@ def swept(folder: Path, *, alone: bool) -> Iterator[None]:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what a killed writer left behind. No process may be writing."""
+    """Remove files of killed writers. No process may be writing."""
     for path in [*folder.rglob("*.partial")]:
         path.unlink(missing_ok=True)
     sweep(folder)
 
 
 def missing_shards(store: Store) -> list[Job]:
-    """Return the shards that are still to be made, those of one town after each other.
+    """Return the shards still to be made, grouped by town.
 
     Raises
     ------
     Damaged
-        If finished samples are damaged: all of them are read.
+        If finished samples are damaged. All finished samples are read.
     """
     plan = DatasetPlan.from_dict(store.plan)
     if damaged := [(name, i, error) for name in store.counts for i, error in store[name].damage()]:
@@ -130,13 +133,13 @@ def missing_shards(store: Store) -> list[Job]:
 
 
 def workers_that_fit() -> int:
-    """Return how many workers this machine's cores and memory allow."""
+    """Return the number of workers that fit this machine's cores and memory."""
     memory = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return max(1, min(len(os.sched_getaffinity(0)), int(memory / MEMORY)))
 
 
 def check_workers(workers: int) -> int:
-    """Return this machine's cores; raise ValueError where so many workers make no sense on it."""
+    """Return the number of cores; raise ValueError for a number of workers out of range."""
     cores = len(os.sched_getaffinity(0))
     if not 1 <= workers <= 64 * cores:
         raise ValueError(f"workers must be in 1 ... {64 * cores} on this machine, got {workers}")
@@ -146,30 +149,30 @@ def check_workers(workers: int) -> int:
 def make_shards(
     store: Store, plan: DatasetPlan, function: SampleFunction, *, workers: int, scheduler: str | None = None
 ) -> Generator[Estimate | Made, None, None]:
-    """Make all shards that are missing: yields one `Estimate`, then each shard as it reaches the disk.
+    """Make all missing shards; yield an `Estimate`, then each finished shard.
 
-    Workers write their shards themselves, so they must see the folder under the same path. The bytes depend on
-    the plan only, not on the number of workers nor on which worker makes which shard.
+    Workers write their shards themselves, so they must see the folder under the same path. The bytes depend on the plan
+    only, not on the number or order of workers.
 
     Parameters
     ----------
     store : Store
-        From `begin`.
+        Dataset from `begin`.
     plan : DatasetPlan
     function : callable
-        ``function(plan, split, index, threads)`` makes one sample with so many processor cores:
+        ``function(plan, split, index, threads)`` makes one sample with that number of processor cores; see
         `ogm.simulation.dataset.make_sample`.
     workers : int
-        1 works in this process; more start processes on this machine (and a script that calls this must guard its
-        own code by ``if __name__ == "__main__":``).
+        1 works in this process; larger numbers start processes on this machine. A script that calls this must then
+        guard its own code by ``if __name__ == "__main__":``.
     scheduler : str, optional
         Address of a Dask scheduler to use instead, ``"tcp://host:port"``.
 
     Raises
     ------
     OSError
-        If the disk is full or will be, a worker died three times over, or the scheduler cannot be reached.
-        Shards that were yielded are complete.
+        If the disk is or would become full, workers died three times, or the scheduler cannot be reached. Yielded
+        shards are complete.
     """
     cores = check_workers(workers)
     if not (todo := missing_shards(store)):
@@ -190,7 +193,7 @@ class _Work(NamedTuple):
     threads: int
 
     def make(self, job: Job) -> Made:
-        """Make a shard and write it."""
+        """Make and write a shard."""
         with _one_at_a_time:
             start = time.perf_counter()
             first = job.shard * SHARD
@@ -199,7 +202,7 @@ class _Work(NamedTuple):
             return Made(job, time.perf_counter() - start, size)
 
     def measure(self, job: Job) -> tuple[float, float, float]:
-        """Return seconds and bytes of a sample, and the seconds until its town stood and kernels were compiled."""
+        """Return seconds and bytes per sample, and the seconds of start-up: building a town, compiling kernels."""
         with _one_at_a_time:
             beams, first = Store.open(self.path).beams, job.shard * SHARD
             times = [time.perf_counter()]
@@ -210,7 +213,7 @@ class _Work(NamedTuple):
             with temporary_folder(self.path) as folder:
                 trial = Store.create(folder, asdict(self.plan), {job.split: first + 1}, beams, {})
                 size = trial.write(job.split, job.shard, [sample])
-            rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
+            rays = {lidar.name: lidar.shape[0] * lidar.shape[1] for lidar in beams}
             shares = [mount.share for mount in self.plan.mounts]
             mean = np.average([rays[mount.lidar] for mount in self.plan.mounts], weights=shares)
             return seconds, size * float(mean) / sample.steps.size, max(begun - seconds, 0.0)
@@ -219,11 +222,11 @@ class _Work(NamedTuple):
         return self.function(self.plan, job.split, index, self.threads)
 
 
-_one_at_a_time = threading.Lock()  # a worker with several threads still has one town
+_one_at_a_time = threading.Lock()  # the threads of a worker share one town
 
 
 def _further_towns(plan: DatasetPlan, todo: list[Job]) -> int:
-    """Return how many towns are built besides the one of the first sample."""
+    """Return the number of towns to build after the first sample's town."""
     splits = {job.split for job in todo}
     return (plan.towns if splits - {"test"} else 0) + (plan.test_towns if "test" in splits else 0) - 1
 
@@ -231,32 +234,32 @@ def _further_towns(plan: DatasetPlan, todo: list[Job]) -> int:
 def _estimate(
     measured: tuple[float, float, float], todo: list[Job], workers: int, store: Store, further_towns: int
 ) -> Estimate:
-    """Return the estimate, and refuse to begin what will not fit on the disk."""
+    """Return the estimate; raise OSError if the samples will not fit on the disk."""
     count = sum(job.samples for job in todo)
-    start_up = measured[2] * ((min(workers, len(todo)) > 1) + further_towns)  # that of the first is over
+    start_up = measured[2] * ((min(workers, len(todo)) > 1) + further_towns)  # the first worker has already started
     seconds, size = measured[0], count * measured[1]
     left = shutil.disk_usage(store.path).free
     if size > left:
-        need = f"{count} samples need about {size / 1e6:,.1f} MB, {left / 1e6:,.1f} MB are left"
-        raise OSError(errno.ENOSPC, f"{need}; free some, or ask for fewer samples", str(store.path))
+        need = f"{count} samples need about {size / 1e6:,.1f} MB, but only {left / 1e6:,.1f} MB are free"
+        raise OSError(errno.ENOSPC, f"{need}; free disk space, or make fewer samples", str(store.path))
     return Estimate(count, start_up + count * seconds / workers, size, seconds, workers, start_up)
 
 
 @contextmanager
 def _explained(store: Store) -> Iterator[None]:
-    """Add to errors what to do about them."""
+    """Add the remedy to errors of full disks and dead workers."""
     try:
         yield
     except Exception as error:
         number = getattr(error, "errno", None)
-        if getattr(error, "filename", None) == str(store.path):  # its own message
+        if getattr(error, "filename", None) == str(store.path):  # has its own message
             raise
         if number in (errno.ENOSPC, errno.EDQUOT):
-            what, way = "the disk is full", "free some of it"
+            problem, way = "the disk is full", "free disk space"
         elif type(error).__name__ in DIED:
-            what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer `workers`"
+            problem, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer `workers`"
         else:
             raise
         way += f", then `ogm simulate {store.path} --resume`"
-        text = f"{what}; finished shards are complete: {way}"
+        text = f"{problem}; finished shards are complete: {way}"
         raise (OSError(number, text, str(store.path)) if number else OSError(text)) from error

@@ -94,7 +94,7 @@ def test_a_shard_is_one_request_for_each_array(uploaded: S3) -> None:
     assert objects.requests == before
     split[20]
     assert objects.requests == before + len(split.contents.layout)
-    with pytest.raises(ValueError, match="sample 12 of training has not been made yet"):
+    with pytest.raises(ValueError, match="sample 12 of training is not made yet"):
         split[12]
 
 
@@ -121,9 +121,9 @@ def test_damage_in_a_bucket_is_found(folder: Path, uploaded: S3) -> None:
             obstore.put(store, str(path.relative_to(folder)), data)
     obstore.delete(store, "training/heights/c/0/0/0")
     split = Store.open(as_path(url, uploaded))["training"]
-    with pytest.raises(Damaged, match=r"sample \d+ of training in s3://maps/data-damaged: truth damaged"):
+    with pytest.raises(Damaged, match=r"sample \d+ of training in s3://maps/data-damaged: the array truth is damaged"):
         [split[k] for k in range(20, 30)]
-    with pytest.raises(Damaged, match="heights damaged .*a file is missing"):
+    with pytest.raises(Damaged, match="heights is damaged .*a file is missing"):
         split[0]
 
 

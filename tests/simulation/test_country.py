@@ -10,7 +10,7 @@ from cases import each
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.recipe import Country
 from ogm.simulation.town import Town, build_town
-from ogm.simulation.town.country import COVERS, LEAST, USES, crops, draw_profile, furrows, high_grass, turn_rural
+from ogm.simulation.town.country import COVERS, MIN_SHARE, USES, crops, draw_profile, furrows, high_grass, turn_rural
 from ogm.simulation.town.ground import STEEPEST
 
 COUNTRY = Country(share=(0.7, 0.8))
@@ -48,7 +48,7 @@ def test_profiles_are_as_steep_and_as_high_as_stated() -> None:
         slope = np.abs(np.diff(height) / np.diff(distance))
         steep = slope[slope > 0]
         assert (steep <= 1.0 + 1e-9).all()
-        assert (LEAST * steep >= 0.2 - 1e-9).all()
+        assert (MIN_SHARE * steep >= 0.2 - 1e-9).all()
         assert height[0] == 0
         assert -3.0 <= height.min() <= height.max() <= 3.0
     assert np.mean([min(one.height) < -0.3 for one in found]) > 0.5  # ditches, and land below the road

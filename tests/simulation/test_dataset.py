@@ -10,7 +10,7 @@ from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.simulation import dataset, moments
 from ogm.simulation.lidar import RangeImage, to_points
-from ogm.simulation.mounts import LidarMount, only
+from ogm.simulation.mounts import LidarMount, single_sensor
 from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.sample import LABELS, RANGE_STEP, SimulatedSample
 from ogm.simulation.sensors import LIDARS
@@ -19,7 +19,7 @@ from ogm.truth import TRUTH_SPEC
 from ogm.truth.boxes import count_returns
 
 pytestmark = [pytest.mark.usefixtures("kept_towns"), pytest.mark.slow]  # towns take seconds; test_cli_simulate has one
-PLAN = DatasetPlan(town_size=240.0, mounts=only("vlp-32c"))
+PLAN = DatasetPlan(town_size=240.0, mounts=single_sensor("vlp-32c"))
 
 
 @pytest.fixture(scope="module")
@@ -167,6 +167,4 @@ def test_without_truth_the_scans_are_the_same(pair: tuple[SimulatedSample, Simul
 
 
 def test_an_unknown_lidar_is_refused() -> None:
-    refused(
-        "there is no lidar 'vlp-99'; there are vlp-32c, ", dataset.lidars, replace(PLAN, mounts=(LidarMount("vlp-99"),))
-    )
+    refused("unknown lidar 'vlp-99'; lidars: vlp-32c, ", dataset.lidars, replace(PLAN, mounts=(LidarMount("vlp-99"),)))

@@ -8,7 +8,7 @@ import pytest
 from cases import each, refused
 
 from ogm.simulation.moments import draw_mount
-from ogm.simulation.mounts import MOUNTS, LidarMount, only
+from ogm.simulation.mounts import MOUNTS, LidarMount, single_sensor
 from ogm.simulation.plan import SPLITS, DatasetPlan, moment, sample_rng
 
 PLAN = DatasetPlan(seed=3)
@@ -68,16 +68,16 @@ def test_random_numbers_belong_to_one_sample_and_purpose() -> None:
 
 
 def test_plans_go_through_json() -> None:
-    plan = DatasetPlan(seed=9, truth="hd", mounts=(LidarMount("os1-64", 2.0, (1.5, 1.6)), *only("vlp-32c")))
+    plan = DatasetPlan(seed=9, truth="hd", mounts=(LidarMount("os1-64", 2.0, (1.5, 1.6)), *single_sensor("vlp-32c")))
     assert DatasetPlan.from_dict(json.loads(json.dumps(asdict(plan)))) == plan
-    refused("other settings.*colour", DatasetPlan.from_dict, asdict(plan) | {"colour": "red"})
+    refused("unknown to this version.*colour", DatasetPlan.from_dict, asdict(plan) | {"colour": "red"})
 
 
 def test_plans_of_older_data_sets_lack_settings_that_came_later() -> None:
     older = {name: value for name, value in asdict(PLAN).items() if name not in ("drives", "test_towns", "spacing")}
     assert DatasetPlan.from_dict(older) == PLAN
     del older["town_size"]
-    refused("other settings.*town_size", DatasetPlan.from_dict, older)
+    refused("or lacks some.*town_size", DatasetPlan.from_dict, older)
 
 
 def test_only_the_counts_of_a_plan_may_grow() -> None:
@@ -86,7 +86,9 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
     assert [one["test"] for one in counts.values()] == [0, 0, 0, 2]
     assert replace(PLAN, samples=20).grown(replace(PLAN, test=200)) == replace(PLAN, test=200)
     refused("begun with truth = hd, got aimed", PLAN.grown, replace(PLAN, truth="hd"))
-    refused("begun with mounts = 1 x hdl-32e, got 0.8 x vlp-32c", PLAN.grown, replace(PLAN, mounts=only("hdl-32e")))
+    refused(
+        "begun with mounts = 1 x hdl-32e, got 0.8 x vlp-32c", PLAN.grown, replace(PLAN, mounts=single_sensor("hdl-32e"))
+    )
 
 
 @each("wrong, message", [
@@ -111,7 +113,7 @@ def test_impossible_plans_are_reported(wrong: dict, message: str) -> None:
 
 @each("wrong, message", [
         ({"share": 0.0}, "share of vlp-32c"),
-        ({"height": (2.0, 1.0)}, "height of vlp-32c must be two numbers, rising"),
+        ({"height": (2.0, 1.0)}, "height of vlp-32c must be an ascending pair"),
         ({"height": (0.0, 1.0)}, "height of vlp-32c"),
         ({"forward": (-9.0, 1.0)}, "forward of vlp-32c"),
         ({"tilt": 1.0}, "tilt of vlp-32c"),
@@ -122,7 +124,7 @@ def test_impossible_mounts_are_reported(wrong: dict, message: str) -> None:
 
 def test_unknown_splits_and_numbers_are_reported() -> None:
     refused("split must be one of", moment, PLAN, "train", 0)
-    refused("counted from 0", moment, PLAN, "training", -1)
+    refused("index must be 0 or more", moment, PLAN, "training", -1)
 
 
 def test_drives_take_turns_through_several_towns_and_never_the_tests() -> None:

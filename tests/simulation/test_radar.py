@@ -118,7 +118,7 @@ def test_a_car_is_seen_below_the_car_before_it() -> None:
 
 
 def test_the_number_of_false_alarms_is_poisson() -> None:
-    spec = RadarSpec("noisy", PLAIN.modes, PLAIN.half_height, false_alarms=6.0, least_rcs=-200.0)
+    spec = RadarSpec("noisy", PLAIN.modes, PLAIN.half_height, false_alarms=6.0, min_rcs=-200.0)
     sweeps = many(Scene(wall(500.0, 0.0, 1.0)), spec, 300)
     counts = np.array([len(one.xyz) for one in sweeps])
     assert counts.mean() == pytest.approx(6, abs=0.5)
@@ -141,7 +141,7 @@ def test_a_scan_has_what_a_real_radar_gives(name: str) -> None:
     assert scan.doppler is not None
     assert scan.rcs is not None
     assert scan.sensor == name
-    assert len(scan) <= RADARS[name].most
+    assert len(scan) <= RADARS[name].max_detections
 
 
 def test_an_empty_world_gives_noise_alone() -> None:
@@ -150,8 +150,8 @@ def test_an_empty_world_gives_noise_alone() -> None:
 
 def test_wrong_numbers_are_refused() -> None:
     scene = Scene(wall(40.0, 0.0, 1.0))
-    with pytest.raises(ValueError, match="velocities 3 for each of the 0 things"):
+    with pytest.raises(ValueError, match="velocities 3 for each of the 0 objects"):
         sweep(scene, PLAIN, SENSOR, np.random.default_rng(0), velocities=[[1.0, 0.0, 0.0]])
     refused("finite", sweep, scene, PLAIN, SENSOR, np.random.default_rng(0), velocity=(math.nan, 0.0, 0.0))
     refused("reach", RadarMode, 1.0, 100.0, 0.4, 0.2, 0.02, -1.0)
-    refused("velocity must hold 0", RadarSpec, "x", PLAIN.modes, 0.1, velocity=(1.0, 2.0))
+    refused("velocity must be an interval around 0", RadarSpec, "x", PLAIN.modes, 0.1, velocity=(1.0, 2.0))

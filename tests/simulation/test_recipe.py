@@ -95,11 +95,11 @@ def test_sequences_stay_in_one_town_with_one_sensor() -> None:
         ({"mounts": (LidarMount("vlp-16"),)}, "gen2 sets mounts itself, got 1 x vlp-16"),
         ({"towns": 3}, "gen2 sets towns itself, got 3"),
         ({"bad_weather": 0.5}, "gen2 sets bad_weather itself"),
-        ({"recipe": "gen9"}, "there is no recipe 'gen9'; there is gen2"),
+        ({"recipe": "gen9"}, "unknown recipe 'gen9'; known recipes: gen2"),
     ])  # fmt: skip
 def test_what_a_recipe_sets_cannot_be_chosen(wrong: dict, message: str) -> None:
     refused(message, DatasetPlan, **{"recipe": "gen2"} | wrong)
-    refused("there is no recipe 'gen9'", DatasetPlan.of_recipe, "gen9")
+    refused("unknown recipe 'gen9'", DatasetPlan.of_recipe, "gen9")
 
 
 # --- sensors ---
@@ -279,4 +279,4 @@ def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: DataRecipe, tmp
 
     other = Store.create(tmp_path / "other", asdict(DatasetPlan()), {"training": 1}, (one.beams,), {})
     assert other.format == FORMAT
-    refused("keeps no beams that were not measured", other.write, "training", 0, [replace(one, index=0)])
+    refused("cannot store unmeasured beams", other.write, "training", 0, [replace(one, index=0)])

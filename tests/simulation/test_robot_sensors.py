@@ -17,7 +17,7 @@ from ogm.cli.evaluate_command import usual_models
 from ogm.models import load_model
 from ogm.models.named import for_all_kinds
 from ogm.pose import pose, transform_points
-from ogm.simulation.mounts import only
+from ogm.simulation.mounts import single_sensor
 from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.robot_sensors import ROBOT_SENSORS, depth_camera, planar_laser, sensor_spec
 from ogm.simulation.sample import Beams
@@ -63,7 +63,7 @@ def drive(hall: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callabl
         return SceneSetup(hall, state, (), sensor_spec(mount.lidar), T, ego @ T)
 
     def written(words: str, truth: str = "none") -> Path:
-        plan = DatasetPlan(samples=0, validation=0, test=0, sequences=1, mounts=only(words), truth=truth)
+        plan = DatasetPlan(samples=0, validation=0, test=0, sequences=1, mounts=single_sensor(words), truth=truth)
         path, counts = tmp_path / words, {"sequences": 2}
         store = Store.create(path, asdict(plan), counts, dataset.lidars(plan), {"ogm": "0"})
         store.write("sequences", 0, [dataset.make_sample(plan, "sequences", k, threads=1) for k in range(2)])
@@ -149,13 +149,13 @@ def test_commands_read_a_planar_drive_by_default(drive: Callable[..., Path], tmp
 def test_numbers_that_describe_no_sensor_are_refused() -> None:
     assert planar_laser("mine", 190, 1.0).azimuths == 191
     assert depth_camera("mine", 64, 48, 50.0).shape == (48, 64)
-    refused("columns must be 2 or more within a turn", planar_laser, "mine", 400, 1.0)
-    refused("there is no lidar 'd4'; .*planar lasers lds-01.*; depth cameras d435, xtion", only, "d4")
-    refused("after @ of d435 stands a height", only, "d435@roof")
-    refused("height of d435", only, "d435@9")
+    refused("columns must be at least 2 and fit in a turn", planar_laser, "mine", 400, 1.0)
+    refused("unknown lidar 'd4'; .*planar lasers: lds-01.*; depth cameras: d435, xtion", single_sensor, "d4")
+    refused("@ after d435 must be followed by a height", single_sensor, "d435@roof")
+    refused("height of d435", single_sensor, "d435@9")
     from ogm.simulation import dataset
 
-    refused('truth "hd" needs a lidar', dataset.lidars, DatasetPlan(mounts=only("d435"), truth="hd"))
+    refused('truth "hd" needs a lidar', dataset.lidars, DatasetPlan(mounts=single_sensor("d435"), truth="hd"))
     beams = dataset.beams_of(ROBOT_SENSORS["d435"]).to_dict()
     assert Beams.from_dict(beams) == dataset.beams_of(ROBOT_SENSORS["d435"])
     for odd in ({"kind": "cone"}, {"range_max": 0.1}, {"step": 0.1}, {"elevation": [2.0] * 240}):
@@ -169,7 +169,7 @@ def test_numbers_that_describe_no_sensor_are_refused() -> None:
 def test_drives_through_towns_have_truth(words: str, occupied: int) -> None:
     from ogm.simulation.dataset import make_sample
 
-    plan = DatasetPlan(town_size=240.0, mounts=only(words))
+    plan = DatasetPlan(town_size=240.0, mounts=single_sensor(words))
     sample = make_sample(plan, "training", 3)
     assert sample.lidar == words
     states = np.bincount(sample.truth.state.ravel(), minlength=4)

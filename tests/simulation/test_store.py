@@ -125,9 +125,9 @@ def test_beams_turn_the_way_of_their_step() -> None:
 def test_only_finished_samples_can_be_read(store: Store) -> None:
     assert store["training"].finished.tolist() == list(range(13))
     assert store["validation"].finished.tolist() == []
-    with pytest.raises(ValueError, match="has not been made yet.*--resume"):
+    with pytest.raises(ValueError, match="is not made yet.*--resume"):
         store["validation"][0]
-    with pytest.raises(IndexError, match="4 samples"):
+    with pytest.raises(IndexError, match="beyond the 4 samples"):
         store["validation"][4]
     with pytest.raises(KeyError, match="no split 'rain'"):
         store["rain"]
@@ -139,13 +139,13 @@ def test_a_data_set_grows_and_does_not_shrink(store: Store) -> None:
     assert_same(grown["training"][12], stand_in(None, "training", 12))
     grown.write("training", 2, [stand_in(None, "training", 20)])
     assert grown["training"].finished.tolist() == [*range(13), 20]
-    with pytest.raises(ValueError, match="21 samples of training planned, got 5"):
+    with pytest.raises(ValueError, match="21 planned samples of training, got 5"):
         Store.create(store.path, {}, {"training": 5, "validation": 4}, store.beams, {})
     refused("other lidars", Store.create, store.path, {}, {"training": 21, "validation": 4}, store.beams[:1], {})
 
 
 def test_a_shard_is_written_whole(store: Store) -> None:
-    refused("wants samples 10 to 12", store.write, "training", 1, [stand_in(None, "training", 10)])
+    refused("needs the samples 10 to 12", store.write, "training", 1, [stand_in(None, "training", 10)])
 
 
 def test_a_shard_whose_facts_are_missing_is_not_there(store: Store) -> None:
@@ -168,7 +168,7 @@ def test_damage_is_reported_with_the_way_out(written: Path, tmp_path: Path, name
     file.write_bytes(content)
     if damage == "gone":
         file.unlink()
-    with pytest.raises(Damaged, match=rf"training in .*{name} damaged on disk") as told:
+    with pytest.raises(Damaged, match=rf"training in .*{name} is damaged on disk") as told:
         [Store.open(store.path)["training"][i] for i in range(SHARD)]
     marker = str(told.value).split("`rm ")[1].split("`")[0]
     Path(marker).unlink()
@@ -185,13 +185,13 @@ def test_a_missing_array_is_reported(store: Store) -> None:
 
 
 def test_what_is_no_data_set_is_reported(tmp_path: Path, store: Store) -> None:
-    refused("holds no data set; `ogm simulate", Store.open, tmp_path / "nowhere", error=FileNotFoundError)
+    refused("holds no dataset; make one with `ogm simulate", Store.open, tmp_path / "nowhere", error=FileNotFoundError)
     (tmp_path / "file").write_text("x")
     refused("is a file", Store.open, tmp_path / "file")
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "zarr.json").write_text('{"zarr_format": 3, "node_type": "group", "attributes": {}}')
-    refused("is no data set", Store.open, foreign)
+    refused("is not a dataset made by", Store.open, foreign)
     text = (store.path / "zarr.json").read_text()
     (store.path / "zarr.json").write_text(text.replace(FORMAT, "ogm.samples/99"))
     refused("has the format ogm.samples/99, this version of ogm reads", Store.open, store.path)
@@ -214,7 +214,7 @@ def test_what_a_killed_create_left_is_begun_again(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(store_module, "_grow", killed)
     with pytest.raises(KeyboardInterrupt):
         Store.create(path, {}, {"training": 3, "test": 1}, BEAMS[:1], {})
-    refused("`ogm simulate .*` begins again", Store.open, path, error=FileNotFoundError)
+    refused("interrupted dataset .* start again with `ogm simulate", Store.open, path, error=FileNotFoundError)
     assert not Store.exists(path)
     monkeypatch.undo()
     again = Store.create(path, {}, {"training": 13, "test": 1}, BEAMS, {})

@@ -80,7 +80,7 @@ def test_blosc_never_unpacks_a_chunk_whose_sizes_are_wrong(written: Path, tmp_pa
     data[offset + length - 4 : offset + length] = sum_of(data[offset : offset + length - 4])
     data[-4:] = sum_of(data[-164:-4])
     file.write_bytes(data)
-    with pytest.raises(Damaged, match=r"steps damaged on disk .*packed by Blosc do not hold a chunk of"):
+    with pytest.raises(Damaged, match=r"steps is damaged on disk .*of Blosc data do not contain a chunk of"):
         Store.open(store.path)["training"][0]
 
 
@@ -99,12 +99,12 @@ def test_an_exchanged_file_is_found_by_reading_and_by_resuming(written: Path, ar
     )
     split = Store.open(store.path)["training"]
     with pytest.raises(
-        Damaged, match=rf"sample 3 of training in .*data: {array} damaged on disk .its checksum differs"
+        Damaged, match=rf"sample 3 of training in .*data: the array {array} is damaged on disk .the checksum differs"
     ):
         split[3]
     assert content(split[12]) == content(stand_in(None, "training", 12))
     with pytest.raises(
-        Damaged, match=rf"sample . of training .*{array} damaged .*; . more are damaged: sample . of tr"
+        Damaged, match=rf"sample . of training .*{array} is damaged .*; . more are damaged: sample . of tr"
     ):
         missing_shards(Store.open(store.path))
 
@@ -120,7 +120,7 @@ def test_a_changed_plan_is_found(store: Store) -> None:
     for old, new in (("0.0,", "0.5,"), ('"ogm": "0"', '"ogm": "1"'), ('"rate": 10.0', '"rate": 11.0')):
         assert old in text
         file.write_text(text.replace(old, new, 1))
-        refused("their SHA-256 differs.*restore the file", Store.open, store.path, error=Damaged)
+        refused("the SHA-256 differs.*restore the file", Store.open, store.path, error=Damaged)
 
 
 def test_data_sets_of_older_versions_are_read_and_grow(store: Store) -> None:

@@ -61,8 +61,8 @@ def test_words_for_radars_and_places() -> None:
     (rear,) = radars_at(["ars408@rear"])
     assert (rear.radar, rear.x < 0, abs(rear.yaw)) == ("ars408", True, math.pi)
     for word in ("ars", "ars408@roof", "@front", ""):
-        refused("a radar is one of", radars_at, [word])
-    refused("name of its own", DatasetPlan, radars=radars_at(["ars548", "ars548@front"]))
+        refused("a radar must be one of", radars_at, [word])
+    refused("needs a unique name", DatasetPlan, radars=radars_at(["ars548", "ars548@front"]))
     refused("yaw of a", RadarMount, "a", "ars548", 1, 0, 0.5, yaw=4)
 
 
@@ -123,7 +123,7 @@ def test_more_detections_than_a_sample_holds_are_refused(store: Store) -> None:
     part._small["sweeps", 0] = rows = part._shard("sweeps", 0).copy()
     rows[0, 0, 3] = 1e9
     part._compare = lambda *_: None  # type: ignore[method-assign]
-    refused("impossible numbers", part.sweeps, 0, error=Damaged)
+    refused("values out of range", part.sweeps, 0, error=Damaged)
 
 
 def test_frames_of_lidar_and_radars(store: Store) -> None:
@@ -179,8 +179,8 @@ def test_data_sets_without_radars_have_none(tmp_path: Path) -> None:
 def test_space_is_there_for_the_most_detections() -> None:
     radars = tuple(StoredRadar.of_mount(one) for one in TWO)
     layout = Contents(radars=radars).layout
-    assert layout["detections"][0][0] == sum(2 * RADARS[one.radar].most for one in TWO)
-    refused("1 to 100000", StoredRadar.from_dict, radars[0]._asdict() | {"sweeps": 10**9})
+    assert layout["detections"][0][0] == sum(2 * RADARS[one.radar].max_detections for one in TWO)
+    refused("must be in 1 ... 100000", StoredRadar.from_dict, radars[0]._asdict() | {"sweeps": 10**9})
 
 
 @pytest.mark.slow

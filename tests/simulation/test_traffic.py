@@ -285,7 +285,7 @@ def test_parked_vehicles_keep_off_the_lanes(village, traffic):
 @FROZEN
 @each("time", [-0.1, 1200.5, np.nan, np.inf])
 def test_times_outside_the_scenario_are_refused(traffic, time):
-    refused("time must lie", traffic.at, time)
+    refused("time must be in", traffic.at, time)
 
 
 @each("seed", [-1, 1.5, True, "x"])

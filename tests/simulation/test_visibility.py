@@ -203,4 +203,4 @@ def test_points_are_reported_where_the_data_sheet_has_the_layer() -> None:
         true = -1.9 / np.sin((np.array(spec.elevations) + np.array(spec.elevation_errors or (0.0,) * 32))[layer[near]])
         wanted = true + np.array(spec.range_errors or (0.0,) * 32)[layer[near]]
         np.testing.assert_allclose(np.linalg.norm(points[near, :3], axis=1), wanted, atol=5e-3)
-    refused("2 elevation_errors for 32 layers", replace, VLP, elevation_errors=(0.0, 0.0))
+    refused("elevation_errors must have one entry per layer, 32, got 2", replace, VLP, elevation_errors=(0.0, 0.0))

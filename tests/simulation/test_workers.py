@@ -140,7 +140,7 @@ def test_a_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         return write(self, split, shard, samples)
 
     monkeypatch.setattr(Store, "write", full)
-    refused("is full; finished shards are complete: free some of it.*--resume", run, tmp_path / "data", error=OSError)
+    refused("is full; finished shards are complete: free disk space.*--resume", run, tmp_path / "data", error=OSError)
     assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
 
 
@@ -149,7 +149,7 @@ def test_what_will_not_fit_is_not_begun(tmp_path: Path, monkeypatch: pytest.Monk
         free = 1000
 
     monkeypatch.setattr(workers.shutil, "disk_usage", lambda _: Usage)
-    refused(r"28 samples need about .* left; free some", run, tmp_path / "data", error=OSError)
+    refused(r"28 samples need about .* are free; free disk space", run, tmp_path / "data", error=OSError)
 
 
 @each("workers", [0, -1, 10**6])

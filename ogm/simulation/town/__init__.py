@@ -1,4 +1,4 @@
-"""Towns, drawn by a seed: streets, lanes and round trips, ground with hills and kerbs, houses, trees, furniture."""
+"""Random towns from a seed: streets, lanes and round trips, ground with hills and kerbs, houses, trees, furniture."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,44 +20,44 @@ from ogm.simulation.town.network import StreetNetwork, make_network
 
 __all__ = ["Town", "build_town"]
 
-HEIGHT_STEP = 0.25  # [m] of the raster of ground heights
-SHORTEST = 600.0  # [m] of a round trip
-TRIES = 12000  # random drives, of which the best is taken
-ATTEMPTS = 20  # draws of streets
-SMALLEST, LARGEST = 240.0, 1000.0  # [m]
-APRON = 25.0  # [m] ground and backs of houses beyond the square, so that no street is near the end of the ground
+HEIGHT_STEP = 0.25  # [m] spacing of the raster of ground heights
+SHORTEST = 600.0  # [m] shortest round trip
+TRIES = 12000  # random drives, of which the best becomes the round trip
+ATTEMPTS = 20  # attempts to draw streets with round trips
+SMALLEST, LARGEST = 240.0, 1000.0  # [m] limits of a town's size
+APRON = 25.0  # [m] width of the ground, with backs of houses, beyond the square of streets
 
 
 @dataclass(frozen=True, eq=False)
 class Town:
-    """A town, centred on (0, 0), z up.
+    """A town around (0, 0), z up.
 
     Attributes
     ----------
     seed : int
-        What it was drawn from.
+        Seed of the town.
     size : float
-        Its edge [m]; ground, and houses beside the outermost streets, reach 25 m beyond it.
+        Side length of the square of streets [m]. Ground and outer houses extend 25 m beyond it.
     mesh : Mesh
-        Everything that stands still.
+        All static objects and the ground.
     ground : Mesh
-        The surfaces one may stand on, kerb faces left out.
+        Surfaces for vehicles and pedestrians, without kerb faces.
     lanes : tuple of Lane
-        Right-hand traffic.
+        Lanes of right-hand traffic.
     bays : (B, 6) float64
-        Places to park: x, y, z, yaw [rad], length, width [m].
+        Parking bays: x, y, z [m], yaw [rad], length, width [m].
     walkways : tuple of (M, 3) float64
-        Lines along which pedestrians go: sidewalks, crossings, paths.
+        Paths of pedestrians: sidewalks, crossings, footpaths.
     loop, counter_loop : tuple of int
-        Lanes of a closed round trip of at least 600 m, clockwise and counter-clockwise.
+        Lanes of closed round trips of at least 600 m, clockwise and counter-clockwise.
     height : (n, n) float32
-        Ground height on points corner + height_step * (i, j), i along x.
+        Ground height at the points corner + height_step * (i, j), i along x [m].
     height_step : float
-        [m]
+        Spacing of `height` [m].
     corner : (2,) float64
-        x, y of point (0, 0) [m].
+        Position x, y of point (0, 0) of `height` [m].
     districts : tuple of (Polygon, str)
-        Blocks between the streets, and what kind of district they belong to.
+        Blocks between the streets, with the names of their districts.
     """
 
     seed: int
@@ -75,32 +75,32 @@ class Town:
     districts: tuple[tuple[Polygon, str], ...]
 
     def ground_height(self, x: Array, y: Array) -> Floats:
-        """Height of the ground at x, y [m]: bilinear in the raster, as at the edge beyond it."""
+        """Return the ground height at x, y [m], interpolated bilinearly and constant beyond the raster."""
         return Raster(self.height, self.height_step, (float(self.corner[0]), float(self.corner[1])))(x, y)
 
 
 def build_town(seed: int, size: float = 480.0, country: Country | None = None) -> Town:
-    """Build the town that belongs to a seed.
+    """Build the town of a seed.
 
     Parameters
     ----------
     seed : int
-        Any number >= 0; the same seed and size give the same town, bit for bit.
+        Seed, 0 or more. Equal seeds and sizes give equal towns, bit for bit.
     size : float
-        Edge of the square that the streets fill [m], 240 to 1000; the ground reaches 25 m beyond it, and from
-        every lane at least 50 m.
+        Side length of the square of streets [m], 240 to 1000. The ground extends 25 m beyond it, and at least 50 m
+        beyond every lane.
     country : Country, optional
-        Numbers of the country that part of the town is turned to: banks, ditches and fields instead of houses.
+        Parameters of the country that replaces part of the town: banks, ditches and fields instead of houses.
 
     Raises
     ------
     ValueError
-        If `seed` is negative or no whole number, or `size` out of range.
+        If `seed` is not a whole number of 0 or more, or `size` is out of range.
     """
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ValueError(f"seed must be a whole number >= 0, got {seed!r}")
     if not SMALLEST <= float(size) <= LARGEST:
-        raise ValueError(f"size must be {SMALLEST:g} to {LARGEST:g} m (space for streets), got {size!r}")
+        raise ValueError(f"size must be in {SMALLEST:g} ... {LARGEST:g} m, got {size!r}")
     size = float(size)
     draws = [np.random.default_rng([int(seed), k]) for k in range(6)]
     network, draft, loops = _streets(int(seed), size, country)
@@ -135,7 +135,7 @@ def build_town(seed: int, size: float = 480.0, country: Country | None = None) -
 
 
 def _streets(seed: int, size: float, country: Country | None) -> tuple[StreetNetwork, Draft, list[tuple[int, ...]]]:
-    """Draw streets until round trips both ways are found, as at the first try nearly always."""
+    """Draw streets until round trips in both directions exist, which the first attempt nearly always achieves."""
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, 6, attempt])
         rural = None if country is None else partial(turn_rural, country=country, rng=rng)
@@ -148,13 +148,13 @@ def _streets(seed: int, size: float, country: Country | None) -> tuple[StreetNet
         if all(loops):
             return network, draft, loops
     raise RuntimeError(
-        f"found no streets with round trips of {SHORTEST:g} m for seed {seed} and size {size:g} m "
-        f"in {ATTEMPTS} draws; try another seed or a larger size"
+        f"no streets with round trips of {SHORTEST:g} m for seed {seed} and size {size:g} m "
+        f"in {ATTEMPTS} attempts; use another seed or a larger size"
     )
 
 
 def _worth(show: str) -> float:
-    """Return the worth of a metre of a trip: most streets of a trip run between houses."""
+    """Return the value per metre of a trip, which favours streets between houses."""
     kind, _, district = show.partition(" ")
     if kind == "country":
         return 1.4
@@ -164,7 +164,7 @@ def _worth(show: str) -> float:
 
 
 def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
-    """Return what a trip over a lane shows."""
+    """Return the kind of surroundings of a lane: kind of street and district, "roundabout", or ""."""
     street = draft.streets[lane]
     if street >= 0:
         shown = network.streets[street]
@@ -177,27 +177,27 @@ def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
 def round_trip(
     lanes: list[Lane], kinds: list[str], worth: list[float], sense: float, rng: Generator, longest: float
 ) -> tuple[int, ...]:
-    """Find a closed trip of at least 600 m that sees many kinds of street.
+    """Find a closed round trip of at least 600 m through many kinds of streets.
 
     Parameters
     ----------
     lanes : list of Lane
         All lanes.
     kinds : list of str
-        What a trip over each lane shows: kind of street and district, or "roundabout"; "" for nothing.
+        Surroundings of each lane: kind of street and district, or "roundabout"; "" for neither.
     worth : list of float
-        What a metre of each lane is worth.
+        Value per metre of each lane.
     sense : float
         1 for counter-clockwise, -1 for clockwise.
     rng : np.random.Generator
-        Draws the trips that are tried.
+        Generator of the candidate trips.
     longest : float
-        Trips worth more metres than this are no better.
+        Upper limit of the value of a trip's metres.
 
     Returns
     -------
     tuple of int
-        Its lanes in order; none if no such trip was found.
+        Lanes of the trip in order; empty without a valid trip.
     """
     lengths = [lane.length for lane in lanes]
     begin = [k for k, lane in enumerate(lanes) if lane.junction < 0 and kinds[k]]
@@ -221,7 +221,7 @@ def round_trip(
 
 
 def _wander(lanes: list[Lane], start: int, rng: Generator) -> tuple[int, ...]:
-    """Drive at random and cross no junction twice; the lanes of the trip if it comes back, else none."""
+    """Return the lanes of a random drive back to its start without crossing a junction twice, or an empty tuple."""
     trip, crossed = [start], set[int]()
     for draw in rng.random(200):
         here = lanes[trip[-1]]

@@ -1,4 +1,4 @@
-"""Houses on their footprints: storeys, passages, and roofs, flat ones behind parapets or pitched ones."""
+"""Houses on footprints: storeys, passages, flat roofs with parapets, and pitched roofs."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -15,7 +15,7 @@ from ogm.simulation.town.facades import HouseDesign, Side, draw_design, side_of,
 from ogm.simulation.town.footprints import front_first
 from ogm.simulation.town.storeys import SUNK, House, ground_floor, upper_storeys
 
-HEADROOM = 3.2  # [m] a passage is at least this high
+HEADROOM = 3.2  # [m] smallest height of a passage
 
 
 def building(footprint: Polygon, style: str, height_at: HeightAt, rng: Generator) -> Mesh:
@@ -24,20 +24,20 @@ def building(footprint: Polygon, style: str, height_at: HeightAt, rng: Generator
     Parameters
     ----------
     footprint : Polygon
-        Any valid outline of at least 4 m² that is somewhere wider than 1 m [m]. Its first edge faces the street,
-        as `split_front` returns it.
+        Valid outline of at least 4 m² and, at its widest, more than 1 m [m]. Its first edge faces the street, see
+        `split_front`.
     style : str
-        One of `STYLES`.
+        Style of the house, one of `STYLES`.
     height_at : callable
         Height of the ground [m] at x, y [m].
     rng : Generator
-        Chooses everything else.
+        Generator of all other choices.
 
     Returns
     -------
     Mesh
-        In the footprint's frame; walls follow its outline and reach below the lowest ground. Windows and doors
-        are set back, what stands out further than 0.3 m is more than 2.5 m above the ground (except steps).
+        House in the footprint's frame. Walls follow the outline and reach below the lowest ground. Windows and doors
+        are recessed. Parts that protrude more than 0.3 m, except steps, are more than 2.5 m above the ground.
     """
     outline = footprint.simplify(0.03)
     if not isinstance(outline, Polygon) or not outline.is_valid or outline.area < 0.9 * footprint.area:
@@ -56,7 +56,7 @@ def building(footprint: Polygon, style: str, height_at: HeightAt, rng: Generator
 
 
 def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: HeightAt, rng: Generator) -> Mesh:
-    """Put walls, storeys and the roof of a house together."""
+    """Assemble walls, storeys and the roof of a house."""
     corners = shapely.get_coordinates(outline)
     ground = np.asarray(height_at(corners[:, 0], corners[:, 1]), np.float64)
     u = np.linspace(0, street.length, 5)
@@ -67,7 +67,7 @@ def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: Heigh
     design = design._replace(bay=_spared(design, outline))
     parts = []
 
-    # A passage goes through the ground floor, so its walls stand on what is left of the footprint.
+    # A passage leads through the ground floor, whose walls follow the rest of the footprint.
     lower, passage = _passage(outline, street, design, rng)
     if not passage.is_empty:
         through = np.array(passage.exterior.coords)
@@ -91,21 +91,21 @@ def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: Heigh
 
 
 def _spared(design: HouseDesign, outline: Polygon) -> float:
-    """Return the windows' distance, larger where a house would have more of them than its budget."""
-    most = 30 if outline.area < 170 else 110
+    """Return the spacing of windows, increased for houses with more windows than their budget."""
+    max_windows = 30 if outline.area < 170 else 110
     seen = outline.length * (0.6 if design.blind_sides else 1.0)
-    return float(max(design.bay, seen * design.storeys / most))
+    return float(max(design.bay, seen * design.storeys / max_windows))
 
 
 def _sides(polygon: Polygon) -> list[Side]:
-    """Return the sides of a polygon with its holes."""
+    """Return the sides of a polygon and of its holes."""
     polygon = shapely.geometry.polygon.orient(polygon, 1.0)
     pairs = [pair for ring in (polygon.exterior, *polygon.interiors) for pair in pairwise(np.array(ring.coords))]
     return [side_of(a, b) for a, b in pairs if np.linalg.norm(b - a) > 0.01]
 
 
 def _role(side: Side, street: Side, design: HouseDesign) -> str:
-    """Return "front", "back", "side" or, for a wall that a neighbour may stand against, "blind"."""
+    """Return "front", "back", "side", or "blind" for a wall that may touch a neighbouring house."""
     facing = float(side.out @ street.out)
     if facing > 0.7:
         return "front"
@@ -115,7 +115,7 @@ def _role(side: Side, street: Side, design: HouseDesign) -> str:
 
 
 def _passage(outline: Polygon, street: Side, design: HouseDesign, rng: Generator) -> tuple[shapely.Geometry, Polygon]:
-    """Cut a way for cars through the ground floor of some houses in a row: what is left, and the way."""
+    """Cut a passage for cars through the ground floor of some row houses; return remaining footprint and passage."""
     none = outline, Polygon()
     if design.storeys < 2 or design.ground_storey < 3.5 or not 11 < street.length < 40 or rng.random() > 0.3:
         return none
@@ -130,7 +130,7 @@ def _passage(outline: Polygon, street: Side, design: HouseDesign, rng: Generator
 
 
 def _roof(outline: Polygon, street: Side, top: float, design: HouseDesign, rng: Generator) -> Mesh:
-    """Set the roof on: pitched where four corners come close to the footprint, else flat behind a parapet."""
+    """Build the roof: pitched if the footprint is nearly a quadrilateral, else flat behind a parapet."""
     corners = np.array(outline.exterior.coords)[:-1]
     if len(corners) != 4:
         box = front_first(outline.minimum_rotated_rectangle, street.out)
@@ -154,7 +154,7 @@ def _roof(outline: Polygon, street: Side, top: float, design: HouseDesign, rng: 
 
 
 def _flat_roof(outline: Polygon, top: float, design: HouseDesign, rng: Generator) -> Mesh:
-    """Lay a flat roof with its parapet, or with eaves that reach over the walls."""
+    """Build a flat roof with a parapet, or with eaves beyond the walls."""
     if design.storeys == 1 and rng.random() < 0.5:
         over = outline.buffer(design.eaves, join_style="mitre")
         parts = [flat(over, z, M.ROOF) for z in (top, top + 0.25)]
@@ -167,7 +167,7 @@ def _flat_roof(outline: Polygon, top: float, design: HouseDesign, rng: Generator
 
 
 def _rim(outline: Polygon, low: float, high: float, material: int) -> list[Mesh]:
-    """Raise upright faces along an outline between two heights [m]."""
+    """Build upright faces along an outline between two heights [m]."""
     return [s.built([(upright(0.0, s.length, 0.0, 0.0, low, high), material)]) for s in _sides(outline)]
 
 
@@ -190,7 +190,7 @@ def _pavilion(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
 
 
 def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
-    """Build a filling station: a roof above 4.7 m on a few columns, pumps, and a shop at the back."""
+    """Build a filling station: a roof at 4.7 m or more on columns, pumps, and a shop at the back."""
     p = ring[:-1]
     ground = np.asarray(height_at(*p.T), np.float64)
     low, high = float(ground.min()) - SUNK, float(ground.max())
@@ -218,7 +218,7 @@ def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
 
 
 def flat(footprint: Polygon, z: float, material: int) -> Mesh:
-    """Cover a footprint of any shape with a level sheet at height z [m]."""
+    """Build a level sheet over a footprint at height z [m]."""
     parts = shapely.get_parts(shapely.constrained_delaunay_triangles(footprint))
     corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
     return triangles(np.concatenate([corners, np.full((*corners.shape[:2], 1), z)], axis=-1), material)
@@ -227,24 +227,24 @@ def flat(footprint: Polygon, z: float, material: int) -> Mesh:
 def pitched(
     corners: ArrayLike, z: float, pitch: float, wall: int, over: Sequence[float], hip: float = 0.0, dormers: int = 0
 ) -> Mesh:
-    """Set a gabled or hipped roof on four corners; the ridge runs beside the first edge.
+    """Build a gabled or hipped roof over four corners, with its ridge parallel to the first edge.
 
     Parameters
     ----------
     corners : (4, 2) array
-        Counter-clockwise [m].
+        Corners, counter-clockwise [m].
     z : float
-        Height of the walls' top [m].
+        Height of the walls' upper edge [m].
     pitch : float
-        Slope: rise over run.
+        Slope of the roof, rise over run.
     wall : Material
-        Of gables and dormers; the roof itself is ROOF, its soffit WOOD.
+        Material of gables and dormers. The roof itself is ROOF, its soffit WOOD.
     over : (eaves, verge)
-        How far it reaches over the walls along and across the slopes [m].
+        Overhang beyond the walls, below the slopes and at the gables [m].
     hip : float
-        0 for upright gables, 1 for a hip as steep as the slopes.
+        0 for upright gables, 1 for hips as steep as the slopes.
     dormers : int
-        How many on each slope.
+        Number of dormers on each slope.
     """
     p = np.asarray(corners, np.float64)
     ends = np.stack([p[0] + p[3], p[1] + p[2]]) / 2  # below the ridge's ends
@@ -271,14 +271,14 @@ def pitched(
 
 
 def chimney(x: float, y: float, low: float, top: float) -> Mesh:
-    """Set a chimney or lift house of 0.6 m at x, y, between two heights [m]."""
+    """Build a chimney or lift overrun, 0.6 m wide, at x, y between two heights [m]."""
     return box([x - 0.3, y - 0.3, low], [x + 0.3, y + 0.3, top], M.BRICK)
 
 
 def _dormers(
     ends: Floats, along: Floats, across: Floats, run: float, z: float, rise: float, wall: int, count: int
 ) -> Mesh:
-    """Set boxes with a window into both slopes."""
+    """Build dormers with a window on both slopes."""
     length = float(np.linalg.norm(ends[1] - ends[0]))
     front, top = 0.78 * run, z + min(0.22 * rise + 1.5, 0.9 * rise)
     back, eave = run * (1 - (top - z) / rise), z + rise * (1 - front / run)

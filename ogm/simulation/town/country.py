@@ -1,4 +1,4 @@
-"""The country between streets: banks and ditches beside the road, and what grows on the land behind them."""
+"""Country between streets: banks and ditches along the road, and the vegetation of the land behind them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,37 +19,37 @@ from ogm.simulation.town.network import area, polygons
 from ogm.simulation.town.plants import grass_tufts, points_in
 from ogm.simulation.town.yard import Yard
 
-STEP = 2.0  # [m] of the rasters of where a bank holds
-BLEND = 3.0  # [m] over which one bank passes into another
-LEAST = 0.7  # a bank's height varies along the road, down to this share
-VARIES = 12.0  # [m] over which it does
+STEP = 2.0  # [m] spacing of the rasters of banks
+BLEND = 3.0  # [m] width of the transition between banks
+MIN_SHARE = 0.7  # smallest factor of a bank's height along the road
+VARIATION = 12.0  # [m] length scale of that factor
 
 
 class BankProfile(NamedTuple):
-    """A cross-section beside a road: heights [m] at distances [m] from its edge, linear between them."""
+    """Cross-section along a road: heights [m] at distances from its edge [m], linear between them."""
 
     distance: tuple[float, ...]
     height: tuple[float, ...]
 
     @property
     def width(self) -> float:
-        """How far from the road the land is level again [m]."""
+        """Distance from the road beyond which the land is level [m]."""
         return self.distance[-1]
 
 
 class CountryField(NamedTuple):
-    """The land of one mesh between streets.
+    """Country in a mesh between streets.
 
     Attributes
     ----------
     profile : BankProfile
-        Its banks and ditches.
+        Cross-section of banks and ditches.
     reach : Raster
-        Where they hold, 0 to 1.
+        Weight of the cross-section, 0 to 1.
     bank, land : shapely geometry
-        The strip of the profile, and what lies behind it.
+        Strip of the cross-section, and the land behind it.
     cover, use : str
-        What grows on the two: keys of `COVERS` and `USES`.
+        Vegetation of strip and land: keys of `COVERS` and `USES`.
     """
 
     profile: BankProfile
@@ -60,7 +60,7 @@ class CountryField(NamedTuple):
     use: str
 
 
-# Shares of what grows on banks, and on the land behind them.
+# Shares of the vegetation of banks, and of the land behind them.
 COVERS = {"bare": 0.3, "high grass": 0.4, "bushes": 0.3}
 USES = {"ploughed": 0.18, "crops": 0.14, "meadow": 0.26, "scrub": 0.2, "wood": 0.22}
 _KINDS = {"ditch": 0.3, "rise": 0.22, "fall": 0.2, "ditch and rise": 0.2, "level": 0.08}
@@ -68,7 +68,7 @@ _SURFACES = {"ploughed": M.SOIL, "crops": M.SOIL, "wood": M.SOIL}
 
 
 def turn_rural(styles: Sequence[str], faces: Floats, country: Country, rng: Generator) -> tuple[str, ...]:
-    """Return the districts of a town whose outer part, on one side, is country."""
+    """Return the districts of a town with country in its outer part on one side."""
     count = round(len(styles) * rng.uniform(*country.share))
     angle = rng.uniform(0, 2 * np.pi)
     far = faces @ [np.cos(angle), np.sin(angle)] + rng.normal(0, 0.15 * np.ptp(faces), len(faces))
@@ -79,17 +79,17 @@ def turn_rural(styles: Sequence[str], faces: Floats, country: Country, rng: Gene
 
 
 def draw_profile(country: Country, rng: Generator) -> BankProfile:
-    """Draw banks and ditches as steep as `Country.slope` allows, wherever `LEAST` lowers them too."""
+    """Draw banks and ditches with slopes within `Country.slope`, even if lowered by `MIN_SHARE`."""
     low, high = country.slope
 
     def slope() -> float:
-        return float(np.exp(rng.uniform(np.log(low / LEAST), np.log(high))))
+        return float(np.exp(rng.uniform(np.log(low / MIN_SHARE), np.log(high))))
 
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     distance, height = [float(rng.uniform(*country.shoulder))], [0.0]
 
     def go(change: float) -> None:
-        """Rise or fall as far, at a slope of its own."""
+        """Add a change of height at a random slope."""
         distance.append(distance[-1] + abs(change) / slope())
         height.append(height[-1] + change)
 
@@ -109,7 +109,7 @@ def draw_profile(country: Country, rng: Generator) -> BankProfile:
 
 
 def lay_fields(plan: TownLayout, built: BaseGeometry, country: Country, rng: Generator) -> list[CountryField]:
-    """Draw the fields of a town, all but what is `built`; adds surfaces and lines to cut the ground to the plan."""
+    """Return the fields of a town outside `built`, and add their surfaces and breaklines to the layout."""
     styles, faces = plan.network.grid.styles, plan.network.grid.faces
     frame = shapely.box(*(np.array([-1, -1, 1, 1]) * plan.size / 2))
     cells = shapely.get_parts(shapely.voronoi_polygons(shapely.MultiPoint(faces), extend_to=frame))
@@ -137,7 +137,7 @@ def lay_fields(plan: TownLayout, built: BaseGeometry, country: Country, rng: Gen
 
 
 class CountryBank:
-    """Height of the land over the road's level, with the banks and ditches of fields."""
+    """Height of the land above the road, with the banks and ditches of fields."""
 
     def __init__(self, bank: HeightAt, fields: Sequence[CountryField], plan: TownLayout, rng: Generator) -> None:
         self.bank, self.fields = bank, fields
@@ -145,12 +145,12 @@ class CountryBank:
         pairs = [np.stack([c[:-1], c[1:]], axis=1) for c in map(shapely.get_coordinates, rings)]
         self._edge = shapely.STRtree(shapely.linestrings(np.concatenate(pairs)))
         count = int(plan.size // STEP) + 2
-        noise = gaussian_filter(rng.standard_normal((count, count)), VARIES / STEP)
-        share = LEAST + (1 - LEAST) * np.clip(0.5 + 0.5 * noise / noise.std(), 0, 1)
+        noise = gaussian_filter(rng.standard_normal((count, count)), VARIATION / STEP)
+        share = MIN_SHARE + (1 - MIN_SHARE) * np.clip(0.5 + 0.5 * noise / noise.std(), 0, 1)
         self._share = raster(share, STEP, plan.size)
 
     def __call__(self, x: Floats, y: Floats) -> Floats:
-        """Return heights [m]."""
+        """Return the heights [m]."""
         z = np.asarray(self.bank(x, y), np.float64).copy()
         reach = np.stack([field.reach(x, y) for field in self.fields])
         (near,) = np.nonzero(reach.max(axis=0) > 1e-3)
@@ -164,7 +164,7 @@ class CountryBank:
 
 
 def plant_fields(fields: Sequence[CountryField], yard: Yard) -> None:
-    """Let grow what grows on the fields and on their banks."""
+    """Add the vegetation of fields and their banks."""
     rng = yard.rng
     for field in fields:
         if field.cover == "high grass":
@@ -216,43 +216,43 @@ def _wood(land: BaseGeometry, yard: Yard) -> None:
 _PLANT = {"ploughed": _ploughed, "crops": _crops, "meadow": _meadow, "scrub": _scrub, "wood": _wood}
 
 
-MOST = 30_000  # clumps of one field
+MAX_CLUMPS = 30_000  # in a field
 
 
 def high_grass(shape: BaseGeometry, height_at: HeightAt, rng: Generator, *, density: float) -> Mesh:
-    """Grow grass that is too high to be driven through unseen, 0.3 to 1.2 m, of the material FOLIAGE.
+    """Make high grass of FOLIAGE, 0.3 to 1.2 m, which counts as an obstacle.
 
     Parameters
     ----------
     shape : shapely geometry
-        Where it grows [m].
+        Area of the grass [m].
     height_at : callable
-        Height of the ground [m] at x, y [m].
+        Function of the ground height [m] at x, y [m].
     rng : Generator
-        Chooses places and sizes.
+        Generator of positions and sizes.
     density : float
-        Clumps per square metre, each 0.2 to 0.6 m wide.
+        Clumps per square metre; each is 0.2 to 0.6 m wide.
     """
-    x, y = points_in(shape, density, MOST, rng)
+    x, y = points_in(shape, density, MAX_CLUMPS, rng)
     usual = rng.uniform(0.4, 1.0)
     return _clumps(x, y, height_at, usual * rng.uniform(0.6, 1.2, len(x)), rng)
 
 
 def crops(shape: Polygon, height_at: HeightAt, rng: Generator, *, tall: float) -> Mesh:
-    """Grow a crop of one height [m] in rows 0.7 m apart."""
+    """Make a crop of uniform height `tall` [m] in rows 0.7 m apart."""
     ways, middle, half = _axes(shape, rng)
     across, along = np.meshgrid(np.arange(-half, half, 0.7), np.arange(-half, half, 0.55), indexing="ij")
     along = along + rng.uniform(-0.15, 0.15, along.shape)
     x, y = (middle + np.stack([across.ravel(), along.ravel()], axis=1) @ ways).T
     kept = shapely.contains_xy(shape, x, y)
-    if np.count_nonzero(kept) > MOST:
-        kept &= rng.random(len(x)) < MOST / np.count_nonzero(kept)
+    if np.count_nonzero(kept) > MAX_CLUMPS:
+        kept &= rng.random(len(x)) < MAX_CLUMPS / np.count_nonzero(kept)
     x, y = x[kept], y[kept]
     return _clumps(x, y, height_at, tall * rng.uniform(0.85, 1.1, len(x)), rng)
 
 
 def furrows(shape: Polygon, height_at: HeightAt, rng: Generator) -> Mesh:
-    """Plough a field: ridges 0.03 to 0.12 m high and 0.5 to 0.9 m apart, crumbled, of the material SOIL."""
+    """Make a ploughed field of SOIL: uneven ridges 0.03 to 0.12 m high and 0.5 to 0.9 m apart."""
     ways, middle, half = _axes(shape, rng)
     gap, high = 0.5 * rng.uniform(0.5, 0.9), rng.uniform(0.03, 0.12)
     across, along = np.arange(-half, half, gap), np.arange(-half, half, 0.8)
@@ -270,7 +270,7 @@ def furrows(shape: Polygon, height_at: HeightAt, rng: Generator) -> Mesh:
 
 
 def _axes(shape: Polygon, rng: Generator) -> tuple[Floats, Floats, float]:
-    """Return unit vectors across and along the rows of a field, (2, 2), its middle, and half its diagonal [m]."""
+    """Return unit vectors across and along a field's rows, (2, 2), its centroid, and half its diagonal [m]."""
     angle = rng.uniform(0, np.pi)
     c, s = np.cos(angle), np.sin(angle)
     half = 0.5 * float(np.hypot(*np.ptp(np.array(shape.bounds).reshape(2, 2), axis=0)))
@@ -278,7 +278,7 @@ def _axes(shape: Polygon, rng: Generator) -> tuple[Floats, Floats, float]:
 
 
 def _clumps(x: Floats, y: Floats, height_at: HeightAt, tall: Floats, rng: Generator) -> Mesh:
-    """Stand a leaning, tapering leaf of a random direction at each place."""
+    """Make a leaning, tapering leaf of random direction at each position."""
     if not len(x):
         return empty()
     base = np.stack([x, y, np.asarray(height_at(x, y), np.float64) - 0.03], axis=1)

@@ -1,4 +1,4 @@
-"""Sizes and materials of a house, and one side of it: a wall with openings, in the side's own u, d, z."""
+"""Design of a house, and parts of its facades: walls with openings in wall coordinates u, d, z."""
 
 from typing import NamedTuple
 
@@ -14,16 +14,16 @@ Corners = Floats  # (N, 4, 3)
 
 
 class Side(NamedTuple):
-    """The upright plane of a wall.
+    """The upright plane of a wall, with the coordinates u along it and d outwards.
 
     Attributes
     ----------
     start : (2,) float64
-        Where u is 0: x, y [m]. The house lies to the left of the way from here.
+        Point x, y with u = 0 [m]. The house is to the left of the wall's direction.
     along, out : (2,) float64
-        Unit vectors of u (along the wall) and d (out of the house).
+        Unit vectors of u and d in the plane.
     length : float
-        Of the wall [m].
+        Length of the wall [m].
     """
 
     start: Floats
@@ -32,11 +32,11 @@ class Side(NamedTuple):
     length: float
 
     def xy(self, u: ArrayLike, d: float = 0.0) -> Floats:
-        """Return x, y (..., 2) of places along the wall, d before it."""
+        """Return x, y (..., 2) of points at u along the wall and d in front of it."""
         return self.start + np.asarray(u, np.float64)[..., None] * self.along + d * self.out
 
     def built(self, pieces: list[tuple[Corners, ArrayLike]]) -> Mesh:
-        """Take quadrilaterals with their materials to the world; drop those without area."""
+        """Return the mesh of quadrilaterals with materials in world coordinates, without empty faces."""
         corners = np.concatenate([piece for piece, _ in pieces])
         material = np.concatenate([np.broadcast_to(m, len(piece)) for piece, m in pieces])
         area = np.abs(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])).max(axis=1)
@@ -46,7 +46,7 @@ class Side(NamedTuple):
 
 
 def side_of(start: ArrayLike, end: ArrayLike) -> Side:
-    """Return the side between two corners of a footprint that runs counter-clockwise."""
+    """Return the side between two corners of a counter-clockwise footprint."""
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = float(np.linalg.norm(b - a))
     along = (b - a) / length
@@ -63,7 +63,7 @@ class Openings(NamedTuple):
     sill, head : (C, R) float64
         Lower and upper edges, rows ascending along z [m].
     recess : (C, R) float64
-        How far the pane is set back [m].
+        Distance of the pane behind the wall [m].
     pane : (C, R) uint8
         Material of the pane.
     """
@@ -87,7 +87,7 @@ def deck(u0: ArrayLike, u1: ArrayLike, d0: ArrayLike, d1: ArrayLike, z0: ArrayLi
 
 
 def _corners(u: tuple[ArrayLike, ...], d: tuple[ArrayLike, ...], z: tuple[ArrayLike, ...]) -> Corners:
-    """Return (N, 4, 3) corners from the coordinates of the four, which broadcast against each other."""
+    """Return corners (N, 4, 3) from the coordinates of four corners, which are broadcast."""
     corners = np.stack(np.broadcast_arrays(*u, *d, *z), axis=-1).astype(np.float64)
     return corners.reshape(-1, 3, 4).swapaxes(1, 2)
 
@@ -95,7 +95,7 @@ def _corners(u: tuple[ArrayLike, ...], d: tuple[ArrayLike, ...], z: tuple[ArrayL
 def punched(
     length: float, low: float, top: float, openings: Openings, material: int
 ) -> list[tuple[Corners, ArrayLike]]:
-    """Cut openings into a wall from `low` to `top`: what is left of it, reveals and panes."""
+    """Return a wall from `low` to `top` with openings: wall pieces, reveals and panes."""
     left, right, sill, head, recess, pane = openings
     columns = len(left)
     strips = upright(np.append(0.0, right), np.append(left, length), 0.0, 0.0, low, top)
@@ -114,28 +114,28 @@ def punched(
 
 
 def ledge(u0: float, u1: float, depth: float, z0: float, z1: float) -> Corners:
-    """Return what is seen of a box on a wall: a cornice, a sign above a shop, a pilaster, a downpipe."""
+    """Return the visible faces of a box on a wall, such as a cornice, shop sign, pilaster or downpipe."""
     faces = upright([u0, u0, u1], [u1, u0, u1], [depth, 0, 0], depth, z0, z1)
     return np.concatenate([faces, deck(u0, u1, 0, depth, [z0, z1], [z0, z1])])
 
 
 def awning(u0: float, u1: float, depth: float, z: float, drop: float) -> Corners:
-    """Return a shop's awning: cloth that falls by `drop`, with a short fringe."""
+    """Return a shop awning that descends by `drop`, with a short fringe."""
     fringe = upright(u0, u1, depth, depth, z - drop - 0.2, z - drop)
     return np.concatenate([deck(u0, u1, 0.0, depth, z, z - drop), fringe])
 
 
 def balcony(u0: float, u1: float, depth: float, z: float, bars: int, panel: int) -> list[tuple[Corners, ArrayLike]]:
-    """Make a balcony whose slab ends at height z.
+    """Return a balcony with the upper face of its slab at height z.
 
     Parameters
     ----------
     u0, u1, depth, z : float
-        Its edges along the wall, how far it stands out, height of its floor [m].
+        Ends along the wall, depth, and height of the floor [m].
     bars : int
-        Upright bars of the railing's front; 0 for closed panels.
+        Number of bars in the front railing; 0 for closed panels.
     panel : Material
-        Of the panels; bars are METAL_POLE.
+        Material of panels; bars are METAL_POLE.
     """
     pieces: list[tuple[Corners, ArrayLike]] = [(ledge(u0, u1, depth, z - 0.18, z), M.CONCRETE)]
     d = depth - 0.05
@@ -152,7 +152,7 @@ def balcony(u0: float, u1: float, depth: float, z: float, bars: int, panel: int)
 
 
 def steps(u0: float, u1: float, ground: float, top: float) -> Corners:
-    """Return the steps up to a door's sill, 0.28 m deep each; the lowest reaches below the ground."""
+    """Return steps up to a door's sill, 0.28 m deep each; the lowest extends below the ground."""
     count = max(int(np.ceil((top - ground) / 0.18)), 1)
     rise = (top - ground) / count
     k = np.arange(count)
@@ -164,20 +164,20 @@ def steps(u0: float, u1: float, ground: float, top: float) -> Corners:
 
 
 class HouseDesign(NamedTuple):
-    """Sizes and materials of one house; lengths in m."""
+    """Sizes and materials of a house; lengths in metres."""
 
     storeys: int
     ground_storey: float
     storey: float
-    plinth: float  # floor above the highest ground at the front
+    plinth: float  # height of the floor above the highest ground at the front
     wall: int
     base: int  # material of the ground floor's wall
-    bay: float  # from window to window
+    bay: float  # spacing of windows
     window: tuple[float, float, float]  # width, sill and head above the floor
     recess: float
     ground_floor: str  # "home", "shop", "hall"
-    balconies: float  # share of the front's columns
-    panel: int  # of a balcony; METAL_POLE means bars
+    balconies: float  # share of the front's columns with balconies
+    panel: int  # material of balcony panels; METAL_POLE for bars
     bays: bool
     blind_sides: bool
     roof: str  # "flat", "gable", "hip"
@@ -186,7 +186,7 @@ class HouseDesign(NamedTuple):
 
 
 def draw_design(style: str, outline: Polygon, rng: Generator) -> HouseDesign:
-    """Draw sizes and materials of a house by its style and its footprint's size."""
+    """Draw sizes and materials of a house for a style and the size of its footprint."""
     area = outline.area
     light, dark, brick, stone = int(M.PLASTER_LIGHT), int(M.PLASTER_DARK), int(M.BRICK), int(M.STONE)
     sheet, concrete, wood = int(M.METAL_SHEET), int(M.CONCRETE), int(M.WOOD)

@@ -1,4 +1,4 @@
-"""Where houses stand: footprints side by side along a street."""
+"""Footprints of houses side by side along a street."""
 
 from collections.abc import Iterator, Sequence
 
@@ -18,18 +18,18 @@ def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> l
     Parameters
     ----------
     lot : Polygon
-        Where may be built [m].
+        Building area [m].
     front : (2, 2) array
-        Two points of the street side; the lot lies to either side of the line through them.
+        Two points on the street side; the lot may be on either side of their line.
     style : str
-        One of `STYLES`: a closed row, detached houses with garages, halls, large buildings, a pavilion.
+        One of `STYLES`: closed rows, detached houses with garages, halls, large buildings, or pavilions.
     rng : Generator
-        Chooses widths, depths, set-backs, recesses and gaps.
+        Generator of widths, depths, setbacks, recesses and gaps.
 
     Returns
     -------
     list of Polygon
-        Counter-clockwise; **the first edge faces the street**, which `building` relies on. They do not overlap.
+        Counter-clockwise footprints without overlap; **the first edge faces the street**, as `building` requires.
         Empty if nothing fits.
     """
     ends = np.asarray(front, np.float64)
@@ -61,7 +61,7 @@ def _rectangle(x: float, y: float, width: float, depth: float) -> Polygon:
 
 
 def _row(lot: Polygon, rng: Generator) -> Placed:
-    """Set house to house: small set-backs, recesses in the front, wings behind, now and then a gap."""
+    """Yield a closed row of houses with small setbacks, recesses in the front, rear wings, and rare gaps."""
     x0, y0, x1, y1 = lot.bounds
     x, setback = x0, rng.choice([0.0, 0.0, 1.5])
     while x1 - x > 4:
@@ -84,7 +84,7 @@ def _row(lot: Polygon, rng: Generator) -> Placed:
 
 
 def _detached(lot: Polygon, rng: Generator) -> Placed:
-    """Set houses apart in gardens, with garages beside them."""
+    """Yield detached houses in gardens, with adjacent garages."""
     if rng.random() < 0.35:
         yield from _terraces(lot, rng)
         return
@@ -101,7 +101,7 @@ def _detached(lot: Polygon, rng: Generator) -> Placed:
             break
         shape = _rectangle(x, y, width, depth)
         kind = rng.random()
-        if kind < 0.3 and width > 9.5:  # an L: a part stands back
+        if kind < 0.3 and width > 9.5:  # L-shaped
             shape = shape.difference(_rectangle(x + 0.6 * width, y - 1, width, 1 + rng.uniform(1.2, 3.0)))
         yield shape, 35.0
         x += width
@@ -113,11 +113,11 @@ def _detached(lot: Polygon, rng: Generator) -> Placed:
 
 
 def _terraces(lot: Polygon, rng: Generator) -> Placed:
-    """Set rows of narrow houses behind small front gardens."""
+    """Yield rows of narrow houses behind small front gardens."""
     x0, y0, x1, y1 = lot.bounds
     x, y = x0 + rng.uniform(0.3, 1.5), y0 + rng.uniform(0.8, 4.0)
     width, depth = rng.uniform(6.6, 8.5), min(rng.uniform(9.0, 11.5), y1 - y - 1.0)
-    left = int(rng.integers(4, 9))  # houses to come in this row
+    left = int(rng.integers(4, 9))  # houses left in this row
     while x1 - x > width + 0.3 and depth > 5:
         yield _rectangle(x, y + rng.choice([0.0, 0.0, 0.8]), width, depth), 35.0
         x, left = x + width, left - 1
@@ -126,7 +126,7 @@ def _terraces(lot: Polygon, rng: Generator) -> Placed:
 
 
 def _halls(lot: Polygon, rng: Generator) -> Placed:
-    """Set halls behind yards, with an office at the front of some."""
+    """Yield halls behind yards, some with an office at the front."""
     for x, y, width, depth in _yards(
         lot, rng, (1.0, 4.0, 12, 20.0, 55.0, 2), (1.5, 5.0, 10.0, 18.0, 40.0, 8), (4.0, 10.0)
     ):
@@ -139,7 +139,7 @@ def _halls(lot: Polygon, rng: Generator) -> Placed:
 
 
 def _large(lot: Polygon, rng: Generator) -> Placed:
-    """Set offices, markets and filling stations along an arterial road."""
+    """Yield offices, markets and filling stations along an arterial road."""
     for x, y, width, depth in _yards(
         lot, rng, (1.0, 5.0, 10, 16.0, 42.0, 1), (0.5, 4.0, 9.0, 12.0, 24.0, 7), (3.0, 9.0)
     ):
@@ -153,19 +153,19 @@ def _large(lot: Polygon, rng: Generator) -> Placed:
 def _yards(
     lot: Polygon, rng: Generator, across: Sequence[float], deep: Sequence[float], gap: tuple[float, float]
 ) -> Iterator[tuple[float, float, float, float]]:
-    """Choose x, y, width and depth of large houses behind yards.
+    """Yield x, y, width and depth of large houses behind yards.
 
-    `across` are the range of the first x, the least space left, the range of widths and the space beside;
-    `deep` the bounds of two ranges of set-backs, the range of depths and the least depth; `gap` is the range of gaps.
+    `across` has the range of the first x, the smallest remaining length, the range of widths, and the margin. `deep`
+    has the bounds of two ranges of setbacks, the range of depths, and the smallest depth. `gap` is the range of gaps.
     """
-    first, second, least, narrow, wide, beside = across
+    first, second, least, narrow, wide, margin = across
     near, middle, far, shallow, deepest, smallest = deep
     x0, y0, x1, y1 = lot.bounds
     x = x0 + rng.uniform(first, second)
     while x1 - x > least:
-        width = min(rng.uniform(narrow, wide), x1 - x - beside)
+        width = min(rng.uniform(narrow, wide), x1 - x - margin)
         y = y0 + rng.choice([rng.uniform(near, middle), rng.uniform(middle, far)])
-        depth = min(rng.uniform(shallow, deepest), y1 - y - beside)
+        depth = min(rng.uniform(shallow, deepest), y1 - y - margin)
         if depth < smallest:
             return
         yield x, y, width, depth
@@ -173,7 +173,7 @@ def _yards(
 
 
 def _pavilions(lot: Polygon, rng: Generator) -> Placed:
-    """Set a kiosk or pavilion now and then."""
+    """Yield kiosks and pavilions at large distances."""
     x0, y0, x1, y1 = lot.bounds
     x = x0 + rng.uniform(0.0, 30.0)
     while x1 - x > 6 and y1 - y0 > 6:
@@ -187,7 +187,7 @@ STYLES = tuple(_PLACERS)
 
 
 def front_first(footprint: Polygon, towards: Floats) -> Polygon:
-    """Return a footprint counter-clockwise, from the edge on that faces the street the most."""
+    """Return a counter-clockwise footprint that starts with the edge facing the street most."""
     footprint = shapely.geometry.polygon.orient(footprint, 1.0)
     ring = np.array(footprint.exterior.coords)[:-1]
     edge = np.roll(ring, -1, axis=0) - ring

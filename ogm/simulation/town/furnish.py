@@ -1,4 +1,4 @@
-"""Stand houses, trees and street furniture on the ground."""
+"""Placement of houses, trees and street furniture on the ground."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -22,9 +22,9 @@ from ogm.simulation.town.lots import Lot
 from ogm.simulation.town.network import Street, area, inside, polygons
 from ogm.simulation.town.yard import Maker, Wanted, Yard
 
-# Share of the fronts that hide what is behind them.
+# Share of fronts with opaque enclosures.
 CLOSED = {"suburb": 0.68, "industrial": 0.55, "arterial": 0.3}
-# Pieces on lots by their style or use.
+# Pieces on lots by style or use, see `Wanted`.
 PIECES: dict[str, Wanted] = {
     "suburb": [(f.bin_, 250, 0.6), (f.bench, 700, 1.0)],
     "industrial": [(structures.container, 170, 3.6), (structures.skip, 320, 2.6), (f.lamp, 600, 0.5),
@@ -42,7 +42,7 @@ PIECES: dict[str, Wanted] = {
 def furnish(
     plan: TownLayout, lots: list[Lot], height: Raster, rng: Generator, fields: Sequence[CountryField] = ()
 ) -> list[Mesh]:
-    """Return everything that stands on the ground of a town."""
+    """Return the meshes of everything on the ground of a town."""
     yard = Yard(plan, [house for lot in lots for house in lot.houses], height, rng)
     for lot in lots:
         for house in lot.houses:
@@ -59,12 +59,12 @@ def furnish(
 
 
 def _street(plan: TownLayout, k: int, street: Street, yard: Yard) -> None:
-    """Stand trees, lamps, signs and more along both sides of a street."""
+    """Place trees, lamps, signs and other pieces along both sides of a street."""
     begin, end = plan.draft.cuts[k, 0], street.length - plan.draft.cuts[k, 1]
     for side in (-1, 1):  # right, left
         stand = partial(_stand, yard, street, side)
         busy = street.district == "centre" or street.profile.kind in ("main", "arterial")
-        # At the junction where this side's traffic stops.
+        # Signs and signals are at the junction where the traffic of this side stops.
         forward = side < 0 or street.profile.back == 0
         node, stop = (street.end, end + 0.6) if forward else (street.start, begin - 0.6)
         if node not in plan.network.heads:
@@ -81,17 +81,17 @@ def _street(plan: TownLayout, k: int, street: Street, yard: Yard) -> None:
 def _stand(
     yard: Yard, street: Street, side: int, maker: Maker, at: float, behind: float, radius: float, turn: float = 0.0
 ) -> None:
-    """Stand a piece at a way along the street and so far behind the kerb; it faces its traffic."""
+    """Place a piece at a distance along the street and behind the kerb, facing its traffic."""
     kerb = street.profile.right if side < 0 else street.profile.left
     x, y = street.at(at, side * (kerb + behind))
     normal = street.normal(at)
-    # On the right side traffic comes from behind: +x of the piece points back along the street.
+    # On the right side traffic approaches from the start of the street, so the piece's +x axis points there.
     yaw = float(np.arctan2(normal[0], -normal[1])) + (0.0 if side < 0 else np.pi)
     yard.put(maker(yard.rng), float(x), float(y), yaw + turn, radius)
 
 
 def _trees_and_lamps(yard: Yard, street: Street, side: int, begin: float, end: float) -> None:
-    """Stand trees in the verge, or in pits in a wide sidewalk, and lamps."""
+    """Place trees in the verge or in pits in a wide sidewalk, and lamps."""
     profile, rng = street.profile, yard.rng
     if profile.kind == "country":
         if rng.random() < 0.3:
@@ -112,7 +112,7 @@ def _trees_and_lamps(yard: Yard, street: Street, side: int, begin: float, end: f
 
 
 def _pieces_beside(street: Street, walk: float, busy: bool, yard: Yard) -> list[tuple[Maker, float, float, float]]:
-    """Return pieces beside a street: how many for 100 m, how far behind the kerb, radius [m]."""
+    """Return pieces along a street: builder, number per 100 m, distance behind the kerb [m], radius [m]."""
     verge, centre = street.profile.verge, street.district == "centre"
     if street.profile.kind == "country":
         return [(f.sign, 1.0, 0.4, 0.2), (lambda _: yard.pick(yard.bushes), 1.0, 1.0, 0.4)]
@@ -132,7 +132,7 @@ def _pieces_beside(street: Street, walk: float, busy: bool, yard: Yard) -> list[
 
 
 def _rows(yard: Yard, street: Street, side: int, begin: float, end: float) -> None:
-    """Stand a shelter, a row of bollards that keep cars off the sidewalk, or a guard rail."""
+    """Place a shelter, a row of bollards, or a guard rail."""
     profile, rng = street.profile, yard.rng
     if profile.kind in ("arterial", "main", "avenue") and rng.random() < 0.5 and end - begin > 30:
         at = rng.uniform(begin + 8, end - 8)
@@ -150,7 +150,7 @@ def _rows(yard: Yard, street: Street, side: int, begin: float, end: float) -> No
 
 
 def _spans(plan: TownLayout, yard: Yard) -> None:
-    """Span a bridge and a gantry over the broad road."""
+    """Place a bridge and a gantry over the broad road."""
     for k, at, kind in plan.spans:
         street = plan.network.streets[k]
         profile, normal = street.profile, street.normal(at)
@@ -171,7 +171,7 @@ def _lot(lot: Lot, yard: Yard) -> None:
     if lot.use == "houses":
         _fences(lot, yard)
         if lot.style == "suburb":
-            near = LineString(lot.front).buffer(9.0)  # no low crowns beside the street
+            near = LineString(lot.front).buffer(9.0)  # without low crowns
             scatter(shapely.intersection(shape, near), yard.tall, 120, 1.2)
             scatter(shapely.difference(shape, near), yard.trees, 130, 1.2)
             scatter(shape, yard.bushes, 120, 0.7)
@@ -220,18 +220,18 @@ def _edge(lot: Lot, yard: Yard, share: float) -> None:
 
 
 def _fences(lot: Lot, yard: Yard) -> None:
-    """Build hedges, walls and fences along the front, between neighbours and between houses; open at ways."""
+    """Build enclosures along the front, between neighbours and between houses, with gaps at ways."""
     if lot.style not in CLOSED:
         return
     rng, front, inward, along, width = yard.rng, lot.front[0], lot.inward, lot.along, lot.width
     ways = shapely.union_all(lot.gaps).buffer(0.35)
     solid = shapely.union_all([ways, area(shapely.intersection(yard.blocked, lot.shape))])
     space = shapely.difference(lot.shape.buffer(-0.55), solid)
-    # How far behind the front the houses stand, in the middle.
+    # Median distance of the houses behind the front, plus 2 m.
     back = float(np.median([((np.array(h.exterior.coords) - front) @ inward).min() for h in lot.houses])) + 2.0
 
     def stand(start: Floats, stop: Floats, share: float) -> None:
-        """Build one kind of enclosure along a line, one that hides what is behind it with that probability."""
+        """Build one kind of enclosure along a line, opaque with probability `share`."""
         kind, hides = rng.random(), rng.random() < share
         for part in inside(LineString([start, stop]), space):
             if part.length >= 1.2:
@@ -279,7 +279,7 @@ def _islands(plan: TownLayout, yard: Yard) -> None:
 
 
 def _woods(plan: TownLayout, taken: list[BaseGeometry], yard: Yard) -> None:
-    """Plant what is left of the blocks."""
+    """Plant the rest of the blocks."""
     used = shapely.union_all(taken).buffer(0.5)
     rest = shapely.union_all([block.shape for block in plan.blocks]).difference(used)
     inner = shapely.box(*(np.array([-1, -1, 1, 1]) * (plan.size / 2 - 30.0)))

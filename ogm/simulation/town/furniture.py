@@ -1,7 +1,7 @@
-"""Street furniture: poles, signs, shelters, and what spans a road.
+"""Street furniture: poles, signs, lamps, benches and other small pieces.
 
-A piece has its origin at its base. Traffic comes towards it from +x, so that a sign's front faces +x; with
-right-hand traffic the road then lies on its -y side, where lamps reach out to and shelters open to.
+A piece has its origin at its base. Traffic approaches from +x, so the front of a sign faces +x. With right-hand traffic
+the road is on the -y side, towards which lamps extend and shelters open.
 """
 
 from collections.abc import Sequence
@@ -23,14 +23,14 @@ def pole(
     end: float | None = None,
     sides: int = 6,
 ) -> Mesh:
-    """Make an upright pole at x, y that reaches into the ground, with another radius at its upper `end` if given."""
+    """Make an upright pole at x, y, sunk into the ground, with an optional other radius at its upper `end`."""
     return cylinder([*at, -SUNK], [*at, top], radius, material, end_radius=end, sides=sides)
 
 
 def rod(
     low: float, high: float, radius: float, material: M, end: float | None = None, sides: int = 8, *, caps: bool = True
 ) -> Mesh:
-    """Make an upright cylinder or cone between two heights, with another radius at its upper `end` if given."""
+    """Make an upright cylinder between two heights, or a cone with another radius at its upper `end`."""
     return cylinder([0, 0, low], [0, 0, high], radius, material, end_radius=end, sides=sides, caps=caps)
 
 
@@ -41,7 +41,7 @@ def block(center: ArrayLike, size: ArrayLike, material: M) -> Mesh:
 
 
 def extruded(profile: ArrayLike, ends: tuple[float, float], material: M, axis: int = 0) -> Mesh:
-    """Make a prism: a profile (P, 2) of y, z between two x, or with `axis` 1 of x, z between two y."""
+    """Make a prism from a profile (P, 2) of y, z between two x, or with ``axis=1`` of x, z between two y."""
     p = np.asarray(profile, np.float64)
     sections = [np.insert(p, axis, end, axis=1) for end in ends]
     return loft(sections, material, caps=material)
@@ -53,7 +53,7 @@ def panel(width: float, tall: float) -> Floats:
 
 
 def plate(outline: Floats, z: float, radius: float) -> list[Mesh]:
-    """Make a plate before a pole of that radius: retroreflective front towards +x, bare metal 2 cm behind it."""
+    """Make a plate in front of a pole of that radius: retroreflective towards +x, bare metal 2 cm behind."""
     fan = np.array([(0, k, k + 1) for k in range(1, len(outline) - 1)], np.uint32)
     parts = []
     for x, material in ((radius + 0.03, M.SIGN), (radius + 0.01, M.METAL_SHEET)):
@@ -63,13 +63,13 @@ def plate(outline: Floats, z: float, radius: float) -> list[Mesh]:
 
 
 def strip(start: ArrayLike, end: ArrayLike, half: ArrayLike) -> Floats:
-    """Return the corners (4, 3) of a flat bar between two points, `half` its half width as a vector."""
+    """Return the corners (4, 3) of a flat bar between two points; `half` is the vector of its half width."""
     a, b, h = (np.asarray(v, np.float64) for v in (start, end, half))
     return np.stack([a - h, a + h, b + h, b - h])
 
 
 def lamp(rng: Generator) -> Mesh:
-    """Make a street lamp of 4 to 10 m: a tall one reaches over the road, a low one carries a head on its top."""
+    """Make a street lamp of 3.6 to 10 m: a tall one extends over the road, a low one has its head on top."""
     height = rng.uniform(3.6, 10.0)
     radius = rng.uniform(0.045, 0.06) + 0.003 * height
     parts = [pole(height, radius, end=0.6 * radius), pole(rng.uniform(0.4, 1.0), 1.5 * radius)]
@@ -87,7 +87,7 @@ def lamp(rng: Generator) -> Mesh:
 
 
 def traffic_light(rng: Generator) -> Mesh:
-    """Make a signal post with one or two heads; some reach over the road with a mast arm above 4.7 m."""
+    """Make a signal post with one or two heads, some with a mast arm over the road above 4.7 m."""
     over = rng.random() < 0.4
     height = rng.uniform(5.6, 6.2) if over else rng.uniform(3.0, 3.6)
     radius = 0.09 if over else rng.uniform(0.05, 0.07)
@@ -104,9 +104,9 @@ def traffic_light(rng: Generator) -> Mesh:
 
 
 def sign(rng: Generator) -> Mesh:
-    """Make a traffic sign: SIGN on the front, METAL_SHEET behind; discs, triangles, panels, signposts.
+    """Make a traffic sign, SIGN in front and METAL_SHEET behind: disc, triangle, panel or signpost.
 
-    It reaches no further than 0.6 m towards the road (-y).
+    It extends at most 0.6 m towards the road (-y).
     """
     kind = rng.random()
     radius = rng.uniform(0.03, 0.045)
@@ -115,7 +115,7 @@ def sign(rng: Generator) -> Mesh:
         middle = width / 2 - 0.45  # away from the road
         posts = [pole(low + tall, radius, at=(0, middle + y)) for y in (-0.35 * width, 0.35 * width)]
         return merge([*posts, *plate(panel(width, tall) + [middle, 0.0], low + tall / 2, radius)])
-    if kind < 0.24:  # arms that point to places, on one post
+    if kind < 0.24:  # signpost with arms
         count, length = int(rng.integers(1, 4)), rng.uniform(0.9, 1.5)
         arrow = panel(length, 0.28) + [0.3 * length, 0.0]
         arms = [part for k in range(count) for part in plate(arrow, 2.35 + 0.32 * k, 0.045)]
@@ -138,7 +138,7 @@ def sign(rng: Generator) -> Mesh:
 
 
 def bollard(rng: Generator) -> Mesh:
-    """Make a bollard, 0.6 to 1.1 m high: a steel post, a stone stump, or a plastic one with a reflector."""
+    """Make a bollard, 0.6 to 1.1 m high: a steel post, a stone stump, or a plastic post with a reflector."""
     height, kind = rng.uniform(0.6, 1.1), rng.random()
     if kind < 0.25:
         return pole(0.7 * height, rng.uniform(0.12, 0.2), M.STONE, end=0.11)
@@ -170,7 +170,7 @@ def bin_(rng: Generator) -> Mesh:
 
 
 def bench(rng: Generator) -> Mesh:
-    """Make a bench of slats along x that faces -y, with or without a back."""
+    """Make a slatted bench along x that faces -y, with or without a back."""
     half = rng.uniform(0.75, 1.1)
     seats = [block([0, y, 0.45], [2 * half, 0.11, 0.04], M.WOOD) for y in (-0.17, 0.0, 0.17)]
     legs = [block([x, 0, 0.165], [0.07, 0.42, 0.53], M.METAL_POLE) for x in (-0.8 * half, 0.8 * half)]
@@ -182,7 +182,7 @@ def bench(rng: Generator) -> Mesh:
 
 
 def bike_rack(rng: Generator) -> Mesh:
-    """Make a row of 2 to 6 hoops along x; a few hold a bicycle's frame and wheels."""
+    """Make a row of 2 to 6 bicycle hoops along x, some with a bicycle."""
     count, parts = int(rng.integers(2, 7)), []
     hoop = np.array([[-0.38, -0.2], [-0.33, 0.8], [0.33, 0.8], [0.38, -0.2]])
     for k in range(count):
@@ -194,7 +194,7 @@ def bike_rack(rng: Generator) -> Mesh:
 
 
 def _parked_bike(x: float, y: float) -> Mesh:
-    """Make a bicycle leaning at a hoop: two wheels (rings), frame, saddle and handlebar, as flat bars."""
+    """Make a bicycle at a hoop from flat bars: two wheels, frame, saddle and handlebar."""
     angles = np.linspace(0, 2 * np.pi, 9)
     parts = []
     for cy in (-0.52, 0.52):
@@ -212,7 +212,7 @@ def _parked_bike(x: float, y: float) -> Mesh:
 
 
 def cabinet(rng: Generator) -> Mesh:
-    """Make a box for switchgear or the mail, 0.7 to 1.6 m high."""
+    """Make a switchgear cabinet or letter box, 0.8 to 1.6 m high."""
     if rng.random() < 0.2:  # letter box, parking meter
         return merge([pole(0.9, 0.05), block([0, 0, 1.2], [0.3, 0.4, 0.6], M.PAINT_MEDIUM)])
     x, y, tall = rng.uniform(0.5, 1.7) / 2, rng.uniform(0.3, 0.5) / 2, rng.uniform(0.8, 1.5)
@@ -230,7 +230,7 @@ def hydrant(rng: Generator) -> Mesh:
 
 
 def planter(rng: Generator) -> Mesh:
-    """Make a tub, round or square, with a bush in it."""
+    """Make a round or square tub with a bush."""
     half, height = rng.uniform(0.3, 0.7), rng.uniform(0.4, 0.7)
     tub = rod(-0.1, height, 0.8 * half, M.CONCRETE, half)
     if rng.random() < 0.5:
@@ -245,7 +245,7 @@ def planter(rng: Generator) -> Mesh:
 
 
 def cone(rng: Generator) -> Mesh:
-    """Make a traffic cone of 0.5 or 0.75 m with its reflecting sleeve."""
+    """Make a traffic cone of 0.5 or 0.75 m with a reflective sleeve."""
     height = float(rng.choice([0.5, 0.75]))
     r = 0.2 * height
     base = block([0, 0, 0.02], [0.55 * height, 0.55 * height, 0.06], M.PLASTIC_DARK)
@@ -256,7 +256,7 @@ def cone(rng: Generator) -> Mesh:
 
 
 def barrier(rng: Generator) -> Mesh:
-    """Make a barrier of road works across the way (along y): a fence with reflecting boards, or a concrete block."""
+    """Make a roadworks barrier along y: a fence with reflective boards, or a concrete block."""
     half = rng.uniform(0.9, 1.3)
     if rng.random() < 0.3:
         right = [[-0.3, -0.05], [0.3, -0.05], [0.3, 0.1], [0.1, 0.35], [0.08, 0.81], [-0.08, 0.81]]
@@ -270,7 +270,7 @@ def barrier(rng: Generator) -> Mesh:
 
 
 def cafe(rng: Generator) -> Mesh:
-    """Make a table with two to four chairs, often below a parasol."""
+    """Make a café table with two or three chairs, often with a parasol."""
     parts = [rod(0.72, 0.75, rng.uniform(0.35, 0.5), M.WOOD), rod(-0.05, 0.72, 0.03, M.METAL_POLE, sides=4, caps=False)]
     turn = rng.uniform(0, 2 * np.pi)
     for k in range(int(rng.integers(2, 4))):
@@ -291,7 +291,7 @@ def cafe(rng: Generator) -> Mesh:
 
 
 def _signal_head(at: Floats) -> list[Mesh]:
-    """Make the three lamps of a signal with their backing board; `at` is the lower edge's middle."""
+    """Make a signal head of three lamps with its backing board; `at` is the middle of the lower edge."""
     square = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1.0]])
     body = block(at + [0, 0, 0.45], [0.2, 0.28, 0.9], M.PLASTIC_DARK)
     board = quads(at + [-0.06, 0, 0.45] + square * [1, 0.28, 0.6], M.PLASTIC_DARK)
@@ -299,13 +299,13 @@ def _signal_head(at: Floats) -> list[Mesh]:
 
 
 def _regular(radius: float, sides: int, turn: float = 0.0) -> Floats:
-    """Return a regular outline (sides, 2) in y, z around the middle."""
+    """Return a regular polygon (sides, 2) in y, z around the origin."""
     angles = turn + 2 * np.pi * np.arange(sides) / sides
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def _tube(line: Floats, radius: float, material: M) -> Mesh:
-    """Make a three-sided tube along a line that lies in an upright plane across x."""
+    """Make a three-sided tube along a line in a plane of constant x."""
     ahead = np.gradient(line, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     out = np.cross([1.0, 0.0, 0.0], ahead)

@@ -1,4 +1,4 @@
-"""Crossings on a curved grid and the edges between them, before they become streets."""
+"""Graph of crossings on a curved grid and of the edges between them, from which streets are made."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,18 +9,18 @@ from scipy.sparse.csgraph import connected_components
 
 from ogm.simulation.mesh import Floats
 
-MARGIN = 35.0  # [m] from the outermost street to the edge of the square
+MARGIN = 35.0  # [m] between the outermost street and the edge of the square
 Edges = list[tuple[int, int]]
 
 
 class Grid(NamedTuple):
-    """Crossings, the meshes between them, and what is special."""
+    """Crossings, the meshes between them, the broad road and the roundabout."""
 
     nodes: Floats  # (N, 2)
     faces: Floats  # (F, 2) middle of each mesh
-    styles: tuple[str, ...]  # its district
+    styles: tuple[str, ...]  # district of each mesh
     broad: set[tuple[int, int]]  # edges of the broad road
-    roundabout: int  # a node, -1 if there is none
+    roundabout: int  # node of the roundabout, -1 without one
 
     def district(self, point: Floats) -> str:
         """Return the district of the mesh nearest to a point (2,)."""
@@ -28,7 +28,7 @@ class Grid(NamedTuple):
 
 
 def bent_grid(n: int, size: float, rng: Generator) -> Floats:
-    """Crossings of n x n curved and irregular lines, those of line i at i * n + j."""
+    """Return the crossings of n x n curved, irregular lines; crossing (i, j) has index i * n + j."""
     half = size / 2 - MARGIN
     spacing = 2 * half / (n - 1)
     ticks = []
@@ -53,7 +53,7 @@ def grid_edges(n: int) -> Edges:
 
 
 def broad_line(n: int, side: int) -> set[tuple[int, int]]:
-    """Return the edges of one line of the grid: an outer one of a small town, one further in for a large one."""
+    """Return the edges of a line of the grid: an outer line in a small town, an inner line in a larger town."""
     line = (0 if n == 3 else 1) if side % 2 == 0 else (n - 1 if n == 3 else n - 2)
     if side < 2:
         return {(line * n + j, line * n + j + 1) for j in range(n - 1)}
@@ -61,7 +61,7 @@ def broad_line(n: int, side: int) -> set[tuple[int, int]]:
 
 
 def thinned(edges: Edges, kept: Edges, count: int) -> Edges:
-    """Leave out edges only while every crossing keeps two streets and no street becomes a bridge."""
+    """Remove edges except `kept`, as long as every crossing keeps two streets and no street becomes a bridge."""
     result = list(edges)
     for edge in edges:
         rest = [other for other in result if other != edge]
@@ -72,7 +72,7 @@ def thinned(edges: Edges, kept: Edges, count: int) -> Edges:
 
 
 def _ring(edges: Sequence[tuple[int, int]], count: int) -> bool:
-    """Return whether the graph stays in one piece when any one of its edges is closed."""
+    """Return whether the graph stays connected after removal of any one edge."""
     for closed in range(len(edges)):
         joined = np.zeros((count, count), bool)
         joined[tuple(np.delete(edges, closed, axis=0).T)] = True
@@ -82,7 +82,7 @@ def _ring(edges: Sequence[tuple[int, int]], count: int) -> bool:
 
 
 def dead_ends(grid: Grid, edges: Edges, count: int) -> tuple[Grid, Edges, list[int]]:
-    """Lead a short street into some of the suburban blocks."""
+    """Add short dead-end streets into some suburban and industrial blocks; return their end nodes too."""
     heads: list[int] = []
     nodes, faces = grid.nodes, grid.faces
     for face in [k for k, style in enumerate(grid.styles) if style in ("suburb", "industrial")][: count + 2]:
@@ -109,20 +109,20 @@ def dead_ends(grid: Grid, edges: Edges, count: int) -> tuple[Grid, Edges, list[i
 
 
 def chains_of(edges: Edges, count: int, stops: set[int]) -> list[list[int]]:
-    """Join edges that meet two by two at a crossing into one street each: lists of nodes."""
-    beside: list[list[int]] = [[] for _ in range(count)]
+    """Join edges at crossings of two edges into streets: lists of nodes."""
+    neighbours: list[list[int]] = [[] for _ in range(count)]
     for a, b in edges:
-        beside[a].append(b)
-        beside[b].append(a)
-    ends = [k for k in range(count) if len(beside[k]) and (len(beside[k]) != 2 or k in stops)]
+        neighbours[a].append(b)
+        neighbours[b].append(a)
+    ends = [k for k in range(count) if len(neighbours[k]) and (len(neighbours[k]) != 2 or k in stops)]
     chains, seen = [], set()
     for start in ends:
-        for following in beside[start]:
+        for following in neighbours[start]:
             if (start, following) in seen:
                 continue
             chain = [start, following]
             while chain[-1] not in ends:
-                chain.append(next(k for k in beside[chain[-1]] if k != chain[-2]))
+                chain.append(next(k for k in neighbours[chain[-1]] if k != chain[-2]))
             seen |= {(chain[0], chain[1]), (chain[-1], chain[-2])}
             chains.append(chain)
     return chains

@@ -1,9 +1,9 @@
-"""The ground: heights of hills, banks, crowned roads and kerbs, and the triangles of roads, sidewalks and yards.
+"""Ground of a town: heights of hills, banks, crowned roads and kerbs, and the triangles of roads, sidewalks and yards.
 
-Two heights are defined everywhere: that of the road and that of the land beside it, which lies a kerb
-higher. Which one holds is given by the plan. All lines of the plan and a grid are cut at their crossings
-into faces; every face is triangulated with all its corners, so neighbours share their corners exactly and
-no ray falls between them; where road and land meet, an upright kerb closes the step.
+Two heights are defined everywhere: the road's, and the land's next to it, which is a kerb higher. The layout selects
+one of the two. All lines of the layout and a grid are cut at their crossings into faces. Every face is triangulated
+with all its corners, so that neighbours share corners exactly and no ray passes between them. An upright kerb closes
+the step between road and land.
 """
 
 from collections.abc import Sequence
@@ -23,25 +23,25 @@ from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Array, Floats, Floats32, HeightAt, Mask, Mesh, quads
 from ogm.simulation.town.layout import Drop, TownLayout
 
-CROWN = 0.025  # slope across a road, from its middle to the kerbs
-CROWN_REACH = 4.0  # [m] farther from the kerb the road is level
-FIELD = 0.5  # [m] step of the rasters that heights are made of
-DROPPED = 0.02  # [m] height of a kerb that is let down
-# [m] of the land in a district
+CROWN = 0.025  # cross slope of a road, from its middle to the kerbs
+CROWN_REACH = 4.0  # [m] distance from the kerb beyond which the road is level
+FIELD = 0.5  # [m] spacing of the rasters of heights
+DROPPED = 0.02  # [m] height of a dropped kerb
+# [m] unevenness of the land in a district
 UNEVEN = {"centre": 0.1, "suburb": 0.5, "industrial": 0.15, "park": 1.4, "country": 0.9}
-STEEPEST = 0.068  # steepest grade of the hills; crown and bumps come on top
+STEEPEST = 0.068  # steepest grade of the hills, without crown and bumps
 
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """A square array of values on points `corner` + `step` * (i, j)."""
+    """A square raster of values at the points `corner` + `step` * (i, j)."""
 
     values: Floats32
     step: float
     corner: tuple[float, float]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Floats:
-        """Bilinear between the points, as at the edge beyond it."""
+        """Return values interpolated bilinearly, constant beyond the edge."""
         u = np.clip((np.asarray(x, np.float64) - self.corner[0]) / self.step, 0, len(self.values) - 1)
         v = np.clip((np.asarray(y, np.float64) - self.corner[1]) / self.step, 0, self.values.shape[1] - 1)
         i = np.minimum(u.astype(np.int64), len(self.values) - 2)
@@ -53,26 +53,26 @@ class Raster:
 
 
 def raster(values: Array, step: float, size: float) -> Raster:
-    """Return a raster of a square of `size` metres around (0, 0)."""
+    """Return a raster over a square of `size` metres around (0, 0)."""
     return Raster(values.astype(np.float32), step, (-size / 2, -size / 2))
 
 
 def raised(points: Floats, height_at: HeightAt) -> Floats:
-    """Lift points (M, 2) to a height: (M, 3)."""
+    """Return points (M, 2) with their heights, (M, 3)."""
     return np.column_stack([points, height_at(*points.T)])
 
 
 class Terrain(NamedTuple):
-    """All that heights are computed from."""
+    """Components of the ground heights."""
 
-    waves: Floats  # (W, 4) wave numbers along x and y [rad/m], phase, amplitude [m]
-    bowls: Floats  # (B, 4) x, y, radius, height of dips (< 0) and humps [m]
+    waves: Floats  # (W, 4) wave numbers along x and y [rad/m], phase [rad], amplitude [m]
+    bowls: Floats  # (B, 4) x, y, radius, height of dips (negative) and humps [m]
     crown: Raster
     bank: HeightAt
     kerb: Raster
 
     def base(self, x: Floats, y: Floats) -> Floats:
-        """Height of the hills alone [m]."""
+        """Return the height of the hills alone [m]."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         z = np.zeros(np.broadcast(x, y).shape)
         for kx, ky, phase, amplitude in self.waves:
@@ -82,11 +82,11 @@ class Terrain(NamedTuple):
         return z
 
     def road(self, x: Floats, y: Floats) -> Floats:
-        """Height of the road surface [m]."""
+        """Return the height of the road surface [m]."""
         return self.base(x, y) + self.crown(x, y)
 
     def land(self, x: Floats, y: Floats, drops: Sequence[Drop] = ()) -> Floats:
-        """Height of the land beside the road, kerb included [m]."""
+        """Return the height of the land next to the road, including the kerb [m]."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         kerb = self.kerb(x, y)
         if drops:
@@ -100,7 +100,7 @@ class Terrain(NamedTuple):
 
 
 def mask(shape: BaseGeometry, size: float, step: float) -> Mask:
-    """Which points of a raster from -size/2 to size/2 lie in a shape: (n, n) over x, y."""
+    """Return the mask (n, n) of a raster's points from -size/2 to size/2 within a shape."""
     ticks = np.arange(int(round(size / step)) + 1) * step - size / 2
     result = np.zeros((len(ticks), len(ticks)), bool)
     if shape.is_empty:
@@ -114,9 +114,9 @@ def mask(shape: BaseGeometry, size: float, step: float) -> Mask:
 
 
 def make_terrain(plan: TownLayout, rng: Generator) -> Terrain:
-    """Draw hills, and fit banks, crowns and kerbs to the streets of a plan."""
+    """Draw hills, and fit banks, crowns and kerbs to the streets of a layout."""
     size, streets = plan.size, plan.network.streets
-    # Hills: a few long waves, and bumps that a car feels; together no steeper than STEEPEST.
+    # Hills: long waves no steeper than STEEPEST, and bumps that a car feels.
     length = np.concatenate([rng.uniform(170, 420, 5), rng.uniform(70, 130, 3)])
     angle = rng.uniform(0, 2 * np.pi, 8)
     amplitude = length / 100 * np.where(np.arange(8) < 5, 1.0, 0.35) * rng.uniform(0.5, 1.2, 8)
@@ -138,7 +138,7 @@ def make_terrain(plan: TownLayout, rng: Generator) -> Terrain:
     inside = distance_transform_edt(on_road) * FIELD
     crown = CROWN * np.minimum(gaussian_filter(np.minimum(inside, CROWN_REACH + 1), 1.0), CROWN_REACH)
     crown = np.where(on_road, crown, 0.0)
-    # Banks: the land leaves the street's level a few metres behind the sidewalk, as the districts have it.
+    # Banks: behind the sidewalk the land departs from the street's level, depending on the district.
     beyond = distance_transform_edt(~mask(plan.corridor, size, FIELD)) * FIELD
     ramp = np.clip(beyond - 0.5, 0, 9) / 9
     ramp = ramp**2 * (3 - 2 * ramp)
@@ -153,7 +153,7 @@ def make_terrain(plan: TownLayout, rng: Generator) -> Terrain:
     field = raster(rough * gaussian_filter(uneven[far.argmin(axis=0)], 2.0), 8 * FIELD, size)
     px, py = np.meshgrid(*(np.arange(s) * FIELD - edge for s in shape), indexing="ij")
     bank = ramp * np.clip(field(px, py), -2.5, 2.5)
-    # Kerbs: as high as in the profile of the nearest street.
+    # Kerbs: height from the cross-section of the nearest street.
     kerb = np.full(shape, 0.11)
     for street in streets:
         near = shapely.buffer(shapely.linestrings(street.line), 14.0, cap_style="flat")
@@ -163,19 +163,19 @@ def make_terrain(plan: TownLayout, rng: Generator) -> Terrain:
 
 
 def _waves(length: Floats, angle: Floats, amplitude: Floats, rng: Generator) -> Floats:
-    """Return waves (W, 4) as in `Terrain` with lengths, directions and amplitudes, their phases drawn."""
+    """Return waves (W, 4), see `Terrain`, of given lengths, directions and amplitudes with random phases."""
     k = 2 * np.pi / length
     return np.stack([k * np.cos(angle), k * np.sin(angle), rng.uniform(0, 2 * np.pi, 8), amplitude], axis=1)
 
 
-TILE = 4.0  # [m] of the grid that cuts the ground
+TILE = 4.0  # [m] spacing of the grid that cuts the ground
 
 
 def cover(plan: TownLayout, terrain: Terrain) -> tuple[Mesh, Mesh]:
-    """Cover the town with ground: surfaces and kerbs as two meshes.
+    """Return the ground of a town as two meshes, surfaces and kerbs.
 
-    The road's height holds on the plan's `road`, elsewhere the land's. Of its `zones`, which together cover the
-    town, a later one covers an earlier one; its `lines` are more lines to cut along, such as the ridge of a road.
+    The layout's `road` has the road's height, the rest the land's. Its `zones` together cover the town, later zones on
+    top of earlier ones. The ground is also cut along its `lines`, such as the ridge of a road.
     """
     half, road, zones = plan.size / 2, plan.road, plan.zones
     ticks = np.arange(int(np.ceil(plan.size / TILE)) + 1) * TILE - half
@@ -187,7 +187,7 @@ def cover(plan: TownLayout, terrain: Terrain) -> tuple[Mesh, Mesh]:
     noded = shapely.union_all(parts, grid_size=1e-3)
     frame = shapely.box(-half, -half, half, half)
     faces = shapely.get_parts(shapely.polygonize([shapely.intersection(noded, frame)]))
-    # What each face is made of: the last zone that holds a point of it.
+    # Material of each face: that of the last zone that contains a point of the face.
     probe = shapely.point_on_surface(faces)
     tree = shapely.STRtree(probe)
     material = np.full(len(faces), int(Material.GRASS), np.uint8)
@@ -216,7 +216,7 @@ def cover(plan: TownLayout, terrain: Terrain) -> tuple[Mesh, Mesh]:
 
 
 def _kerbs(vertices: Array, triangles: Array, code: Array, lowered: Array) -> Mesh:
-    """Close the steps between road and land: wherever an edge of the one runs along an edge of the other."""
+    """Return upright faces between the coincident edges of road and land."""
     sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     place = code // 2
     swap = place[sides[:, 0]] > place[sides[:, 1]]
@@ -233,7 +233,7 @@ def _kerbs(vertices: Array, triangles: Array, code: Array, lowered: Array) -> Me
 
 
 def height_raster(ground: Mesh, size: float, step: float) -> Raster:
-    """Sample the height of a ground's triangles by rays cast down."""
+    """Sample the height of the ground by vertical rays."""
     open3d = import_extra("open3d", "sim")
     tensor = open3d.core.Tensor
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
@@ -246,13 +246,13 @@ def height_raster(ground: Mesh, size: float, step: float) -> Raster:
     rays[..., 2], rays[..., 5] = top, -1.0
     height = top - scene.cast_rays(tensor(rays), nthreads=1)["t_hit"].numpy()
     missed = ~np.isfinite(height)
-    if missed.any():  # a ray that slipped between two triangles: take its neighbour
+    if missed.any():  # rays between two triangles get the height of their neighbour
         nearest = distance_transform_edt(missed, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
     return raster(height, step, size)
 
 
 def surface(ground: Mesh) -> Mesh:
-    """Return the triangles that one may stand on."""
+    """Return the triangles of `GROUND` materials."""
     stand = np.isin(ground.material, [int(m) for m in GROUND])
     return Mesh(ground.vertices, ground.triangles[stand], ground.material[stand])

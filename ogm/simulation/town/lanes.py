@@ -1,4 +1,4 @@
-"""Lanes: along the streets, through the crossings, and round the roundabout."""
+"""Lanes along streets, through crossings, and around the roundabout."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -9,31 +9,31 @@ from ogm.simulation.mesh import Floats
 from ogm.simulation.town.network import Street, StreetNetwork, evenly, turn
 
 KERB_RADIUS = 7.0  # [m] of kerbs at corners
-CROSSWALK = 5.0  # [m] from the corner's arc to the stop line
+CROSSWALK = 5.0  # [m] between the corner's arc and the stop line
 ISLAND, RING = 7.5, 14.0  # [m] radii of a roundabout's island and of its outer kerb
-STRAIGHT = np.deg2rad(35)  # a lane that turns less than this goes straight on
-HEAD = 9.5  # [m] radius of the place to turn at a dead end
+STRAIGHT = np.deg2rad(35)  # largest turn of a lane that goes straight on
+HEAD = 9.5  # [m] radius of the turning area of a dead end
 
 
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """A lane.
+    """A lane with its centre line and its successors.
 
     Attributes
     ----------
     points : (M, 3) float64
-        Its centre line in driving direction, about 1 m between points, z on the road [m].
+        Centre line in driving direction, about 1 m between points, z on the road [m].
     width : float
         Width [m].
     speed : float
-        Speed limit, or what a comfortable driver takes in a bend [m/s].
+        Speed limit, or comfortable speed in a bend [m/s].
     successors : tuple of int
-        Numbers of the lanes that it leads to; its last point is their first.
+        Indices of the following lanes, which start at the last point of this lane.
     junction : int
-        Number of the junction that it crosses, -1 on the open road.
+        Number of the junction that the lane crosses, -1 outside junctions.
     phase : int
-        Lanes of a junction with the same phase may be driven at once; -1 where there is no signal:
-        on the open road, and in and out of a roundabout's ring.
+        Signal phase: lanes of a junction with equal phases have green at the same time. -1 without a signal: outside
+        junctions, and in and out of a roundabout's ring.
     """
 
     points: Floats
@@ -50,21 +50,21 @@ class Lane:
 
 
 class Draft(NamedTuple):
-    """Lanes in the plane, and what else the layout needs to know."""
+    """Lanes in the plane with their streets and the gaps at crossings."""
 
     lanes: list[Lane]
     streets: list[int]  # street of each lane, -1 in junctions
-    cuts: Floats  # (S, 2) where the lanes of a street begin and how far from its end they stop
+    cuts: Floats  # (S, 2) distances between a street's lanes and its start and end [m]
 
 
 class _Arm(NamedTuple):
-    outward: Floats  # unit vector away from the crossing
+    outward: Floats  # unit vector from the crossing
     incoming: list[int]  # lanes, rightmost first
     outgoing: list[int]
 
 
 class _Lanes:
-    """Lanes while they are laid: those so far, the street of each, and where each leads."""
+    """Builder of lanes: the lanes, the street of each, and their links."""
 
     def __init__(self) -> None:
         self.lanes: list[Lane] = []
@@ -72,20 +72,20 @@ class _Lanes:
         self.links: dict[int, list[int]] = {}
 
     def add(self, lane: Lane, street: int = -1) -> int:
-        """Add a lane; returns its number."""
+        """Add a lane and return its index."""
         self.lanes.append(lane)
         self.streets.append(street)
         return len(self.lanes) - 1
 
     def join(self, start: int, lane: Lane, end: int) -> None:
-        """Add a lane that leads from one to another."""
+        """Add a lane that connects two lanes."""
         number = self.add(lane)
         self.links.setdefault(start, []).append(number)
         self.links[number] = [end]
 
 
 def cuts(network: StreetNetwork) -> Floats:
-    """How far from its two crossings each street's lanes begin and stop (S, 2) [m]."""
+    """Return the distances from a street's crossings at which its lanes begin and end, (S, 2) [m]."""
     result = np.zeros((len(network.streets), 2))
     for node in range(len(network.grid.nodes)):
         arms = _arms(network, node)
@@ -102,8 +102,8 @@ def cuts(network: StreetNetwork) -> Floats:
 def _corner(
     network: StreetNetwork, other: tuple[int, int, Floats], outward: Floats, right: float, left: float
 ) -> float:
-    """How far from a crossing the kerb's arc towards another arm begins [m]."""
-    # A corner lies between the left side of one arm and the right side of the next one.
+    """Return the distance from a crossing at which the kerb's arc towards another arm begins [m]."""
+    # A corner is between the left side of an arm and the right side of the next.
     angle = turn(outward, other[2])
     other_right, other_left = _sides(network.streets[other[0]], other[1])
     mine, theirs = (left, other_right) if angle > 0 else (right, other_left)
@@ -114,7 +114,7 @@ def _corner(
 
 
 def _arms(network: StreetNetwork, node: int) -> list[tuple[int, int, Floats]]:
-    """Street, which end of it, and direction outward of everything that meets at a crossing."""
+    """Return street, its end (0 or 1) and outward direction of each arm of a crossing, counter-clockwise."""
     arms = []
     for k, street in enumerate(network.streets):
         for end, at in ((0, street.start), (1, street.end)):
@@ -127,13 +127,13 @@ def _arms(network: StreetNetwork, node: int) -> list[tuple[int, int, Floats]]:
 
 
 def _sides(street: Street, end: int) -> tuple[float, float]:
-    """Right and left half width, seen from an end of the street into it."""
+    """Return the half widths to the right and left, seen from an end of the street into it."""
     right, left = street.profile.right, street.profile.left
     return (right, left) if end == 0 else (left, right)
 
 
 def make_lanes(network: StreetNetwork) -> Draft:
-    """Lay lanes (without z yet) along all streets and through all crossings."""
+    """Return lanes without z along all streets and through all crossings."""
     cut = cuts(network)
     laid = _Lanes()
     ways: dict[tuple[int, int], list[int]] = {}  # lanes of a street forward (1) and back (-1), rightmost first
@@ -144,7 +144,7 @@ def make_lanes(network: StreetNetwork) -> Draft:
             offsets = [-forward * (profile.median / 2 + profile.lane * (count - 1 - n + 0.5)) for n in range(count)]
             lines = [evenly(street.at(stretch, offset)[::forward]) for offset in offsets]
             ways[k, forward] = [laid.add(Lane(line, profile.lane, profile.speed), k) for line in lines]
-    # Through the crossings.
+    # Lanes through the crossings.
     number = 0
     for node, at in enumerate(network.grid.nodes):
         arms = [_Arm(out, ways[k, 2 * end - 1], ways[k, 1 - 2 * end]) for k, end, out in _arms(network, node)]
@@ -160,7 +160,7 @@ def make_lanes(network: StreetNetwork) -> Draft:
 
 
 def _across(laid: _Lanes, arms: list[_Arm], number: int) -> None:
-    """Lay lanes from every way into a crossing to every way out of it, but not back where they came from."""
+    """Add lanes from every arm of a crossing to every other arm."""
     for phase, arm in enumerate(arms):
         exits = [(turn(-arm.outward, other.outward), other) for other in arms if other is not arm and other.outgoing]
         exits.sort(key=lambda pair: pair[0])  # rightmost (negative) first
@@ -179,13 +179,13 @@ def _across(laid: _Lanes, arms: list[_Arm], number: int) -> None:
 
 
 def _ring(laid: _Lanes, arms: list[_Arm], center: Floats, number: int) -> None:
-    """Lay lanes into, round (counter-clockwise) and out of a roundabout; the phase of an entry is its arm."""
+    """Add lanes into, around (counter-clockwise) and out of a roundabout; the phase of an entry is its arm's index."""
     radius = (ISLAND + RING) / 2 + 0.4
     angles = np.unwrap([float(np.arctan2(arm.outward[1], arm.outward[0])) for arm in arms])
     spread = np.diff(np.concatenate([angles, [angles[0] + 2 * np.pi]]))
     half = min(np.deg2rad(34), float(spread.min()) / 2 - np.deg2rad(6))
-    along: list[int] = []  # arc from the entry of arm k to the exit of the next one
-    past: list[int] = []  # arc from the exit of arm k to its entry
+    along: list[int] = []  # arcs from the entry of arm k to the exit of the next arm
+    past: list[int] = []  # arcs from the exit of arm k to its entry
     for k, angle in enumerate(angles):
         following = angles[(k + 1) % len(arms)] + (2 * np.pi if k == len(arms) - 1 else 0)
         for bucket, start, end in ((past, angle - half, angle + half), (along, angle + half, following - half)):
@@ -205,26 +205,26 @@ def _ring(laid: _Lanes, arms: list[_Arm], center: Floats, number: int) -> None:
 
 
 def _turn_round(laid: _Lanes, arm: _Arm, center: Floats) -> None:
-    """Lay a lane round a dead end: swing right, go round counter-clockwise, come back."""
+    """Add a lane around a dead end: to the right, around counter-clockwise, and back."""
     start, end = (laid.lanes[k].points for k in (arm.incoming[0], arm.outgoing[0]))
     inward = -arm.outward
     right = np.array([inward[1], -inward[0]])
     sweep = np.linspace(-0.35 * np.pi, 1.35 * np.pi, 16)
-    # Angle 0 is to the right of the way in; going round counter-clockwise first leads further inward.
+    # Angle 0 is to the right of the incoming direction, so counter-clockwise motion first leads further inward.
     ring = center + (HEAD - 3.2) * (np.cos(sweep)[:, None] * right + np.sin(sweep)[:, None] * inward)
     line = evenly(np.concatenate([_blend(start, ring), ring[1:-1], _blend(ring, end)]))
     laid.join(arm.incoming[0], Lane(line, 2.8, 3.0), arm.outgoing[0])
 
 
 def _join(start: Floats, end: Floats, straight: float) -> Floats:
-    """From the end of one line to the start of another: straight over the crosswalks, a bend between."""
+    """Return a line from the end of `start` to the start of `end`: straight over the crosswalks, a bend between."""
     a, b = _ahead(start), -_ahead(end[::-1])
     p, q = start[-1] + straight * a, end[0] - straight * b
     return evenly(np.concatenate([start[-1:], _cubic(p, a, q, b), end[:1]]))
 
 
 def _blend(start: Floats, end: Floats) -> Floats:
-    """From the end of one line to the start of another in one bend."""
+    """Return one bend from the end of `start` to the start of `end`."""
     return evenly(_cubic(start[-1], _ahead(start), end[0], -_ahead(end[::-1])))
 
 
@@ -234,7 +234,7 @@ def _ahead(line: Floats) -> Floats:
 
 
 def _cubic(p: Floats, a: Floats, q: Floats, b: Floats) -> Floats:
-    """Draw a cubic Bezier curve from p towards a to q, arriving in direction b; close to an arc where one fits."""
+    """Return a cubic Bezier curve from p in direction a to q in direction b, close to a circular arc if possible."""
     angle = np.arccos(np.clip(a @ b, -1, 1))
     handle = np.linalg.norm(q - p) * (2 / 3) / (1 + np.cos(angle / 2))
     t = np.linspace(0, 1, 33)[:, None]
@@ -243,7 +243,7 @@ def _cubic(p: Floats, a: Floats, q: Floats, b: Floats) -> Floats:
 
 
 def _comfortable(line: Floats) -> float:
-    """Return the speed [m/s] at which the sharpest bend of a line takes 2 m/s^2 sideways, between 3 and 14."""
+    """Return the speed, 3 to 14 m/s, for a lateral acceleration of 2 m/s^2 in the sharpest bend of a line."""
     step = np.diff(line, axis=0)
     angle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
     if len(angle) < 4:

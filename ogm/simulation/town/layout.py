@@ -1,4 +1,4 @@
-"""The plan of a town: carriageways, sidewalks, verges, crossings, markings, parking bays, blocks between them."""
+"""Layout of a town: carriageways, sidewalks, verges, crossings, markings, parking bays, and blocks between them."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from ogm.simulation.mesh import Floats
 from ogm.simulation.town.lanes import HEAD, ISLAND, KERB_RADIUS, RING, Draft
 from ogm.simulation.town.network import Street, StreetNetwork, area, polygons
 
-BAY = 5.8  # [m] length of a place to park along the kerb
+BAY = 5.8  # [m] length of a parking bay along the kerb
 
 
 class Bay(NamedTuple):
-    """A place to park: middle, direction of its length [rad], length and width [m]."""
+    """A parking bay: middle [m], direction of its length [rad], length and width [m]."""
 
     at: Floats  # (2,)
     yaw: float
@@ -27,14 +27,14 @@ class Bay(NamedTuple):
 
     @property
     def outline(self) -> Polygon:
-        """The rectangle."""
+        """Outline of the bay."""
         ahead = np.array([np.cos(self.yaw), np.sin(self.yaw)]) * self.length / 2
         side = np.array([-np.sin(self.yaw), np.cos(self.yaw)]) * self.width / 2
         return rectangle(self.at, ahead, side)
 
 
 def rectangle(middle: Floats, ahead: Floats, side: Floats) -> Polygon:
-    """Return the rectangle around a point with two vectors from there to its edges."""
+    """Return the rectangle around a point, given the vectors from there to its front and its side."""
     return Polygon([middle + ahead + side, middle - ahead + side, middle - ahead - side, middle + ahead - side])
 
 
@@ -46,14 +46,14 @@ class Zone(NamedTuple):
 
 
 class Drop(NamedTuple):
-    """A stretch of kerb let down for wheels: its middle, direction along the kerb, half its length [m]."""
+    """A dropped kerb: its middle, unit vector along the kerb, and half its length [m]."""
 
     at: Floats  # (2,)
     along: Floats
     half: float
 
     def share(self, x: Floats, y: Floats) -> Floats:
-        """How far the kerb is let down at x, y: 0 not at all, 1 wholly; the sidewalk behind follows as a ramp."""
+        """Return how far the kerb is lowered at x, y, from 0 to 1; the sidewalk behind follows as a ramp."""
         dx, dy = x - self.at[0], y - self.at[1]
         along = abs(dx * self.along[0] + dy * self.along[1])
         across = abs(dx * self.along[1] - dy * self.along[0])
@@ -61,7 +61,7 @@ class Drop(NamedTuple):
 
 
 class Block(NamedTuple):
-    """What lies between streets: its outline and the district it belongs to."""
+    """The land between streets: its outline and its district."""
 
     shape: Polygon
     style: str
@@ -69,13 +69,13 @@ class Block(NamedTuple):
 
 @dataclass(eq=False)
 class TownLayout:
-    """The plan while it is drawn; everything is in the plane."""
+    """Layout of a town in the plane, filled step by step."""
 
     size: float
     network: StreetNetwork
     draft: Draft
     road: BaseGeometry  # carriageways
-    corridor: BaseGeometry  # with sidewalks and verges
+    corridor: BaseGeometry  # carriageways with sidewalks and verges
     islands: list[Polygon]
     zones: list[Zone] = field(default_factory=list)
     lines: list[BaseGeometry] = field(default_factory=list)
@@ -84,8 +84,10 @@ class TownLayout:
     walkways: list[Floats] = field(default_factory=list)  # (M, 2)
     blocks: list[Block] = field(default_factory=list)
     driveways: list[Polygon] = field(default_factory=list)
-    spans: list[tuple[int, float, str]] = field(default_factory=list)  # street, way along it, "bridge" or "gantry"
-    reserved: BaseGeometry = field(default_factory=Polygon)  # where nothing is built
+    spans: list[tuple[int, float, str]] = field(
+        default_factory=list
+    )  # street, position along it [m], "bridge" or "gantry"
+    reserved: BaseGeometry = field(default_factory=Polygon)  # area without buildings
 
     def pave(self, shape: BaseGeometry, material: M) -> None:
         """Cover a shape with a surface."""
@@ -97,7 +99,7 @@ class TownLayout:
 
 
 def make_plan(size: float, network: StreetNetwork, draft: Draft, rng: Generator) -> TownLayout:
-    """Draw a town around its streets and lanes."""
+    """Draw the layout of a town around its streets and lanes."""
     road, islands = _carriageway(network, draft)
     frame = shapely.box(-size / 2, -size / 2, size / 2, size / 2)
     corridor = _corridor(network, road, frame)
@@ -114,14 +116,14 @@ def make_plan(size: float, network: StreetNetwork, draft: Draft, rng: Generator)
     land = polygons(shapely.difference(frame, corridor))
     plan.blocks += [Block(block, _style(network, block)) for block in land if block.area > 40]
     _spans(plan, rng)
-    # Lines along which a crowned road bends.
+    # Breaklines of a crowned road.
     for depth in (1.5, 3.9):
         plan.lines.append(shapely.boundary(shapely.buffer(road, -depth).simplify(0.05)))
     return plan
 
 
 def _style(network: StreetNetwork, block: Polygon) -> str:
-    """Return the district of a block: park where one of its meshes is, else that of the nearest mesh."""
+    """Return the district of a block: park if it contains a park's mesh, else the district of the nearest mesh."""
     within = shapely.contains_xy(block, network.grid.faces)
     if len(block.interiors) == 0 and any(network.grid.styles[k] == "park" for k in np.flatnonzero(within)):
         return "park"
@@ -149,10 +151,10 @@ def _carriageway(network: StreetNetwork, draft: Draft) -> tuple[BaseGeometry, li
             islands.append(Point(at).buffer(ISLAND))
         elif sides:
             parts.append(Point(at).buffer(min(sides)))
-    # Wherever a lane bends through a crossing there is road below it.
+    # Lanes through crossings are always on the road.
     crossing = [lane for lane, owner in zip(draft.lanes, draft.streets, strict=True) if owner < 0]
     parts += [LineString(lane.points).buffer(lane.width / 2 + 0.3) for lane in crossing]
-    # Straight edges need few points, arcs keep theirs.
+    # Straight edges are reduced to few points, arcs keep theirs.
     whole = shapely.union_all(parts).buffer(KERB_RADIUS).buffer(-KERB_RADIUS).simplify(0.02)
     return shapely.difference(whole, shapely.union_all(islands)), islands
 
@@ -172,7 +174,7 @@ def _corridor(network: StreetNetwork, road: BaseGeometry, frame: Polygon) -> Bas
 
 
 def _spans(plan: TownLayout, rng: Generator) -> None:
-    """Choose where the broad road passes below a bridge and a gantry, and keep houses away from the bridge."""
+    """Choose the positions of a bridge and a gantry over the broad road, and keep houses away from the bridge."""
     broad = [k for k, street in enumerate(plan.network.streets) if street.profile.kind == "arterial"]
     for k, kind in zip(rng.permutation(broad).tolist() * 2, ("bridge", "gantry"), strict=False):
         street = plan.network.streets[k]
@@ -187,14 +189,14 @@ def _spans(plan: TownLayout, rng: Generator) -> None:
 
 
 def _surfaces(plan: TownLayout, rng: Generator) -> None:
-    """Road surfaces street by street, repairs in them, islands."""
+    """Pave the streets with repairs, and the islands."""
     plan.pave(plan.road, M.ASPHALT)
     for street in plan.network.streets:
         profile = street.profile
         if profile.surface != M.ASPHALT:
             band = street.band(6.0, street.length - 6.0, -profile.right - 0.5, profile.left + 0.5)
             plan.pave(shapely.intersection(band.buffer(0), plan.road), profile.surface)
-        # Repairs: patches and trenches of another age.
+        # Repairs: patches and trenches with another surface.
         other = M.WORN_ASPHALT if profile.surface == M.ASPHALT else M.ASPHALT
         for _ in range(rng.poisson(street.length / 45)):
             start = rng.uniform(4, max(5, street.length - 16))
@@ -220,7 +222,7 @@ def _verges(plan: TownLayout, k: int, street: Street) -> None:
 
 
 def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
-    """Bays along the kerbs, with gaps here and there."""
+    """Add parking bays along the kerbs, with occasional gaps."""
     profile = street.profile
     start, end = plan.draft.cuts[k, 0] + 2.0, street.length - plan.draft.cuts[k, 1] - 2.0
     long = 9.0 if profile.kind == "industrial" else BAY
@@ -232,7 +234,7 @@ def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
         at = start + long / 2
         while at + long / 2 < end:
             ends = street.normal(np.array([at - long / 2, at + long / 2]))
-            if rng.random() < 0.08 or ends[0] @ ends[1] < np.cos(0.12):  # a gap; no straight bay in a bend
+            if rng.random() < 0.08 or ends[0] @ ends[1] < np.cos(0.12):  # a gap, or a bend too sharp for a bay
                 at += 4.0
                 continue
             normal = street.normal(at)
@@ -246,12 +248,12 @@ def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
 
 
 def wrapped(yaw: float) -> float:
-    """Return an angle within -pi and pi [rad]."""
+    """Return an angle wrapped to -pi ... pi [rad]."""
     return float((yaw + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _sidewalks(plan: TownLayout, k: int, street: Street) -> None:
-    """Lay a line for pedestrians along either sidewalk."""
+    """Add the paths of pedestrians along both sidewalks."""
     start, end = plan.draft.cuts[k, 0] - 3.0, street.length - plan.draft.cuts[k, 1] + 3.0
     if end - start < 10:
         return
@@ -260,7 +262,7 @@ def _sidewalks(plan: TownLayout, k: int, street: Street) -> None:
 
 
 def _crossings(plan: TownLayout, rng: Generator) -> None:
-    """Where people cross at junctions: kerbs let down, a line to walk, sometimes a zebra."""
+    """Add crossings for pedestrians at junctions: dropped kerbs, a path, sometimes a zebra crossing."""
     network = plan.network
     for k, street in enumerate(network.streets):
         profile = street.profile
@@ -281,7 +283,7 @@ def _crossings(plan: TownLayout, rng: Generator) -> None:
 
 
 def _markings(plan: TownLayout) -> None:
-    """Lines: between and beside lanes, and where to stop."""
+    """Paint lane lines, edge lines and stop lines."""
     for k, street in enumerate(plan.network.streets):
         profile = street.profile
         if profile.kind in ("lane", "oneway"):

@@ -1,4 +1,4 @@
-"""What the blocks between the streets are used for: houses, yards, driveways, squares, car parks, parks."""
+"""Lots in the blocks between streets: houses, yards, driveways, squares, car parks, parks."""
 
 from typing import NamedTuple
 
@@ -14,32 +14,33 @@ from ogm.simulation.town.footprints import split_front
 from ogm.simulation.town.layout import Bay, Block, Drop, TownLayout, rectangle, wrapped
 from ogm.simulation.town.network import area, polygons
 
-DEPTH = {"centre": 19.0, "suburb": 30.0, "industrial": 48.0, "arterial": 34.0, "park": 14.0}  # [m]
-SETBACK = {"centre": 0.0, "suburb": 1.2, "industrial": 2.0, "arterial": 1.0, "park": 2.0}  # [m] at least
-OPEN_SPACE = {"centre": 0.05, "suburb": 0.03, "industrial": 0.12, "arterial": 0.15, "park": 0.2}  # car parks
+DEPTH = {"centre": 19.0, "suburb": 30.0, "industrial": 48.0, "arterial": 34.0, "park": 14.0}  # [m] of a lot
+SETBACK = {"centre": 0.0, "suburb": 1.2, "industrial": 2.0, "arterial": 1.0, "park": 2.0}  # [m] smallest, of houses
+OPEN_SPACE = {"centre": 0.05, "suburb": 0.03, "industrial": 0.12, "arterial": 0.15, "park": 0.2}  # share of car parks
 
-YARDS = {"industrial": (0.3, M.GRAVEL, M.WORN_ASPHALT), "arterial": (0.4, M.ASPHALT, M.PAVING)}  # surfaces
+# Share and material of the usual surface of yards, and the material of the others.
+YARDS = {"industrial": (0.3, M.GRAVEL, M.WORN_ASPHALT), "arterial": (0.4, M.ASPHALT, M.PAVING)}
 
 
 class Lot(NamedTuple):
-    """Ground along a stretch of street.
+    """A piece of land along a street.
 
     Attributes
     ----------
     use : str
-        "houses", "car park", "square", "park" or "works" (a building site).
+        "houses", "car park", "square", "park", or "works" for a building site.
     style : str
-        What kind of houses, see `ogm.simulation.town.buildings`.
+        Style of the houses, see `ogm.simulation.town.buildings`.
     shape : Polygon
-        Its outline.
+        Outline of the lot.
     front : (2, 2) float64
-        The ends of its street side.
+        Ends of its street side.
     inward : (2,) float64
         Unit vector from the street into the lot.
     houses : list of Polygon
-        Footprints.
+        Footprints of the houses.
     gaps : list of Polygon
-        Driveways and paths, which fences leave open.
+        Driveways and paths, which interrupt fences.
     """
 
     use: str
@@ -61,12 +62,12 @@ class Lot(NamedTuple):
         return np.asarray((self.front[1] - self.front[0]) / self.width)
 
     def at(self, u: float, depth: float = 0.0) -> Floats:
-        """Return x, y of a place so far along the front and behind it [m]."""
+        """Return x, y of a point at distance `u` along the front and `depth` behind it [m]."""
         return np.asarray(self.front[0] + self.along * u + depth * self.inward)
 
 
 def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
-    """Divide all blocks into lots; adds surfaces, driveways, bays and paths to the plan."""
+    """Divide all blocks into lots, and add surfaces, driveways, bays and paths to the layout."""
     lots: list[Lot] = []
     blocks = [k for k, block in enumerate(plan.blocks) if block.style == "centre" and _inside(plan, block)]
     square = min(blocks, key=lambda k: abs(plan.blocks[k].shape.area - 2600.0)) if blocks else -1
@@ -77,19 +78,19 @@ def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
         ground = {"centre": M.PAVING, "suburb": M.GRASS, "industrial": M.WORN_ASPHALT}
         if _inside(plan, block):
             plan.pave(block.shape, ground.get(block.style, M.GRASS))
-            if block.style == "centre":  # courts behind the houses
+            if block.style == "centre":  # courtyards
                 plan.pave(block.shape.buffer(-22.0), M.GRAVEL if rng.random() < 0.3 else M.GRASS)
         lots += _along(plan, block, k == square, rng)
     return lots
 
 
 def _inside(plan: TownLayout, block: Block) -> bool:
-    """Whether a block lies within the streets, not at the town's edge."""
+    """Return whether a block is surrounded by streets, not at the town's edge."""
     return bool(np.abs(np.array(block.shape.bounds)).max() < plan.size / 2 - 1.0)
 
 
 def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list[Lot]:
-    """Lots along all sides of a block, the longest first."""
+    """Return lots along all sides of a block, longest side first."""
     network = plan.network
     streets = np.array([LineString(street.line) for street in network.streets], dtype=object)
     taken: BaseGeometry = plan.reserved
@@ -136,7 +137,7 @@ def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list
 
 
 def _sides(plan: TownLayout, block: Block) -> list[tuple[Floats, Floats, Floats]]:
-    """Find the straight stretches of a block's outline along streets, with unit vectors into the block."""
+    """Return the straight sides of a block along streets, with unit vectors into the block, longest first."""
     result = []
     outline = shapely.geometry.polygon.orient(block.shape.simplify(1.0), 1.0)
     for ring in (outline.exterior, *outline.interiors):
@@ -150,7 +151,7 @@ def _sides(plan: TownLayout, block: Block) -> list[tuple[Floats, Floats, Floats]
 
 
 def _driveway(plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, width: float, material: M) -> None:
-    """Pave a way from the kerb to `reach` metres behind the front, and let the kerb down."""
+    """Pave a driveway from the kerb to `reach` metres behind the front, and lower the kerb."""
     along = np.array([lot.inward[1], -lot.inward[0]])
     hit = shapely.intersection(LineString([at, at - 16.0 * lot.inward]), plan.road)
     if hit.is_empty:
@@ -169,12 +170,12 @@ def _driveway(plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, w
 
 
 def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
-    """Lay driveways to garages and yards, and paths to entrances."""
+    """Add driveways to garages and yards, and paths to entrances."""
     if lot.style in YARDS:
         for house in lot.houses:
             plan.pave(house.buffer(0.9, join_style="mitre"), M.PAVING)
-        share, one, other = YARDS[lot.style]
-        plan.pave(lot.shape, one if rng.random() < share else other)
+        share, usual, other = YARDS[lot.style]
+        plan.pave(lot.shape, usual if rng.random() < share else other)
         for u in np.arange(rng.uniform(6, 14), lot.width - 6, rng.uniform(30, 45)):
             _driveway(plan, lot, near, lot.at(u), 1.0, 6.5, M.ASPHALT)
         _yard_bays(plan, lot, rng)
@@ -199,7 +200,7 @@ def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
 
 
 def _yard_bays(plan: TownLayout, lot: Lot, rng: Generator) -> None:
-    """Places to park across the front of a yard, where no house stands."""
+    """Add parking bays across the front of a yard, between its houses and ways."""
     yaw = float(np.arctan2(lot.inward[1], lot.inward[0]))
     built = shapely.union_all(lot.houses + lot.gaps).buffer(0.6)
     ground = lot.shape.buffer(-0.8)
@@ -211,7 +212,7 @@ def _yard_bays(plan: TownLayout, lot: Lot, rng: Generator) -> None:
 
 
 def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
-    """Asphalt with rows of bays parallel to the street, and a way in."""
+    """Make a car park: asphalt, rows of bays parallel to the street, and a driveway."""
     width, x, t = lot.width, lot.along * 1.25, lot.inward * 2.45
     ground = lot.shape.buffer(-1.6, join_style="mitre")
     plan.pave(lot.shape, M.GRASS)
@@ -241,7 +242,7 @@ def _square(plan: TownLayout, lot: Lot, rng: Generator) -> None:
 
 
 def _park(plan: TownLayout, block: Block, rng: Generator) -> Lot:
-    """Grass with winding gravel paths from side to side."""
+    """Return a park: grass with winding paths from side to side."""
     plan.pave(block.shape, M.GRASS)
     middle = np.array(block.shape.centroid.coords[0])
     ring = np.array(block.shape.exterior.coords)

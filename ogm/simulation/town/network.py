@@ -1,4 +1,4 @@
-"""The street network in the plane, what each street is like, and overlays of shapes there."""
+"""Street network in the plane, cross-sections of streets, and helpers for lines and polygons."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Floats
 from ogm.simulation.town.graph import MARGIN, Grid, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
 
-Rural = Callable[[tuple[str, ...], Floats], tuple[str, ...]]  # of districts and the middles of their meshes
-SPACING = 96.0  # [m] between parallel streets, about
+Rural = Callable[[tuple[str, ...], Floats], tuple[str, ...]]  # districts and middles of their meshes to new districts
+SPACING = 96.0  # [m] approximate distance between parallel streets
 
 
 class Profile(NamedTuple):
-    """The cross-section of a kind of street; lengths in metres, right and left of its direction.
+    """Cross-section of a kind of street; lengths in metres, right and left of its direction.
 
-    The line that a street is drawn along divides the lanes forward (right of it) from those back.
+    The centre line of a street divides the forward lanes (right of it) from the others.
     """
 
     kind: str
@@ -41,18 +41,18 @@ class Profile(NamedTuple):
 
     @property
     def right(self) -> float:
-        """From the dividing line to the right kerb [m]."""
+        """Distance from the dividing line to the right kerb [m]."""
         return self.median / 2 + self.forward * self.lane + self.cycle + self.parking[0] + GUTTER
 
     @property
     def left(self) -> float:
-        """From the dividing line to the left kerb [m]."""
+        """Distance from the dividing line to the left kerb [m]."""
         back = self.back * self.lane + self.cycle * (self.back > 0)
         return self.median / 2 + back + self.parking[1] + GUTTER
 
     @property
     def walks(self) -> tuple[float, float]:
-        """Offsets of the middles of the sidewalks to the left of the dividing line [m], right one first."""
+        """Offsets of the sidewalks' middles to the left of the dividing line [m], right sidewalk first."""
         right, left = self.sidewalk
         return -self.right - self.verge - right / 2, self.left + self.verge + left / 2
 
@@ -75,22 +75,22 @@ PROFILES = {profile.kind: profile for profile in _FIELDS}
 
 @dataclass(frozen=True, eq=False)
 class Street:
-    """A street from one crossing to another.
+    """A street between two crossings.
 
     Attributes
     ----------
     start, end : int
-        Its crossings.
+        First and last crossing.
     line : (M, 2) float64
-        The dividing line, about 1 m between points.
+        Dividing line with about 1 m between points [m].
     along : (M,) float64
-        Way from the start to each point [m].
+        Distance along the line from the start to each point [m].
     normals : (M, 2) float64
-        Unit vectors to the LEFT.
+        Unit vectors to the left at each point.
     profile : Profile
-        Its cross-section.
+        Cross-section of the street.
     district : str
-        The district it runs through.
+        District of the street.
     """
 
     start: int
@@ -107,22 +107,22 @@ class Street:
         return float(self.along[-1])
 
     def at(self, along: ArrayLike, left: ArrayLike = 0.0) -> Floats:
-        """Points (..., 2) at a way from the start and an offset to the left [m]."""
+        """Return points (..., 2) at distances from the start and offsets to the left [m]."""
         along, left = np.broadcast_arrays(np.asarray(along, float), np.asarray(left, float))
         return np.asarray(interpolated(along, self.along, self.line) + self.normal(along) * left[..., None])
 
     def normal(self, along: ArrayLike) -> Floats:
-        """Return unit vectors (..., 2) to the left at a way from the start."""
+        """Return unit vectors (..., 2) to the left at distances from the start."""
         normal = interpolated(np.asarray(along, float), self.along, self.normals)
         return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
 
     def band(self, start: float, end: float, right: float, left: float) -> Polygon:
-        """Return the strip from one way to another and between two offsets to the left [m]."""
+        """Return the strip between two distances from the start, and between two offsets to the left [m]."""
         along = np.linspace(start, end, max(2, int((end - start) / 3.0) + 2))
         return Polygon(np.concatenate([self.at(along, right), self.at(along[::-1], left)]))
 
     def middle(self, right: float, left: float) -> LineString:
-        """Return the line midway between two offsets (right one given positive)."""
+        """Return the line midway between an offset to the right and an offset to the left, both positive."""
         return LineString(self.line + self.normals * (left - right) / 2)
 
 
@@ -131,21 +131,21 @@ class StreetNetwork(NamedTuple):
 
     grid: Grid
     streets: tuple[Street, ...]
-    heads: list[int]  # nodes at which a dead end has space to turn
+    heads: list[int]  # nodes at dead ends, with space to turn
 
 
 def make_network(size: float, rng: Generator, rural: Rural | None = None) -> StreetNetwork:
-    """Draw the streets of a town of `size` metres; `rural` turns some of its districts to country."""
+    """Draw the streets of a town of `size` metres; `rural` converts some of its districts to country."""
     n = max(3, int((size - 2 * MARGIN) // SPACING) + 1)
     nodes = bent_grid(n, size, rng)
     edges = grid_edges(n)
-    # The middle of each mesh, and the district it belongs to.
+    # Middles and districts of the meshes.
     at = nodes.reshape(n, n, 2)
     faces = (at[:-1, :-1] + at[1:, :-1] + at[:-1, 1:] + at[1:, 1:]).reshape(-1, 2) / 4
     styles = _districts(n - 1, faces, rng)
     if rural is not None:
         styles = rural(styles, faces)
-    # A broad road, a roundabout, a dead end.
+    # Broad road, roundabout, dead ends.
     broad = broad_line(n, int(rng.integers(4)))
     inner = [i * n + j for i in range(1, n - 1) for j in range(1, n - 1)]
     free = [k for k in inner if not any(k in edge and edge in broad for edge in edges)]
@@ -158,7 +158,7 @@ def make_network(size: float, rng: Generator, rural: Rural | None = None) -> Str
 
 
 def _districts(m: int, faces: Floats, rng: Generator) -> tuple[str, ...]:
-    """Place a dense centre, a park beside it, industry in a corner, suburbs elsewhere."""
+    """Return the district of each mesh: dense centre, a park next to it, industry in a corner, suburbs elsewhere."""
     if m == 2:
         quiet = "park" if rng.random() < 0.5 else "industrial"
         return tuple(str(s) for s in rng.permutation(["centre", "centre", "suburb", quiet]))
@@ -176,7 +176,7 @@ def _districts(m: int, faces: Floats, rng: Generator) -> tuple[str, ...]:
 
 
 def _streets(grid: Grid, chains: list[list[int]], heads: list[int], rng: Generator) -> tuple[Street, ...]:
-    """Give each chain a curved line and a cross-section."""
+    """Return streets along chains of nodes, with curved lines and cross-sections."""
     kinds: list[str] = []
     districts = [grid.district(grid.nodes[chain].mean(axis=0)) for chain in chains]
     for chain, district in zip(chains, districts, strict=True):
@@ -210,7 +210,7 @@ _CHOICES = {
 
 
 def _one_way(chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: Generator) -> None:
-    """Make narrow streets two-way where some place could not be reached or left otherwise."""
+    """Choose directions of one-way streets, and make them two-way if the network would be unreachable otherwise."""
     single = [k for k, kind in enumerate(kinds) if PROFILES[kind].back == 0]
     for k in single:
         if roundabout in (chains[k][0], chains[k][-1]) or chains[k][0] == chains[k][-1]:
@@ -225,7 +225,7 @@ def _one_way(chains: list[list[int]], kinds: list[str], roundabout: int, heads: 
 
 
 def _reachable(chains: list[list[int]], kinds: list[str], heads: list[int]) -> bool:
-    """Whether every directed street can be reached from every other without turning on the spot."""
+    """Return whether every directed street is reachable from every other, with U-turns at dead ends only."""
     arcs = [(k, chain[0], chain[-1]) for k, chain in enumerate(chains)]
     arcs += [(k, chain[-1], chain[0]) for k, chain in enumerate(chains) if PROFILES[kinds[k]].back]
     step = np.array([[b == c and (k != m or b in heads) for m, c, _ in arcs] for k, _, b in arcs])
@@ -233,7 +233,7 @@ def _reachable(chains: list[list[int]], kinds: list[str], heads: list[int]) -> b
 
 
 def _bend(points: Floats, rng: Generator) -> Floats:
-    """Draw a smooth line through a chain of crossings, straight near its ends, with a bend or an S between."""
+    """Return a smooth line through a chain of crossings, straight near its ends, with a bend or an S-curve between."""
     control = [points[0]]
     last = len(points) - 2
     for k, (a, b) in enumerate(zip(points[:-1], points[1:], strict=True)):
@@ -246,35 +246,35 @@ def _bend(points: Floats, rng: Generator) -> Floats:
         control += [a + t * (b - a) + offset * across for t, offset in between]
         control.extend(_corner(a, b, points[k + 2]) if k < last else [b])
     line = np.array(control)
-    for _ in range(5):  # cutting corners again and again tends to a quadratic B-spline
+    for _ in range(5):  # repeated corner cutting converges to a quadratic B-spline
         cut = np.stack([0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]], axis=1)
         line = np.concatenate([line[:1], cut.reshape(-1, 2), line[-1:]])
     return evenly(line)
 
 
 def way_along(line: Floats) -> Floats:
-    """Return the way from a line's start to each of its points."""
+    """Return the distance along a line from its start to each of its points."""
     return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
 def interpolated(at: Floats, way: Floats, values: Floats) -> Floats:
-    """Return values (..., K) at some ways along a line, from those (M, K) at its points."""
+    """Interpolate values (M, K), given at the distances `way` along a line, at the distances `at`: (..., K)."""
     return np.stack([np.interp(at, way, column) for column in values.T], axis=-1)
 
 
 def evenly(line: Floats) -> Floats:
-    """Return the same line with about 1 m between points; its ends stay where they are."""
+    """Resample a line to about 1 m between points, with unchanged ends."""
     way = way_along(line)
     return interpolated(np.linspace(0, way[-1], max(2, int(round(way[-1])) + 1)), way, line)
 
 
 def turn(before: Floats, after: Floats) -> float:
-    """Return the angle from one direction to another, > 0 to the left [rad]."""
+    """Return the angle from one direction to another, positive to the left [rad]."""
     return float(np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after))
 
 
 def _corner(a: Floats, b: Floats, c: Floats) -> list[Floats]:
-    """Round a corner at b, on the way from a to c, by an arc as wide as there is space for."""
+    """Return points of an arc that rounds corner b between a and c, with the largest radius that fits."""
     u, w = (b - a) / np.linalg.norm(b - a), (c - b) / np.linalg.norm(c - b)
     angle = turn(u, w)
     if abs(angle) < 0.1:
@@ -292,14 +292,14 @@ def polygons(shape: BaseGeometry) -> list[Polygon]:
 
 
 def area(shape: BaseGeometry) -> BaseGeometry:
-    """Return a geometry without the lines and points that an overlay leaves where shapes only touch.
+    """Return the polygons of a geometry, without lines and points of shapes that only touch.
 
-    Overlays refuse such mixtures as operands.
+    Overlays reject such mixtures as operands.
     """
     return shapely.union_all(polygons(shape))
 
 
 def inside(line: BaseGeometry, shape: BaseGeometry) -> list[LineString]:
-    """Return the parts of a line within a shape, without points where the two only touch."""
+    """Return the parts of a line within a shape, without points of contact."""
     parts = shapely.get_parts(shapely.intersection(line, area(shape)))
     return [part for part in parts if isinstance(part, LineString)]

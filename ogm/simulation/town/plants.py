@@ -1,4 +1,4 @@
-"""Trees, bushes, hedges and grass: loose clouds of small leaf cards that let a part of the rays through."""
+"""Trees, bushes, hedges and grass: loose clouds of small leaf cards, between which some rays pass."""
 
 from typing import NamedTuple
 
@@ -12,19 +12,19 @@ from shapely.geometry.base import BaseGeometry
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import SUNK, Floats, HeightAt, Mesh, empty, loft, merge, quads, triangles
 
-TUFTS = 4000  # a lawn gets no more tufts than this
+TUFTS = 4000  # largest number of tufts on a lawn
 
 
 class Species(NamedTuple):
-    """How a kind of tree grows; pairs are the smallest and the largest."""
+    """Shape of a kind of tree; pairs are lower and upper bounds."""
 
-    share: float  # of all trees
+    share: float  # share of all trees
     height: tuple[float, float]  # [m]
     slimness: tuple[float, float]  # crown radius over crown height
     bare: tuple[float, float]  # share of the height below the crown
     taper: float  # 0: a ball, 1: a cone
-    depth: tuple[float, float]  # mean number of leaf cards that a ray through the crown's middle meets
-    clumps: int  # branch ends that leaves gather around
+    depth: tuple[float, float]  # mean number of leaf cards on a ray through the middle of the crown
+    clumps: int  # branch ends with clusters of leaves
 
 
 SPECIES = (
@@ -38,17 +38,17 @@ SPECIES = (
 
 
 def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
-    """Grow a tree: trunk, branches and a loose crown.
+    """Make a tree: trunk, branches and a loose crown.
 
-    A ray through the crown's middle meets as many leaf cards as a Poisson number with the species'
-    `depth` as its mean, so it is stopped with a probability of about ``1 - exp(-depth)``, 0.5 to 0.9.
+    The number of leaf cards on a ray through the middle of the crown is about Poisson with the species' mean `depth`,
+    so the crown stops the ray with a probability of about ``1 - exp(-depth)``, 0.5 to 0.9.
 
     Parameters
     ----------
     rng : Generator
-        Chooses species, size and shape.
+        Generator of species, size and shape.
     clearance : float
-        No leaf hangs lower than this above the ground [m]: 4.5 beside a road that its crown reaches over.
+        Smallest height of leaves above the ground [m]: 4.5 for crowns over a road.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
         At most 700 triangles; origin at the base, z up.
     """
     share = np.array([kind.share for kind in SPECIES])
-    if clearance > 1:  # a conifer with bare feet is none
+    if clearance > 1:  # conifers have low branches
         share[[kind.taper == 1.0 for kind in SPECIES]] = 0.0
     kind = SPECIES[int(rng.choice(len(SPECIES), p=share / share.sum()))]
     height = rng.uniform(*kind.height)
@@ -66,7 +66,7 @@ def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
     radius = min(crown * rng.uniform(*kind.slimness), 4.5)
     middle = np.array([*rng.normal(0, 0.06 * radius, 2), bottom + crown / 2])
 
-    # The trunk bends a little; branches go from it to where the leaves gather.
+    # The trunk bends slightly; branches lead from it to the clusters of leaves.
     girth = np.clip(0.016 * height * rng.uniform(0.8, 1.4), 0.05, 0.28)
     top = middle + [0, 0, crown * (0.42 if kind.taper == 1.0 else 0.2)]
     knee = np.array([*(0.5 * middle[:2] + rng.normal(0, 0.05, 2)), bottom])
@@ -76,7 +76,7 @@ def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
     start = np.clip(rng.uniform(0.0, 0.6, len(tips)), 0, 1)[:, None]
     branches = _sticks(knee + start * (top - knee), tips, 0.3 * girth) if kind.taper < 1.0 else empty()
 
-    # A ray along a mean chord meets count * area / (2 pi radius r_z) cards of random direction.
+    # A ray along a mean chord crosses count * area / (2 pi radius r_z) cards of random direction.
     silhouette = np.pi * radius * crown / 2 * (1 - 0.45 * kind.taper)
     count = int(np.clip(125 * silhouette**0.5, 300, 700 - len(trunk.triangles) - len(branches.triangles)))
     area = 2 * silhouette * rng.uniform(*kind.depth) / count
@@ -89,7 +89,7 @@ def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
 
 
 def bush(rng: Generator) -> Mesh:
-    """Grow a bush, 0.5 to 2.2 m high, with leaves down to the ground.
+    """Make a bush, 0.5 to 2.2 m high, with leaves down to the ground.
 
     Returns
     -------
@@ -107,16 +107,16 @@ def bush(rng: Generator) -> Mesh:
 
 
 def hedge(line: ArrayLike, rng: Generator, *, lowest: float = 0.8) -> Mesh:
-    """Grow a clipped hedge along a line: an uneven core, and leaves that stand out of it.
+    """Make a clipped hedge along a line: an uneven core with protruding leaves.
 
     Parameters
     ----------
     line : (M, 3) array
-        Points on the ground along the hedge's middle [m].
+        Points on the ground along the middle of the hedge [m].
     rng : Generator
-        Chooses height (`lowest` to 2.1 m), width (0.5 to 1.0 m) and unevenness.
+        Generator of height (`lowest` to 2.1 m), width (0.5 to 1.0 m) and unevenness.
     lowest : float
-        Height of the lowest hedge [m].
+        Smallest height of a hedge [m].
 
     Returns
     -------
@@ -132,7 +132,7 @@ def hedge(line: ArrayLike, rng: Generator, *, lowest: float = 0.8) -> Mesh:
     offset = bulge * [1.0, 0.9, -0.9, -1.0]
     sections = points[:, None] + offset[..., None] * side[:, None] + lift[..., None] * [0.0, 0.0, 1.0]
     core = loft(sections, M.FOLIAGE, caps=M.FOLIAGE)
-    # Leaves stand out of both faces and of the top.
+    # Leaves protrude from both sides and the top.
     count = int(17 * (n - 1) * np.clip(np.linalg.norm(points[1] - points[0]), 0.2, 0.7))
     k = rng.integers(n - 1, size=count)
     base = points[k] + rng.random((count, 1)) * (points[k + 1] - points[k])
@@ -144,18 +144,18 @@ def hedge(line: ArrayLike, rng: Generator, *, lowest: float = 0.8) -> Mesh:
 
 
 def grass_tufts(polygon: Polygon, height_at: HeightAt, rng: Generator, *, density: float = 1.0) -> Mesh:
-    """Scatter tufts of long grass, of the material GRASS: they roughen the ground, but block no way.
+    """Make tufts of long grass of GRASS, which roughen the ground but are no obstacles.
 
     Parameters
     ----------
     polygon : Polygon
-        Where they grow [m].
+        Area of the tufts [m].
     height_at : callable
-        Height of the ground [m] at x, y [m].
+        Function of the ground height [m] at x, y [m].
     rng : Generator
-        Chooses places and sizes.
+        Generator of positions and sizes.
     density : float
-        Tufts per square metre; no more than 4000 in all.
+        Tufts per square metre, at most 4000 in total.
 
     Returns
     -------
@@ -175,9 +175,9 @@ def grass_tufts(polygon: Polygon, height_at: HeightAt, rng: Generator, *, densit
     return quads(corners, M.GRASS)
 
 
-def points_in(shape: BaseGeometry, density: float, most: int, rng: Generator) -> tuple[Floats, Floats]:
-    """Draw points evenly, so many per square metre, at most `most`."""
-    count = min(int(shape.area * density), most)
+def points_in(shape: BaseGeometry, density: float, limit: int, rng: Generator) -> tuple[Floats, Floats]:
+    """Draw uniform points x, y in a shape, `density` per square metre and about `limit` at most."""
+    count = min(int(shape.area * density), limit)
     if count == 0:
         return np.zeros(0), np.zeros(0)
     x0, y0, x1, y1 = shape.bounds
@@ -189,11 +189,11 @@ def points_in(shape: BaseGeometry, density: float, most: int, rng: Generator) ->
 
 
 def _within_crown(rng: Generator, count: int, taper: float, *, shell: float) -> Floats:
-    """Draw points in the unit ball, or in a cone (taper 1); `shell` of 1 draws them all to its skin."""
+    """Draw points in the unit ball, or in a cone (taper 1); ``shell=1`` draws them on its surface."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = direction * rng.random((count, 1)) ** (1 / 3 * (1 - 0.7 * shell))
-    z = 1 - 2 * np.sqrt(rng.random(count))  # a cone's area grows towards its base
+    z = 1 - 2 * np.sqrt(rng.random(count))  # the cross-section of a cone increases towards its base
     ring = (1 - z) / 2 * np.sqrt(rng.random(count)) ** (1 - shell)
     around = rng.uniform(0, 2 * np.pi, count)
     if taper == 1.0:
@@ -203,13 +203,13 @@ def _within_crown(rng: Generator, count: int, taper: float, *, shell: float) -> 
 
 
 def _cards(rng: Generator, centers: Floats, size: Floats, lowest: float = -np.inf) -> Mesh:
-    """Make a triangle of random direction with an area of size² at each centre, none below `lowest`."""
+    """Make a triangle of random direction and area size² at each centre, shifted to at least `lowest`."""
     count = len(centers)
     u, v = rng.normal(size=(2, count, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     v -= np.sum(u * v, axis=1, keepdims=True) * u
     v /= np.linalg.norm(v, axis=1, keepdims=True)
-    side = (1.52 * size)[:, None]  # of an equilateral triangle with that area
+    side = (1.52 * size)[:, None]  # of an equilateral triangle with this area
     stretch = rng.uniform(0.75, 1.33, (count, 1))
     u, v = u * side * stretch, v * side / stretch
     corners = centers[:, None] + np.stack([-0.5 * u - 0.289 * v, 0.5 * u - 0.289 * v, 0.577 * v], axis=1)
@@ -231,7 +231,7 @@ def _sticks(start: Floats, end: Floats, radius: float) -> Mesh:
 
 
 def resampled(line: ArrayLike, step: float) -> tuple[Floats, Floats]:
-    """Return points about `step` apart along a line, and the level direction to the left of it at each."""
+    """Return points about `step` apart along a line, and unit vectors to the left in the horizontal plane."""
     points = np.asarray(line, np.float64)
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(run) > 1e-6])

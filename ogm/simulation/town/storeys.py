@@ -1,4 +1,4 @@
-"""The storeys of one side of a house: windows, doors, shops, gates, balconies, bays, and what hangs on the wall."""
+"""Storeys of one side of a house: windows, doors, shops, gates, balconies, bays, and fixtures on the wall."""
 
 from typing import Any, NamedTuple
 
@@ -13,12 +13,12 @@ from ogm.simulation.town.facades import HouseDesign, Openings, Side, deck, ledge
 
 Pieces = list[tuple[Floats, ArrayLike]]
 
-SUNK = 0.8  # [m] walls reach this far below the lowest ground
-OVERHANG = 2.6  # [m] balconies, bays and awnings are higher above the ground than this
+SUNK = 0.8  # [m] depth of walls below the lowest ground
+OVERHANG = 2.6  # [m] smallest height of balconies, bays and awnings above the ground
 
 
 class House(NamedTuple):
-    """What the sides of a house share.
+    """Common data of a house's sides.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class House(NamedTuple):
     height_at : callable
         Height of the ground [m] at x, y [m].
     low, floor, upper, top : float
-        Heights of the walls' base, of the floor, of the next storey's floor, and of the walls' top [m].
+        Heights of the walls' base, the ground floor, the next storey's floor, and the walls' upper edge [m].
     """
 
     design: HouseDesign
@@ -38,19 +38,19 @@ class House(NamedTuple):
 
 
 def ground_floor(side: Side, role: str, door: bool, house: House, rng: Generator) -> Pieces:
-    """Make the ground floor of one side: shops, gates, or windows and a door.
+    """Return the ground floor of a side: shops, gates, or windows and a door.
 
     Parameters
     ----------
     side : Side
-        The wall's place.
+        Plane of the wall.
     role : str
         "front", "side", "back", or "blind" for a wall without openings.
     door : bool
-        The house's door is here.
+        Whether this side has the door of the house.
     house : House
     rng : Generator
-        Chooses the rest.
+        Generator of all other choices.
 
     Returns
     -------
@@ -103,11 +103,11 @@ def ground_floor(side: Side, role: str, door: bool, house: House, rng: Generator
 def _door(
     ground: float, middle: float, width: float, house: House, rng: Generator
 ) -> tuple[float, float, float, int, float, Pieces]:
-    """Return sill, head, recess, pane and width of the door, and its stairs and roof."""
+    """Return sill, head, recess, pane and width of the door, with its stairs and canopy."""
     design, kind = house.design, house.design.ground_floor
     wide = min(1.8 if kind == "shop" else rng.uniform(1.0, 1.5), max(width, 1.0))
-    most = 0.36 if design.blind_sides else 0.72  # the rest of the stairs is inside
-    sill = min(max(house.floor, ground + 0.02), ground + most)
+    highest = 0.36 if design.blind_sides else 0.72  # [m] of the sill above the ground; the other stairs are indoors
+    sill = min(max(house.floor, ground + 0.02), ground + highest)
     head = min(sill + rng.uniform(2.1, 2.5), house.upper - 0.2)
     recess = rng.choice([0.12, rng.uniform(0.3, 1.2)])
     extra: Pieces = []
@@ -122,7 +122,7 @@ def _door(
 
 
 def upper_storeys(side: Side, role: str, house: House, rng: Generator) -> list[Mesh]:
-    """Make the upper storeys of one side, with bays and balconies; parameters as for `ground_floor`."""
+    """Return the upper storeys of a side with bays and balconies; for the parameters see `ground_floor`."""
     design, height_at, _, _, upper, top = house
     width, sill, head = design.window
     if role == "blind" or side.length < 1.7:
@@ -136,11 +136,11 @@ def upper_storeys(side: Side, role: str, house: House, rng: Generator) -> list[M
     heads = np.broadcast_to(np.minimum(floors + head, floors + design.storey - 0.2), shape).copy()
     recess = np.full(shape, design.recess)
     pane = _panes(rng, columns * rows).reshape(shape)
-    recess[pane != M.WINDOW] *= 0.4  # shutters are further out
+    recess[pane != M.WINDOW] *= 0.4  # shutters are closer to the wall's face
     extra: Pieces = []
     parts: list[Mesh] = []
 
-    # Balconies stand one over the other, on the street and on the court.
+    # Balconies are stacked, on the sides to the street and to the courtyard.
     chance = design.balconies if role in ("front", "back") else 0.0
     high = floors - 0.18 - ground > OVERHANG
     for k in np.flatnonzero(rng.random(columns) < chance).tolist():
@@ -165,9 +165,9 @@ def upper_storeys(side: Side, role: str, house: House, rng: Generator) -> list[M
 
 
 def _bay(side: Side, middle: float, half: float, rows: Any, house: House, rng: Generator) -> tuple[list[Mesh], Floats]:
-    """Make a bay through all upper storeys: three narrow walls before the wide one, floor and roof.
+    """Return a bay over all upper storeys: three narrow walls in front of the wall, floor and roof.
 
-    `rows` are the last four columns of `Openings`.
+    `rows` are the last four attributes of `Openings`.
     """
     depth = rng.uniform(0.45, 0.9)
     cut = half - rng.uniform(0.0, 0.4)
@@ -177,7 +177,7 @@ def _bay(side: Side, middle: float, half: float, rows: Any, house: House, rng: G
     faces = []
     for start, end in zip(ends[:-1], ends[1:], strict=True):
         face = side_of(start, end)
-        n = int(face.length >= 0.8)  # windows beside each other
+        n = int(face.length >= 0.8)  # number of windows
         holes = _openings(np.full(n, face.length / 2), max(face.length - 0.5, 0.0))
         holes = Openings(*holes[:2], *(column[:n] for column in rows))
         faces.append(face.built(punched(face.length, low, top, holes, house.design.wall)))
@@ -187,7 +187,7 @@ def _bay(side: Side, middle: float, half: float, rows: Any, house: House, rng: G
 
 
 def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: Generator) -> Pieces:
-    """Make what hangs over shop windows: signs, awnings, and signs that stand out of the wall."""
+    """Return fixtures above shop windows: signs along the wall, awnings, and projecting signs."""
     extra: Pieces = []
     low = max(floor + 2.9, ground + OVERHANG)
     start, columns = 0, len(openings.left)
@@ -211,7 +211,7 @@ def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: G
 def _gates(
     side: Side, middle: Floats, width: float, ground: Floats, house: House, rng: Generator
 ) -> tuple[Any, Any, Any, Any, Pieces]:
-    """Make the front of a hall: roller gates, docks for trucks, windows, pilasters and a canopy."""
+    """Return sills, heads, recesses and panes of a hall's front (gates, docks, windows), and its other parts."""
     design, floor, upper = house.design, house.floor, house.upper
     columns = len(middle)
     kind = rng.choice(3, columns, p=[0.35, 0.25, 0.4])
@@ -236,7 +236,7 @@ def _gates(
 
 
 def _clutter(openings: Openings, ground: float, upper: float, length: float, rng: Generator) -> Pieces:
-    """Hang small things between windows: letter boxes, lamps, meters, name plates, air conditioners."""
+    """Return small fixtures between windows: letter boxes, lamps, meters, name plates, air conditioners."""
     edges = np.append(np.append(0.0, openings.right), length)
     extra: Pieces = []
     for a, b in zip(edges[:-1], np.append(openings.left, length), strict=True):
@@ -250,19 +250,19 @@ def _clutter(openings: Openings, ground: float, upper: float, length: float, rng
 
 
 def _columns(side: Side, bay: float, width: float) -> tuple[int, float, Floats]:
-    """Return how many columns of windows a side has, how wide they are at most, and their middles."""
+    """Return the number of window columns of a side, their largest width, and their middles."""
     count = max(int((side.length - 0.7) / bay), 1)
     return count, min(width, side.length / count - 0.5), (np.arange(count) + 0.5) * side.length / count
 
 
 def _openings(middle: Floats, width: float) -> Openings:
-    """Return columns around their middles, without rows yet."""
+    """Return openings with columns around the given middles and without rows."""
     none = np.zeros((len(middle), 0))
     return Openings(middle - width / 2, middle + width / 2, none, none, none, none.astype(np.uint8))
 
 
 def _panes(rng: Generator, count: int) -> Bytes:
-    """Choose panes: most are glass, some have their shutters or blinds down."""
+    """Draw materials of panes: most are glass, some have closed shutters or blinds."""
     shut = rng.random() * 0.35
     other = rng.choice([M.PLASTER_LIGHT, M.WOOD, M.PLASTIC_DARK])
     return np.where(rng.random(count) < shut, other, M.WINDOW).astype(np.uint8)

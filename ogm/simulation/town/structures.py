@@ -1,6 +1,6 @@
-"""Larger things in streets: fences that rays pass through, walls, shelters, containers, and what spans a road.
+"""Larger structures in streets: fences, walls, shelters, containers, gantries and bridges.
 
-Origins and axes are those of `ogm.simulation.town.furniture`.
+For origins and axes see `ogm.simulation.town.furniture`.
 """
 
 import numpy as np
@@ -14,19 +14,19 @@ from ogm.simulation.town.plants import resampled
 
 
 def fence(line: ArrayLike, rng: Generator) -> Mesh:
-    """Build a fence that rays pass through: pickets, iron bars, welded mesh, rails; or a closed one of boards.
+    """Build a fence: pickets, iron bars, welded mesh or rails with gaps for rays, or closed boards.
 
     Parameters
     ----------
     line : (M, 3) array
-        Points on the ground along the fence [m]; it follows their height.
+        Points on the ground along the fence [m], which follows their height.
     rng : Generator
-        Chooses kind, height (0.8 to 2.2 m) and gaps.
+        Generator of kind, height (0.8 to 2.2 m) and gaps.
 
     Returns
     -------
     Mesh
-        At most 25 triangles per metre (and a few for the posts), in the line's frame.
+        At most 25 triangles per metre, and some for posts, in the line's frame.
     """
     kind = rng.random()
     if kind < 0.3:
@@ -63,12 +63,12 @@ def low_wall(line: ArrayLike, rng: Generator, *, lowest: float = 0.4) -> Mesh:
 
 
 def guard_rail(line: ArrayLike) -> Mesh:
-    """Make a guard rail: a W-shaped beam 0.45 to 0.75 m above the line's points (M, 3), on posts.
+    """Make a guard rail: a W-shaped beam 0.45 to 0.75 m above the points of a line (M, 3), on posts.
 
     Returns
     -------
     Mesh
-        About 8 triangles per metre; no thicker than 0.2 m.
+        About 8 triangles per metre, at most 0.2 m thick.
     """
     points, side = resampled(line, 2.0)
     profile = [(0.0, 0.44), (0.08, 0.52), (0.0, 0.6), (0.08, 0.68), (0.0, 0.76)]
@@ -87,13 +87,13 @@ def _uprights(base: Floats, low: float, high: float, half: Floats) -> Floats:
 
 
 def _crossed(base: Floats, side: Floats, high: float, radius: float) -> Floats:
-    """Return posts, each of two crossed upright bars, so that they are seen from everywhere."""
+    """Return posts of two crossed upright bars each, visible from all directions."""
     ahead = np.stack([side[:, 1], -side[:, 0], side[:, 2]], axis=1)
     return np.concatenate([_uprights(base, -SUNK, high, radius * (ahead + s * side)) for s in (-1, 1)])
 
 
 def _along(line: ArrayLike, spacing: float) -> tuple[Floats, Floats]:
-    """Return the middles of pieces of a line and the unit direction of the line there."""
+    """Return the middles of segments of a line, and the unit directions of the line there."""
     points, side = resampled(line, spacing)
     middles = (points[1:] + points[:-1]) / 2
     mean = (side[1:] + side[:-1]) / 2
@@ -102,7 +102,7 @@ def _along(line: ArrayLike, spacing: float) -> tuple[Floats, Floats]:
 
 
 def _between(points: Floats, z: float, half: float) -> Floats:
-    """Return level bars (N - 1, 4, 3) from point to point, upright faces around the height z."""
+    """Return horizontal bars (N - 1, 4, 3) between consecutive points, upright faces around height z."""
     low, high = points + [0, 0, z - half], points + [0, 0, z + half]
     return np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
 
@@ -117,7 +117,7 @@ def _pickets(line: ArrayLike, height: float, spacing: float, width: float) -> Me
 
 
 def bars(line: ArrayLike, height: float, spacing: float, width: float, material: M) -> Mesh:
-    """Build a fence of upright iron bars between two rails; the bars' flat faces are turned in turns."""
+    """Build a fence of upright iron bars between two rails; the orientation of the flat bars alternates."""
     feet, ahead = _along(line, spacing)
     points, side = resampled(line, 2.4)
     turn = (-1.0) ** np.arange(len(feet))[:, None]
@@ -128,7 +128,7 @@ def bars(line: ArrayLike, height: float, spacing: float, width: float, material:
 
 
 def _mesh_fence(line: ArrayLike, height: float, rng: Generator) -> Mesh:
-    """Build a fence of welded mesh: wires of 8 to 12 mm, every fourth of the real ones but as much thicker."""
+    """Build a fence of welded mesh with every fourth wire, 8 to 12 mm thick to compensate."""
     points, side = resampled(line, 2.5)
     feet, ahead = _along(line, rng.uniform(0.2, 0.3))
     wires = [_between(points, z, rng.uniform(0.005, 0.008)) for z in np.arange(0.08, height, 0.16)]
@@ -144,7 +144,7 @@ def _rails(line: ArrayLike, height: float) -> Mesh:
 
 
 def _boards(line: ArrayLike, height: float, material: M) -> Mesh:
-    """Build a closed screen of boards set to and fro."""
+    """Build a closed screen of boards with alternating offsets."""
     feet, ahead = _along(line, 0.2)
     points, side = resampled(line, 2.0)
     turn = 0.02 * (-1.0) ** np.arange(len(feet))[:, None]
@@ -153,11 +153,11 @@ def _boards(line: ArrayLike, height: float, material: M) -> Mesh:
     return quads(np.concatenate([boards, _crossed(points, side, height, 0.045)]), material)
 
 
-OVER_ROAD = 4.7  # [m] everything that hangs over a carriageway is higher than this
+OVER_ROAD = 4.7  # [m] smallest height of structures over a carriageway
 
 
 def shelter(rng: Generator) -> Mesh:
-    """Make a bus shelter along x, open to -y: posts, roof, panes that let rays through, seat, stop sign."""
+    """Make a bus shelter along x, open to -y: posts, roof, glass panes, seat, stop sign."""
     length, depth, height = rng.uniform(3.0, 5.0), rng.uniform(1.3, 1.7), rng.uniform(2.45, 2.7)
     half = length / 2
     roof = box([-half - 0.1, -0.35, height], [half + 0.1, depth + 0.05, height + 0.12], M.METAL_SHEET)
@@ -173,7 +173,7 @@ def shelter(rng: Generator) -> Mesh:
 
 
 def advert_column(rng: Generator) -> Mesh:
-    """Make a round column for posters, 1.1 to 1.4 m across, or an upright illuminated panel."""
+    """Make a round advertising column, 1.1 to 1.4 m across, or an upright illuminated panel."""
     if rng.random() < 0.5:
         radius, height = rng.uniform(0.55, 0.7), rng.uniform(2.7, 3.6)
         shaft = rod(-SUNK, height, radius, M.PLASTER_LIGHT, sides=14)
@@ -183,7 +183,7 @@ def advert_column(rng: Generator) -> Mesh:
 
 
 def container(rng: Generator) -> Mesh:
-    """Make a shipping or site container along x, 3 to 12 m long, ribbed."""
+    """Make a ribbed shipping or site container along x, 3 to 12 m long."""
     half = float(rng.choice([1.5, 3.03, 3.03, 6.1]))
     x = np.linspace(-half, half, int(half / 0.3) + 2)
     y = 1.22 - 0.04 * (np.arange(len(x)) % 2)
@@ -194,7 +194,7 @@ def container(rng: Generator) -> Mesh:
 
 
 def skip(rng: Generator) -> Mesh:
-    """Make an open skip for rubble along x, with its load."""
+    """Make an open skip along x, loaded with rubble."""
     long, high = rng.uniform(1.5, 2.0), rng.uniform(1.0, 1.5)
     low, top = [[-0.65, 0.1], [0.65, 0.1]], [[1.0, 0.6 * high], [1.0, high], [-1.0, high], [-1.0, 0.6 * high]]
     body = extruded(np.array(low + top) * [long, 1.0], (-0.9, 0.9), M.METAL_SHEET, 1)
@@ -203,7 +203,7 @@ def skip(rng: Generator) -> Mesh:
 
 
 def monument(rng: Generator) -> Mesh:
-    """Make the middle of a square or park: a fountain's basin, or a statue on its pedestal."""
+    """Make a fountain, or a statue on a pedestal, for the middle of a square or park."""
     if rng.random() < 0.5:
         radius = rng.uniform(1.5, 3.0)
         rim = rod(-SUNK, 0.5, radius, M.STONE, sides=14, caps=False)
@@ -215,9 +215,9 @@ def monument(rng: Generator) -> Mesh:
 
 
 def gantry(width: float, rng: Generator) -> Mesh:
-    """Span a gantry across a road (along y) of that width [m], with signs above 4.7 m; origin at the road's middle.
+    """Make a gantry of a given width [m] along y over a road, with signs above 4.7 m; origin in the road's middle.
 
-    The posts stand at ``y = ±width / 2``.
+    The posts are at ``y = ±width / 2``.
     """
     half, z = width / 2, rng.uniform(6.0, 6.6)
     posts = [pole(z + 0.4, 0.14, at=(0, y), sides=8) for y in (-half, half)]
@@ -236,19 +236,19 @@ def gantry(width: float, rng: Generator) -> Mesh:
 
 
 def bridge(length: float, width: float, rng: Generator) -> Mesh:
-    """Build a bridge over a road that runs along x: its own way runs along y, `length` from end to end [m].
+    """Build a bridge along y, `length` from end to end [m], over a road along x.
 
     Parameters
     ----------
     length, width : float
-        Span along y between the abutments' outer ends; size of the deck along x [m].
+        Length along y between the outer ends of the abutments; width of the deck along x [m].
     rng : Generator
-        Chooses the clearance (4.7 to 5.5 m above the origin).
+        Generator of the clearance (4.7 to 5.5 m above the origin).
 
     Returns
     -------
     Mesh
-        Origin in the middle of the road below. The abutments are 1.2 m thick, at ``|y| = length / 2``.
+        Mesh with its origin in the middle of the road below. The abutments are 1.2 m thick, at ``|y| = length / 2``.
     """
     half, side, clear = length / 2, width / 2, rng.uniform(OVER_ROAD, 5.5)
     depth = 0.35 + length / 40

@@ -1,1 +1,1 @@
-"""Traffic participants: bodies, where they park, how they move."""
+"""Traffic participants: bodies, parked vehicles, and motion."""

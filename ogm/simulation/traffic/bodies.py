@@ -1,4 +1,4 @@
-"""Bodies of cars and vans: lofted shells with arches, glass, wheels and a gap below that rays pass."""
+"""Bodies of cars and vans: lofted shells with wheel arches, glass, wheels and ground clearance."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,18 +11,18 @@ from ogm.simulation.mesh import Floats, Mesh, box, loft, merge, quads
 
 
 class Body(NamedTuple):
-    """Body of one kind of participant.
+    """Body of a traffic participant.
 
     Attributes
     ----------
     label : str
-        Its class, as in `Object.label`.
+        Class, see `Object.label`.
     mesh : Mesh
-        In its own frame: x forward, y left, the middle of its box at x = y = 0, the lowest point at z = 0.
+        Mesh in its own frame: x forward, y left, the middle of its box at x = y = 0, the lowest point at z = 0.
     size : (3,) float64
-        Length, width, height of the mesh [m]: its exact bounds.
+        Length, width and height of the mesh [m], exact.
     axles : (2,) float64
-        x of the two points that stay on the lane's centre line, front and rear [m].
+        x of the front and rear points that follow the lane's centre line [m].
     """
 
     label: str
@@ -32,7 +32,7 @@ class Body(NamedTuple):
 
 
 def centered(label: str, mesh: Mesh, axles: ArrayLike) -> Body:
-    """Shift a mesh so that its box is centred on x = y = 0 and stands on z = 0; `axles` are x of both [m]."""
+    """Return a body with its mesh shifted: box centred on x = y = 0, bottom at z = 0; `axles` are x of both [m]."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     shift = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]], np.float32)
     mesh = mesh._replace(vertices=mesh.vertices - shift)
@@ -41,12 +41,12 @@ def centered(label: str, mesh: Mesh, axles: ArrayLike) -> Body:
 
 
 def wheel(x: float, y: float, radius: float, width: float, *, sides: int = 8) -> Mesh:
-    """Make a wheel on the ground whose outer face stands at `y` [m], with a metal rim; the inner face is open.
+    """Make a wheel on the ground with its outer face at `y` [m] and a metal rim; the inner face is open.
 
-    `sides` is even.
+    `sides` must be even.
     """
     angles = 2 * np.pi * (np.arange(sides) + 0.5) / sides
-    radius /= float(np.cos(np.pi / sides))  # flats, not corners, roll on the ground
+    radius /= float(np.cos(np.pi / sides))  # the wheel stands on a flat, not on a corner
     ring = np.stack([x + radius * np.cos(angles), np.zeros(sides), radius * np.sin(angles)], axis=1)
     ring[:, 2] -= ring[:, 2].min()
     hub = np.array([x, 0.0, ring[:, 2].max() / 2])
@@ -60,24 +60,24 @@ def wheel(x: float, y: float, radius: float, width: float, *, sides: int = 8) ->
 
 @dataclass(frozen=True)
 class Shape:
-    """Measures of a car [m]; distances `..._at` count from its front end to the rear.
+    """Dimensions of a car [m]; ``..._at`` are distances from its front end.
 
     Attributes
     ----------
     length, width, height : float
-        Without mirrors.
+        Outer dimensions without mirrors.
     wheelbase, overhang : float
-        Between the axles; from the front end to the front axle.
+        Distance between the axles, and from the front end to the front axle.
     nose, cowl, deck : float
-        Height of the bonnet's front edge, of the windscreen's base, of the boot (or of the rear window's base).
+        Height of the bonnet's front edge, of the windscreen's base, and of the boot or the rear window's base.
     cowl_at, roof_at, roof_end, deck_at : float
-        Where the windscreen starts and ends, where the roof ends, where the rear window meets the deck.
+        Positions of the windscreen's start and end, the roof's end, and the rear window's lower end.
     floor, tyre : float
-        Height of the underbody; radius of a wheel.
+        Height of the underbody, and radius of a wheel.
     roof_width : float
-        Width of the roof's rails as a share of the width.
+        Width between the roof's rails as a share of the width.
     side_glass : float
-        Share of the cabin's length that has side windows, from its front; below 1, a van without a rear window.
+        Share of the cabin's length with side windows, from its front; below 1 for vans without a rear window.
     """
 
     length: float
@@ -98,7 +98,7 @@ class Shape:
     side_glass: float = 1.0
 
 
-# Measures of common European cars, rounded.
+# Rounded dimensions of common European cars.
 CARS: dict[str, Shape] = {
     "small": Shape(3.62, 1.64, 1.49, 2.42, 0.76, 0.74, 1.00, 1.00, 0.86, 1.62, 3.18, 3.54, tyre=0.29),
     "hatchback": Shape(4.27, 1.79, 1.46, 2.63, 0.88, 0.72, 0.98, 1.00, 1.18, 2.05, 3.66, 4.14),
@@ -123,7 +123,7 @@ VANS: dict[str, Shape] = {
 
 
 def _stations(shape: Shape) -> Floats:
-    """Return where along the car its cross sections stand, counted from the front [m]."""
+    """Return the positions of the car's cross-sections, from the front [m]."""
     reach = shape.tyre + 0.07
     axles = (shape.overhang, shape.overhang + shape.wheelbase)
     arches = [axle + side * reach for axle in axles for side in (-1.0, -0.72, 0.72, 1.0)]
@@ -134,7 +134,7 @@ def _stations(shape: Shape) -> Floats:
 
 
 def _shell(shape: Shape, paint: int) -> Mesh:
-    """Make everything below the windows: 12 points around each cross section."""
+    """Make the body below the windows, from cross-sections of 12 points."""
     s = _stations(shape)
     end, half = shape.length, shape.width / 2
     width = half * np.interp(
@@ -165,15 +165,15 @@ def _shell(shape: Shape, paint: int) -> Mesh:
     outline = left + [(-y, z) for y, z in reversed(left)]
     sections = np.stack([np.stack([end / 2 - s, y, z], axis=1) for y, z in outline], axis=1)
     material = np.full((len(s) - 1, 12), paint, np.uint8)
-    material[:, [0, 1, 9, 10, 11]] = M.PLASTIC_DARK  # wells and floor
+    material[:, [0, 1, 9, 10, 11]] = M.PLASTIC_DARK  # wheel arches and floor
     between = cabin[1:] | cabin[:-1]
-    material[between, 4:7] = M.PLASTIC_DARK  # inside of the cabin
+    material[between, 4:7] = M.PLASTIC_DARK  # interior of the cabin
     material[0, [3, 7]] = material[-1, [3, 7]] = M.LAMP
     return merge([loft(sections, material), _ends(sections, paint)])
 
 
 def _ends(sections: Floats, paint: int) -> Mesh:
-    """Close the front with a grille between painted bands, the rear with paint; both carry a plate."""
+    """Make the front with a grille between painted bands, and the painted rear, both with a number plate."""
     front, rear = sections[0], sections[-1]
     bands = [(0, 11, 9, 2), (2, 9, 8, 3), (3, 8, 7, 4), (4, 7, 6, 5)]
     materials = [M.PLASTIC_DARK, paint, M.PLASTIC_DARK, paint]
@@ -187,19 +187,19 @@ def _ends(sections: Floats, paint: int) -> Mesh:
 
 
 def plate(x: float, z: float, half: float = 0.06) -> Floats:
-    """Return the corners (4, 3) of a number plate, half of whose height is given [m]."""
+    """Return the corners (4, 3) of a number plate of half height `half` [m]."""
     y, up = np.array([-0.26, 0.26, 0.26, -0.26]), half * np.array([-1, -1, 1, 1])
     return np.stack([np.full(4, x), y, z + up], axis=1)
 
 
 def _greenhouse(shape: Shape, paint: int) -> Mesh:
-    """Make windows, pillars and roof over the shell: an outline of 14 points at the belt, the rails, the roof."""
+    """Make windows, pillars and roof from outlines of 14 points at the belt line, the roof rails and the roof."""
     half, end = shape.width / 2, shape.length
     front, back = shape.cowl_at + 0.12, shape.deck_at - 0.06
     roof, tail = shape.roof_at + 0.04, shape.roof_end
     glass_end = front + shape.side_glass * (back - front)
     share = np.array([0.0, 0.07, 0.44, 0.48, 0.86, 1.0])
-    if shape.side_glass < 1:  # a panel van: one window, then sheet metal
+    if shape.side_glass < 1:  # panel van: one window, sheet metal behind
         share = np.array([0.0, 0.05, 0.06, (glass_end - front) / (back - front), 0.7, 1.0])
     low_s, high_s = front + share * (back - front), roof + share * (tail - roof)
     if shape.side_glass == 1:  # upright pillars in the middle
@@ -233,7 +233,7 @@ def _greenhouse(shape: Shape, paint: int) -> Mesh:
 
 
 def _seats(shape: Shape) -> Mesh:
-    """Make the backs of the front seats and a driver's outline: what rays through the windows meet."""
+    """Make the backs of the front seats, which rays through the windows hit."""
     x = shape.length / 2 - (shape.cowl_at + 0.42 * (shape.deck_at - shape.cowl_at)) - 0.1
     low, high = shape.cowl - 0.35, min(shape.cowl + 0.34, shape.height - 0.2)
     backs = [
@@ -250,10 +250,10 @@ def car(shape: Shape, paint: M, *, label: str = "car", mirrors: float = 0.13) ->
     ----------
     shape : Shape
     paint : Material
-        Of the sheet metal.
+        Paint of the sheet metal.
     label : str
     mirrors : float
-        How far the mirrors stand out on either side [m].
+        Width of the mirrors beyond either side [m].
     """
     half, front = shape.width / 2, shape.length / 2
     axles = np.array([front - shape.overhang, front - shape.overhang - shape.wheelbase])
@@ -267,14 +267,14 @@ def car(shape: Shape, paint: M, *, label: str = "car", mirrors: float = 0.13) ->
 
 
 def ego_vehicle() -> Mesh:
-    """Return the vehicle that carries the sensor: an estate in the vehicle frame, roof at 1.48 m.
+    """Return the mesh of the ego vehicle: an estate car in the vehicle frame, roof at 1.48 m.
 
-    Every triangle is `Material.EGO_VEHICLE`.
+    All triangles have `Material.EGO_VEHICLE`.
     """
     return ego_body().mesh
 
 
 def ego_body() -> Body:
-    """Return the ego vehicle with its measures."""
+    """Return the body of the ego vehicle."""
     body = car(CARS["estate"], M.PAINT_MEDIUM, mirrors=0.12)
     return body._replace(mesh=body.mesh.painted(M.EGO_VEHICLE))

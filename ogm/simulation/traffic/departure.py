@@ -1,4 +1,4 @@
-"""How a scenario begins: which bodies take part, who parks, drives or walks where, which signals there are."""
+"""Initial state of a scenario: bodies, parked vehicles, drivers with routes, pedestrians, signals."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,7 +23,7 @@ SHAPE_SHARES = {
     "small": 0.16, "hatchback": 0.27, "saloon": 0.13, "estate": 0.16, "suv": 0.17, "coupe": 0.04,
     "people carrier": 0.07,
 }  # fmt: skip
-# How each kind of driver drives: acceleration, braking, hardest braking [m/s^2], time gap [s], highest speed [m/s].
+# Driving parameters by kind: acceleration, braking, hardest braking [m/s^2], time gap [s], top speed [m/s].
 MANNERS = {
     "ego": (1.8, 1.9, 4.0, 1.2, 50.0),
     "car": (1.7, 2.0, 6.0, 1.2, 50.0),
@@ -36,15 +36,16 @@ MANNERS = {
 
 
 class Fleet(NamedTuple):
-    """Bodies to draw participants from; each is shared by all of its kind.
+    """Pools of bodies, shared by the participants of a scenario.
 
     Attributes
     ----------
     vehicles : dict of list of Body
-        By kind: the keys of `MANNERS` but "ego", and "trailer".
+        Vehicles by kind: the keys of `MANNERS` except "ego", and "trailer".
     walkers : list of list of Body
-        Pedestrians, each in the poses of a walking cycle.
+        Pedestrians, each in all poses of a walking cycle.
     standers : list of Body
+        Standing pedestrians.
     """
 
     vehicles: dict[str, list[Body]]
@@ -53,7 +54,7 @@ class Fleet(NamedTuple):
 
 
 def make_fleet(rng: Generator) -> Fleet:
-    """Draw the bodies of one scenario: no two of the cars have the same measures."""
+    """Draw the bodies of a scenario; each car has its own dimensions."""
 
     def paint() -> M:
         return PAINTS[int(rng.choice(4, p=PAINT_SHARES))]
@@ -78,21 +79,21 @@ _UP = ("height", "nose", "cowl", "deck")
 
 
 def _vary(shape: Shape, rng: Generator) -> Shape:
-    """Stretch a shape by a few per cent in each direction."""
+    """Scale a shape by random factors of a few per cent along each axis."""
     along, across, up = rng.normal(1.0, [0.025, 0.012, 0.02])
     factors = dict.fromkeys(_ALONG, along) | dict.fromkeys(_UP, up) | {"width": across}
     return replace(shape, **{name: getattr(shape, name) * factor for name, factor in factors.items()})
 
 
 SPACING = 66.0  # [m] of lane per vehicle
-MOST = 60  # vehicles
+MAX_VEHICLES = 60
 PER_WALKWAY = 38.0  # [m] of walkway per pedestrian
-MOST_WALKERS = 90
+MAX_WALKERS = 90
 HITCH = 0.4  # [m] between a lorry and the drawbar of its trailer
 
 
 class Object(NamedTuple):
-    """A participant in traffic, moving or parked, at one time.
+    """A moving or parked traffic participant at one time.
 
     Attributes
     ----------
@@ -101,13 +102,13 @@ class Object(NamedTuple):
     pose : (4, 4) float64
         ``T_world_object``: origin in the middle of the footprint on the ground, x forward, tilted with the terrain.
     size : (3,) float64
-        Length, width, height [m]: the exact bounds of `mesh`, centred on the origin and standing on it.
+        Length, width, height [m]: exact bounds of `mesh`, centred above the origin.
     velocity : (3,) float64
-        In the world [m/s].
+        Velocity in the world frame [m/s].
     track : int
-        The same for the same participant in all frames of a scenario.
+        Number of the participant, constant within a scenario.
     mesh : Mesh
-        In the object's frame, shared between frames.
+        Mesh in the object's frame, shared between frames.
     """
 
     label: str
@@ -119,12 +120,12 @@ class Object(NamedTuple):
 
 
 class Unit(NamedTuple):
-    """One body on wheels: vehicle `driver`, whose front bumper is `behind` metres behind the driver's."""
+    """A body of vehicle `driver`, with its front bumper `behind` metres behind the driver's."""
 
     body: Body
     driver: int
     behind: float
-    left: float  # [m] from the lane's centre line
+    left: float  # [m] offset from the lane's centre line
 
 
 def _pick(choice: Sequence[Any], rng: Generator) -> Any:
@@ -136,7 +137,7 @@ def fill_bays(town: Town, table: LaneTable, walkways: Lines, fleet: Fleet, rng: 
     kinds = fleet.vehicles
     bodies = kinds["car"] + kinds["van"][:2] + kinds["truck"] + kinds["trailer"]
     placed = park(town.bays, table.points, walkways.points, bodies, town.ground_height, rng)
-    first = 1000  # tracks of what moves are smaller
+    first = 1000  # tracks of moving participants are smaller
     still = np.zeros(3)
     return [Object(body.label, pose, body.size, still, first + k, body.mesh) for k, (body, pose) in enumerate(placed)]
 
@@ -144,10 +145,10 @@ def fill_bays(town: Town, table: LaneTable, walkways: Lines, fleet: Fleet, rng: 
 def set_out(
     town: Town, table: LaneTable, loop: tuple[int, ...], fleet: Fleet, rng: Generator
 ) -> tuple[list[Unit], Drivers]:
-    """Choose vehicles, where they start and where they go; the ego vehicle is the first."""
+    """Draw vehicles with their starting positions and routes; the ego vehicle is the first."""
     alive = drivable(town.lanes)
     open_road = np.flatnonzero(alive & ~table.guarded & (table.length > 9.0))
-    count = min(MOST, 1 + int(table.length[open_road].sum() / SPACING))
+    count = min(MAX_VEHICLES, 1 + int(table.length[open_road].sum() / SPACING))
     kinds = ["car"] * 70 + ["van"] * 9 + ["truck"] * 5 + ["bus"] * 4 + ["motorcycle"] * 5 + ["bicycle"] * 5
     units: list[Unit] = []
     drivers: list[tuple[int, float, float, tuple[float, ...]]] = []  # lane, front and length [m], manners
@@ -173,7 +174,7 @@ def set_out(
                 break
         else:
             if n == 0:
-                raise ValueError("no lane of the round trip is long enough for the ego vehicle to start on")
+                raise ValueError("no lane of the round trip is long enough for the ego vehicle; use another seed")
     k = loop.index(drivers[0][0])
     routes = [[*loop[k:], *loop[:k]]] + [_wander(town, table, alive, lane, rng) for lane, *_ in drivers[1:]]
     _, fronts, lengths, manners = (np.array(column, np.float64) for column in zip(*drivers, strict=True))
@@ -181,7 +182,7 @@ def set_out(
 
 
 def _bodies(kind: str, fleet: Fleet, rng: Generator) -> tuple[list[Body], float]:
-    """Draw the bodies that one driver moves, and how far left of the lane's middle."""
+    """Draw a driver's bodies, and their offset to the left of the lane's centre line [m]."""
     if kind == "ego":
         return [ego_body()], 0.0
     bodies = [_pick(fleet.vehicles[kind], rng)]
@@ -191,7 +192,7 @@ def _bodies(kind: str, fleet: Fleet, rng: Generator) -> tuple[list[Body], float]
 
 
 def _wander(town: Town, table: LaneTable, alive: Mask, start: int, rng: Generator) -> list[int]:
-    """Return a route that turns at random for as long as the scenario lasts, and so does the fastest driver."""
+    """Return a random route, long enough for the fastest driver until the end of the scenario."""
     route, length = [start], float(table.length[start])
     while length < float(table.limit.max()) * (LAST + WARM_UP) + 200.0:
         choice = [k for k in town.lanes[route[-1]].successors if alive[k]]
@@ -203,12 +204,12 @@ def _wander(town: Town, table: LaneTable, alive: Mask, start: int, rng: Generato
 def _drivers(
     table: LaneTable, routes: list[list[int]], fronts: Floats, lengths: Floats, manners: Floats, rng: Generator
 ) -> Drivers:
-    """Arrange vehicles for the kernels."""
-    # As many lanes as the fastest driver can come to; a shorter route is begun again.
+    """Return the state of all vehicles for the kernels."""
+    # Routes are as long as the fastest driver can get; shorter ones are repeated.
     far = float(table.limit.max()) * (LAST + WARM_UP) + 200.0
     rounds = [int(np.ceil(far / table.length[route].sum())) for route in routes]
     places = max(len(route) * n for route, n in zip(routes, rounds, strict=True)) + AHEAD + 2
-    route = np.array([np.resize(one, places) for one in routes], np.int64)
+    route = np.array([np.resize(lanes, places) for lanes in routes], np.int64)
     start = np.zeros((len(routes), places + 1))
     start[:, 1:] = np.cumsum(table.length[route], axis=1)
     count = len(routes)
@@ -223,7 +224,7 @@ def _drivers(
 
 
 def make_signals(table: LaneTable, rng: Generator) -> Signals:
-    """Put signals at some of the junctions of three and more arms that are no roundabouts."""
+    """Draw signals at some junctions of three or more arms, except roundabouts."""
     count = int(table.junction.max()) + 1 if len(table.junction) else 0
     phases, green = np.zeros(count, np.int64), np.zeros(count, np.int64)
     for junction in range(count):
@@ -237,13 +238,15 @@ def make_signals(table: LaneTable, rng: Generator) -> Signals:
 def choose_people(
     walkways: Lines, crossed: Crossings, fleet: Fleet, rng: Generator
 ) -> tuple[Walkers, list[list[Body]], Floats]:
-    """Choose pedestrians, where they start, how fast they walk, and how far right of the line."""
+    """Draw pedestrians with their walkways, positions and speeds; return their bodies and offsets to the right too."""
     zones, count = crossed.on_walkway, max(crossed.zones, 1)
     lengths = walkways.length
     usable = np.flatnonzero(lengths > 6.0)
-    number = min(MOST_WALKERS, int(lengths[usable].sum() / PER_WALKWAY)) if len(usable) else 0
-    share = lengths[usable] * np.where(lengths[usable] < 25, 0.5, 1.0)  # crossings are waited at, not lived on
-    still = min(number // 10, len(usable) // 4)  # who stands has a walkway alone
+    number = min(MAX_WALKERS, int(lengths[usable].sum() / PER_WALKWAY)) if len(usable) else 0
+    share = lengths[usable] * np.where(
+        lengths[usable] < 25, 0.5, 1.0
+    )  # fewer pedestrians start on short walkways: crossings
+    still = min(number // 10, len(usable) // 4)  # standing pedestrians have a walkway of their own
     line = np.zeros(number, np.int64)
     if number:
         line[:still] = rng.choice(usable, still, replace=False, p=share / share.sum())

@@ -1,4 +1,4 @@
-"""Lanes and walkways as arrays: places on them, speed profiles, who may not cross whom, where people cross."""
+"""Lanes and walkways as arrays: positions on them, speed profiles, conflicts of lanes, crossings of pedestrians."""
 
 import itertools
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from ogm.simulation.town.lanes import Lane
 
 
 class Lines(NamedTuple):
-    """Polygonal lines, one after the other: points (P, 3), way along each line (P,), first point of each (L + 1,)."""
+    """Concatenated polylines: points (P, 3), distance along each line (P,) [m], first point of each line (L + 1,)."""
 
     points: Floats
     along: Floats
@@ -26,7 +26,7 @@ class Lines(NamedTuple):
 
 
 def lines(parts: Sequence[Floats]) -> Lines:
-    """Put lines (M, 3) together; points that repeat the one before are left out."""
+    """Concatenate lines (M, 3), without repeated points."""
     kept = []
     for part in parts:
         points = np.asarray(part, np.float64)
@@ -39,7 +39,7 @@ def lines(parts: Sequence[Floats]) -> Lines:
 
 @kernel
 def _add(table: Lines, first: int, last: int, s: float, weight: float, out: Floats) -> None:
-    """Add the point at way `s` on a line, times a weight, to `out`."""
+    """Add the weighted point at distance `s` along a line to `out`."""
     points, along = table.points, table.along
     low, high = first, last - 1
     while high - low > 1:
@@ -57,7 +57,7 @@ def _add(table: Lines, first: int, last: int, s: float, weight: float, out: Floa
 def along_routes(
     table: Lines, route: Ints, start: Floats, driver: Ints, way: Floats, reach: Floats, out: Floats
 ) -> None:
-    """Write the places (U, 3) at `way` on the routes of drivers, corners rounded off over `reach` [m]."""
+    """Write positions (U, 3) at distance `way` on drivers' routes to `out`, with corners rounded over `reach` [m]."""
     first = table.first
     for u in range(len(way)):
         n = driver[u]
@@ -72,21 +72,21 @@ def along_routes(
 
 @kernel
 def along_lines(table: Lines, line: Ints, way: Floats, out: Floats) -> None:
-    """Write the places (N, 3) at `way` on lines, whose ends are not passed."""
+    """Write the positions (N, 3) at distance `way` on lines, clipped to their ends, to `out`."""
     for n in range(len(way)):
         low, high = table.first[line[n]], table.first[line[n] + 1]
         out[n] = 0.0
         _add(table, low, high, min(max(way[n], 0.0), table.along[high - 1]), 1.0, out[n])
 
 
-SIDEWAYS = 2.0  # [m/s^2] comfortable in a bend
-BRAKING = 1.6  # [m/s^2] comfortable before a bend
-APART = 2.5  # [m] centre lines of two lanes in one junction closer than this are not driven at once
-MERGED = 1.6  # [m] the same on the open road, where lanes lie side by side
+SIDEWAYS = 2.0  # [m/s^2] comfortable lateral acceleration
+BRAKING = 1.6  # [m/s^2] comfortable braking before a bend
+APART = 2.5  # [m] distance of centre lines below which two lanes of a junction are in conflict
+MERGED = 1.6  # [m] the same outside junctions, where lanes run side by side
 
 
 class LaneTable(NamedTuple):
-    """All lanes, one after the other; P points, L lanes.
+    """Concatenated lanes with their conflicts; P points, L lanes.
 
     Attributes
     ----------
@@ -95,25 +95,25 @@ class LaneTable(NamedTuple):
     along : (P,) float64
         Distance from the lane's start [m].
     limit : (P,) float64
-        Highest speed [m/s], bends and braking before them within the lane included.
+        Highest speed [m/s], which includes bends and braking before them within the lane.
     first : (L + 1,) int64
         First point of each lane.
     length : (L,) float64
         Length of each lane [m].
     guarded : (L,) bool
-        Lanes that a vehicle needs permission for: all in junctions, and those that cross or merge.
+        Lanes that require permission: all in junctions, and lanes that cross or merge.
     junction, phase : (L,) int64
-        -1 where there is no signal.
+        Junction and signal phase of each lane; -1 outside junctions, or without a signal.
     blocked_until : (L, L) float32
-        [c, l]: a vehicle on lane c bars lane l until its rear has come this far on c [m]; -1: they do not meet.
+        [c, l]: a vehicle on lane c blocks lane l until its rear is this far along c [m]; -1 without a conflict.
     together_until : (L, L) float32
-        [a, b]: lanes with a common start, which part after this distance [m]; -1: no common start.
+        [a, b]: distance [m] at which lanes with a common start diverge; -1 without a common start.
     onward : (L, S) int64
-        Where each lane leads to without ending for ever, filled up with -1.
+        Successors of each lane from which a route never ends, padded with -1.
     fork : (L,) bool
-        Lanes within a junction that lead to several others: the arcs of a roundabout that end at an exit.
+        Lanes within a junction with several successors: arcs of a roundabout that end at an exit.
     most : (J,) int64
-        Vehicles that may be in a roundabout at once: one fewer than places to wait in it, so that one can move.
+        Largest number of vehicles in a roundabout: its waiting positions less 1, so that some vehicle can always move.
     """
 
     points: Floats
@@ -132,20 +132,20 @@ class LaneTable(NamedTuple):
 
 
 class Crossings(NamedTuple):
-    """Where walkways cross lanes: Z zones, each passed by pedestrians or by vehicles, not by both.
+    """Zones in which walkways cross lanes, used either by pedestrians or by vehicles.
 
     Attributes
     ----------
     on_lane : (K, 4) float64
-        Lane, from and to [m along it], zone; sorted by lane.
+        Lane, start and end along it [m], zone; sorted by lane.
     lane_first : (L + 1,) int64
         First row of each lane in `on_lane`.
     on_walkway : (K', 4) float64
-        Walkway, from and to [m along it], zone; sorted by walkway.
+        Walkway, start and end along it [m], zone; sorted by walkway.
     walkway_first : (W + 1,) int64
         First row of each walkway in `on_walkway`.
     zones : int
-        Their number.
+        Number of zones.
     """
 
     on_lane: Floats
@@ -156,7 +156,7 @@ class Crossings(NamedTuple):
 
 
 def _limit(lane: Lane, along: Floats) -> Floats:
-    """Return the speed profile of one lane [m/s]: its limit, its bends, braking before them."""
+    """Return the speed profile of a lane [m/s] from its limit, its bends, and braking before them."""
     points = lane.points[:, :2]
     limit: Floats = np.full(len(points), float(lane.speed))
     if len(points) > 3:
@@ -173,7 +173,7 @@ def _limit(lane: Lane, along: Floats) -> Floats:
 
 
 def lane_table(lanes: Sequence[Lane]) -> LaneTable:
-    """Arrange lanes for the kernels, and find out which of them cannot be driven at once."""
+    """Return the arrays of all lanes for the kernels, with their conflicts."""
     centers = lines([lane.points for lane in lanes])
     along = np.split(centers.along, centers.first[1:-1])
     blocked, together = _conflicts(lanes, along)
@@ -217,10 +217,10 @@ def _conflicts(lanes: Sequence[Lane], along: list[Floats]) -> tuple[Floats32, Fl
             apart = np.flatnonzero(~(distance < APART))
             split = along[a][apart[0]] if len(apart) else along[a][-1]
             together[a, b] = split
-            distance[along[a] <= split] = np.inf  # they may meet again: where both end
+            distance[along[a] <= split] = np.inf  # they may meet again at their ends
         close = np.flatnonzero(distance < (APART if inside else MERGED))
         merging = np.hypot(*(ends[a] - ends[b])) < 0.3
-        # Open lanes that touch a junction's lane only with an end belong to its corner.
+        # Lanes outside a junction that touch its lanes only with an end belong to its corner.
         if len(close) and (inside or merging or lanes[a].junction == lanes[b].junction == -1):
             blocked[a, b] = along[a][close[-1]] + 1.0
     blocked[blocked.T < 0] = -1
@@ -228,14 +228,14 @@ def _conflicts(lanes: Sequence[Lane], along: list[Floats]) -> tuple[Floats32, Fl
 
 
 def _follows(lanes: Sequence[Lane], a: int, b: int) -> bool:
-    """Return whether lane b comes right after lane a, or with one short lane between them."""
+    """Return whether lane b follows lane a, directly or through one lane of a junction."""
     return b in lanes[a].successors or any(
         b in lanes[k].successors for k in lanes[a].successors if lanes[k].junction >= 0
     )
 
 
 def drivable(lanes: Sequence[Lane]) -> Mask:
-    """Return which lanes lead on for ever without a turn on the spot (a dead end's head)."""
+    """Return a mask of the lanes from which a route can continue for ever without turning at a dead end."""
     alive = np.ones(len(lanes), bool)
     for number, lane in enumerate(lanes):
         steps = np.diff(lane.points[:, :2], axis=0)
@@ -249,7 +249,7 @@ def drivable(lanes: Sequence[Lane]) -> Mask:
 
 
 def crossings(table: LaneTable, walkways: Lines) -> Crossings:
-    """Find where walkways meet lanes: closer than a vehicle's half width and a person's reach."""
+    """Return the zones in which walkways are closer to lanes than half a vehicle's width plus a margin."""
     reach = 1.9
     tree = cKDTree(table.points[:, :2])
     owner = np.repeat(np.arange(len(table.length)), np.diff(table.first))
@@ -275,6 +275,6 @@ def crossings(table: LaneTable, walkways: Lines) -> Crossings:
 
 
 def _by_line(found: list[tuple[float, ...]], count: int) -> tuple[Floats, Ints]:
-    """Return rows sorted by their first column, and the first row of each of `count` lines."""
+    """Return rows sorted by their first column, and the first row of each of the `count` lines."""
     rows = np.array(sorted(found), np.float64).reshape(-1, 4)
     return rows, np.searchsorted(rows[:, 0], np.arange(count + 1)).astype(np.int64)

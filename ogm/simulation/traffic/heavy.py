@@ -10,7 +10,7 @@ from ogm.simulation.traffic.bodies import Body, centered, plate, wheel
 
 
 def _mirrored(x: float | Floats, y: ArrayLike, z: ArrayLike) -> Floats:
-    """Return a closed outline (8, 3) from the four corners on its left, the lowest first."""
+    """Return a closed, symmetric outline (8, 3) from its four left corners, lowest first."""
     outline = np.empty((8, 3))
     outline[:, 0] = x
     outline[:4, 1], outline[:4, 2] = y, z
@@ -19,24 +19,24 @@ def _mirrored(x: float | Floats, y: ArrayLike, z: ArrayLike) -> Floats:
 
 
 def _closed(first: Floats, last: Floats, materials: list[int]) -> Mesh:
-    """Close two outlines (8, 3) of a body, each by three bands from below."""
+    """Make faces over the two end outlines (8, 3) of a body, each of three bands from below."""
     bands = [end[[k, k + 1, 6 - k, 7 - k]] for end in (first, last) for k in range(3)]
     return quads(bands, materials)
 
 
 def _axles(places: list[float], half: float, radius: float) -> list[Mesh]:
-    """Make pairs of wheels at each place along the vehicle."""
+    """Make a pair of wheels at each position along the vehicle."""
     return [wheel(x, side * half, radius, 0.32) for x in places for side in (-1.0, 1.0)]
 
 
 def _lamps(x: float, half: float, z: float) -> Mesh:
-    """Make two lamps at one end."""
+    """Make two lamps at an end of the vehicle."""
     y, up = half + np.array([-0.38, -0.08, -0.08, -0.38]), z + np.array([-0.09, -0.09, 0.09, 0.09])
     return quads([np.stack([np.full(4, x), side * y, up], axis=1) for side in (-1.0, 1.0)], M.LAMP)
 
 
 def _cab(front: float, length: float, half: float, height: float, paint: int) -> Mesh:
-    """Make a cab over the engine: windscreen, side windows, steps, mirrors."""
+    """Make a cab-over lorry cab: windscreen, side windows, mirrors, bumper."""
     low, sill = 0.42, 0.52 * height
     places = np.array([0.0, 0.12, 0.35, 0.62, 1.0]) * length
     inset = np.array([0.10, 0.02, 0.0, 0.0, 0.0])
@@ -61,7 +61,7 @@ def _cab(front: float, length: float, half: float, height: float, paint: int) ->
 
 
 def _load(front: float, rear: float, half: float, height: float, cover: int) -> Mesh:
-    """Make a box body or a tarpaulin over its frame, with the chassis, guards and bumper below."""
+    """Make a box body or tarpaulin on a frame, with chassis, guards and bumper."""
     y, z = (half, half, half, half - 0.06), (1.02, (1.02 + height) / 2, height - 0.06, height)
     body = loft([_mirrored(x, y, z) for x in (front, (front + rear) / 2, rear)], cover, caps=cover)
     frame = box((rear + 0.1, -0.45, 0.72), (front - 0.05, 0.45, 1.0), M.METAL_SHEET)
@@ -76,7 +76,7 @@ def _load(front: float, rear: float, half: float, height: float, cover: int) -> 
 
 
 def truck(rng: Generator, paint: M) -> Body:
-    """Make a lorry: a cab, a gap, a box or a tarpaulin on its frame. 7 to 9 m long, 3.2 to 3.8 m high."""
+    """Make a lorry of cab and load, 7 to 9 m long and 3.2 to 3.8 m high."""
     length, height, half = rng.uniform(7.0, 8.8), rng.uniform(3.2, 3.8), rng.uniform(1.18, 1.25)
     cover = (M.TARPAULIN, M.METAL_SHEET, M.PAINT_LIGHT)[rng.integers(3)]
     front, cab = length / 2, 2.0
@@ -93,7 +93,7 @@ def truck(rng: Generator, paint: M) -> Body:
 
 
 def trailer(rng: Generator) -> Body:
-    """Make a drawbar trailer of 5.5 to 7 m, its drawbar reaching forward."""
+    """Make a trailer, 5.5 to 7 m long including its drawbar."""
     length, height, half = rng.uniform(4.6, 6.0), rng.uniform(3.2, 3.8), rng.uniform(1.18, 1.25)
     cover = (M.TARPAULIN, M.METAL_SHEET)[rng.integers(2)]
     front = length / 2
@@ -107,7 +107,7 @@ def trailer(rng: Generator) -> Body:
 
 
 def bus(rng: Generator, paint: M) -> Body:
-    """Make a city bus of 9.5 to 12 m with a low floor and a band of windows."""
+    """Make a low-floor city bus of 9.5 to 12 m with a band of windows."""
     length, height, half = rng.uniform(9.5, 12.0), rng.uniform(2.95, 3.2), 1.25
     front, low, sill = length / 2, 0.3, 1.0
     axles = [front - 2.6, -front + 3.1]

@@ -1,4 +1,4 @@
-"""One step of the traffic after another, compiled: how hard to accelerate, where to stop, who walks."""
+"""Compiled simulation steps of the traffic: acceleration, stops, and pedestrians."""
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def _leaders(t: LaneTable, d: Drivers, gap: Floats, pace: Floats) -> None:
 
 @kernel
 def _zones(c: Crossings, d: Drivers, w: Walkers, barred: Mask, stop: Floats) -> None:
-    """Let vehicles stop before crossings in use, and bar crossings that a vehicle is on or cannot stop before."""
+    """Stop vehicles before crossings in use, and bar crossings that a vehicle is on or cannot stop before."""
     for zone in range(len(barred)):
         barred[zone] = False
     for i in range(len(d.x)):
@@ -74,7 +74,7 @@ def _zones(c: Crossings, d: Drivers, w: Walkers, barred: Mask, stop: Floats) -> 
 
 @kernel
 def _speed_limit(t: LaneTable, d: Drivers, i: int) -> float:
-    """Return the highest speed [m/s] that bends and limits ahead of vehicle i allow."""
+    """Return the highest speed of vehicle i allowed by bends and limits ahead [m/s]."""
     speed = 1e9
     for back in (0.0, 0.6 * d.length[i]):
         k = d.front[i]
@@ -97,7 +97,7 @@ def _speed_limit(t: LaneTable, d: Drivers, i: int) -> float:
 
 @kernel
 def _drive(t: LaneTable, d: Drivers, limits: DrivingLimits) -> None:
-    """Accelerate by the intelligent driver model (Treiber, Hennecke, Helbing 2000) and move on by one step."""
+    """Move vehicles by one step of the intelligent driver model (Treiber, Hennecke, Helbing 2000)."""
     gap, pace, stop = limits
     for i in range(len(d.x)):
         v, a, b = d.v[i], d.acceleration[i], d.braking[i]
@@ -107,7 +107,7 @@ def _drive(t: LaneTable, d: Drivers, limits: DrivingLimits) -> None:
         wish = GAP + max(0.0, v * d.headway[i] + v * (v - pace[i]) / root)
         push = min(push, a * (1 - (wish / max(gap[i], 0.05)) ** 2))
         need = (v * v - pace[i] ** 2) / (2 * max(gap[i] - 1.0, 0.05))
-        if need > 0.8 * b:  # the model's pull is soft at low speed: what the way left demands
+        if need > 0.8 * b:  # the model brakes too softly at low speed: use the braking that the distance requires
             push = min(push, -need)
         if stop[i] < 1e8:
             wish = GAP + max(0.0, 0.6 * v + v * v / root)
@@ -129,7 +129,7 @@ def _drive(t: LaneTable, d: Drivers, limits: DrivingLimits) -> None:
 
 @kernel
 def _walk(c: Crossings, w: Walkers, barred: Mask, now: float) -> None:
-    """Let pedestrians walk on, keep apart, and wait at crossings."""
+    """Move pedestrians by one step: they walk, keep apart, and wait at crossings."""
     for p in range(len(w.w)):
         if w.resting[p] > 0:
             w.resting[p] -= STEP
@@ -139,7 +139,7 @@ def _walk(c: Crossings, w: Walkers, barred: Mask, now: float) -> None:
         way = w.way[p]
         turns = np.floor(w.w[p] / way)
         forth = turns % 2 == 0
-        u = w.w[p] - turns * way + w.short[p]  # from the end of the walkway where this leg began
+        u = w.w[p] - turns * way + w.short[p]  # from the end at which this leg began
         whole = way + 2 * w.short[p]
         step = w.pace[p] * STEP
         for q in range(len(w.w)):
@@ -179,7 +179,7 @@ def _walk(c: Crossings, w: Walkers, barred: Mask, now: float) -> None:
 
 @kernel
 def advance(t: LaneTable, c: Crossings, d: Drivers, s: Signals, w: Walkers, first: int, record: Record) -> None:
-    """Simulate as many steps as `record` has rows, from step number `first` on."""
+    """Simulate one step per row of `record`, from step number `first` on."""
     count = len(d.x)
     limits = DrivingLimits(np.zeros(count), np.zeros(count), np.zeros(count))
     barred = np.zeros(max(c.zones, 1), np.bool_)

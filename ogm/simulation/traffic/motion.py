@@ -1,4 +1,4 @@
-"""Traffic in motion: who is where at a time, a pure function of town, seed, direction and time."""
+"""Motion of the traffic: positions of all participants as a pure function of town, seed, direction and time."""
 
 from typing import NamedTuple
 
@@ -13,24 +13,24 @@ from ogm.simulation.traffic.parked import frames
 from ogm.simulation.traffic.people import PHASES, STRIDE
 from ogm.simulation.traffic.state import LAST, STEP, WARM_UP, Record
 
-CHUNK = 500  # steps simulated at once
+CHUNK = 500  # steps per call of the kernel
 
 
 class TrafficState(NamedTuple):
-    """Everything that is not part of the town, at one time.
+    """State of all traffic participants at one time.
 
     Attributes
     ----------
     time : float
-        [s]
+        Time since the start of the scenario [s].
     ego : (4, 4) float64
         ``T_world_vehicle`` of the ego vehicle.
     ego_velocity : (3,) float64
-        In the world [m/s].
+        Velocity of the ego vehicle in the world frame [m/s].
     ego_yaw_rate : float
-        [rad/s], counter-clockwise is positive.
+        Yaw rate of the ego vehicle, positive counter-clockwise [rad/s].
     objects : tuple of Object
-        All others: parked, driving, walking.
+        All other participants: parked, driving, walking.
     """
 
     time: float
@@ -41,20 +41,20 @@ class TrafficState(NamedTuple):
 
 
 class Traffic:
-    """The traffic of one scenario.
+    """The traffic of a scenario.
 
     Parameters
     ----------
     town : Town
     seed : int
-        Draws everything: bodies, parked cars, routes, habits. Whole number >= 0.
+        Seed of bodies, parked vehicles, routes and driving parameters; 0 or more.
     clockwise : bool
         Whether the ego vehicle drives ``town.loop`` or ``town.counter_loop``.
 
     Raises
     ------
     ValueError
-        If the seed is no whole number >= 0.
+        If the seed is not a whole number of 0 or more.
     """
 
     def __init__(self, town: Town, seed: int, *, clockwise: bool) -> None:
@@ -83,17 +83,17 @@ class Traffic:
         Parameters
         ----------
         time : float
-            0 to 1200 s. The first call that reaches a time simulates up to it; earlier and repeated times cost
-            nothing, and the order of calls makes no difference.
+            Time, 0 to 1200 s. The first call that reaches a time simulates up to it; earlier times take no simulation,
+            and the results do not depend on the order of calls.
 
         Raises
         ------
         ValueError
-            If the time lies outside or is not finite.
+            If the time is out of range or not finite.
         """
         time = float(time)
         if not 0 <= time <= LAST:
-            raise ValueError(f"time must lie in [0, {LAST:g}] s, got {time}; use another seed for more traffic")
+            raise ValueError(f"time must be in 0 ... {LAST:g} s, got {time}; use another seed for more traffic")
         step = (time + WARM_UP) / STEP
         self._simulate(int(step) + 3)
         poses, velocity, turn = self._vehicles(step)
@@ -104,7 +104,7 @@ class Traffic:
         return TrafficState(time, poses[0], velocity[0], turn, tuple(objects))
 
     def _simulate(self, steps: int) -> None:
-        """Simulate until there are this many states."""
+        """Simulate until the record has `steps` states."""
         while self._done < steps:
             rows = slice(self._done, min(self._done + CHUNK, len(self._record.x)))
             state = (self._table, self._crossings, self._drivers, self._signals, self._walkers)
@@ -119,10 +119,9 @@ class Traffic:
         return frames(*now), (after[0] - before[0]) / STEP, float(turn / STEP)
 
     def _place(self, step: float) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return middle (U, 3), yaw, slope ahead and slope to the left of each unit."""
+        """Return middle (U, 3), yaw, slope ahead and slope to the left of each unit at a step."""
         units, d = self._units, self._drivers
-        # The way that each driver has covered [m], smooth between the steps (cubic Hermite): the polynomial with
-        # these values and slopes at both ends.
+        # Distance covered by each driver [m]: cubic Hermite polynomial through positions and speeds at both steps.
         k, t = int(step), step - int(step)
         a, b = self._record.x[k], self._record.x[k + 1]
         v, u = self._record.v[k] * STEP, self._record.v[k + 1] * STEP
@@ -131,7 +130,7 @@ class Traffic:
         half = np.array([unit.body.size[0] / 2 for unit in units])
         center = fronts[driver] - [unit.behind for unit in units] - half
         axles = np.array([unit.body.axles for unit in units])
-        # Nothing beyond the front bumper counts: the route there may still change.
+        # Rounding stops at the front bumper, because the route beyond it may still change.
         reach = np.clip(half - axles[:, 0], 0.1, 0.9)
         points = np.empty((2, len(units), 3))
         centers = Lines(self._table.points, self._table.along, self._table.first)
@@ -156,7 +155,7 @@ class Traffic:
         return middle, yaw, slope, bank
 
     def _pedestrians(self, step: float) -> list[Object]:
-        """Return the pedestrians."""
+        """Return the pedestrians at a step."""
         places, walked, yaw = self._walk(step)
         before, after = self._walk(step - 0.5)[0], self._walk(step + 0.5)[0]
         velocity = (after - before) / STEP
@@ -170,7 +169,7 @@ class Traffic:
         return result
 
     def _walk(self, step: float) -> tuple[Floats, Floats, Floats]:
-        """Return place (N, 3), way walked (N,) and direction (N,) of the pedestrians."""
+        """Return position (N, 3), distance walked (N,) and direction (N,) of the pedestrians at a step."""
         k, t = int(step), step - int(step)
         w = (1 - t) * self._record.w[k].astype(np.float64) + t * self._record.w[k + 1]
         way = self._walkers.way
@@ -183,7 +182,7 @@ class Traffic:
             along_lines(self._walkways, self._walkers.line, u + shift, out)
         c, s = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
         norm = np.hypot(c, s)
-        # To the right of where one goes; who turns round changes sides within the last metre.
+        # Pedestrians walk on the right, and change sides within a metre of the turning points.
         right = self._sides * np.where(forth, 1.0, -1.0) * np.minimum(np.minimum(done, way - done), 1.0)
         places[:, 0] += right * s / norm
         places[:, 1] -= right * c / norm

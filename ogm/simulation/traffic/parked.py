@@ -1,4 +1,4 @@
-"""Vehicles at rest: how a body stands on the ground, and which bays are taken."""
+"""Parked vehicles: choice of bays, and poses of bodies on the ground."""
 
 import numpy as np
 from numpy.random import Generator
@@ -7,16 +7,16 @@ from scipy.spatial import cKDTree
 from ogm.simulation.mesh import Floats, HeightAt
 from ogm.simulation.traffic.bodies import Body
 
-MARGIN = 0.65  # [m] kept free between a lane's traffic and a parked vehicle
-ON_FOOT = 0.75  # [m] kept free beside the line of a walkway
-SHIFT = 0.4  # [m] by which a vehicle is moved at most to keep clear of a lane
+MARGIN = 0.65  # [m] free space between a lane's traffic and a parked vehicle
+ON_FOOT = 0.75  # [m] free space on either side of a walkway's line
+SHIFT = 0.4  # [m] largest shift of a vehicle away from a lane
 HALF_TRAFFIC = 1.05  # [m] half the width of a car with mirrors
 
 
 def _stand(places: Floats, reach: Floats, side: Floats, height_at: HeightAt) -> Floats:
-    """Return ``T_world_object`` (N, 4, 4) of bodies at x, y, yaw, on the plane that fits their four wheels best.
+    """Return ``T_world_object`` (N, 4, 4) of bodies at x, y, yaw, on the best-fitting plane through their four wheels.
 
-    `reach` and `side` (N,) are the distances of the wheels before and behind, and to either side of the middle [m].
+    `reach` and `side` (N,) are the distances of the wheels from the middle, lengthwise and sideways [m].
     """
     x, y, yaw = places.T
     c, s = np.cos(yaw), np.sin(yaw)
@@ -31,7 +31,7 @@ def _stand(places: Floats, reach: Floats, side: Floats, height_at: HeightAt) -> 
 
 
 def frames(middle: Floats, yaw: Floats, slope: Floats, bank: Floats) -> Floats:
-    """Return transforms (N, 4, 4) of bodies with a direction, a slope ahead and one to the left (rise per metre)."""
+    """Return transforms (N, 4, 4) of bodies from yaw, and slopes ahead and to the left (rise per metre)."""
     c, s = np.cos(yaw), np.sin(yaw)
     forward = np.stack([c, s, slope], axis=1)
     up = np.cross(forward, np.stack([-s, c, bank], axis=1))
@@ -46,19 +46,20 @@ def frames(middle: Floats, yaw: Floats, slope: Floats, bank: Floats) -> Floats:
 def park(
     bays: Floats, lanes: Floats, walkways: Floats, bodies: list[Body], height_at: HeightAt, rng: Generator
 ) -> list[tuple[Body, Floats]]:
-    """Fill some of the bays.
+    """Return vehicles parked in some of the bays.
 
     Parameters
     ----------
     bays : (B, 6) float64
-        x, y, z, yaw, length, width.
+        Bays: x, y, z [m], yaw [rad], length, width [m].
     lanes : (P, 3) float64
-        Points of all centre lines: what stands closer to them than traffic needs is not parked.
+        Points of all lanes' centre lines, which parked vehicles keep clear.
     walkways : (Q, 3) float64
-        Points of all walkways, which are kept clear as well.
+        Points of all walkways, which parked vehicles keep clear.
     bodies : list of Body
-        To choose from; one is taken only if it fits into the bay.
+        Pool of bodies; only bodies that fit into a bay are used.
     height_at : callable
+        Function of the ground height [m] at x, y [m].
     rng : np.random.Generator
 
     Returns
@@ -79,7 +80,7 @@ def park(
         body = bodies[fits[int(pick * len(fits))]]
         slack = max(length - body.size[0] - 0.5, 0.0) / 2
         ahead, left = np.clip(shift[0], -slack, slack), np.clip(shift[1], -0.25, 0.25)
-        if draw[1] > 0.96:  # partly over the line
+        if draw[1] > 0.96:  # across the line of the bay
             left += 0.3 * (1 if draw[2] < 0.5 else -1)
         yaw = yaw + skew
         x, y = x + np.cos(yaw) * ahead - np.sin(yaw) * left, y + np.sin(yaw) * ahead + np.cos(yaw) * left
@@ -107,7 +108,7 @@ def park(
 
 
 def _keep_clear(places: Floats, size: Floats, lanes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Shift what stands too close to a lane away from it; x becomes NaN where that needs more than `SHIFT`."""
+    """Shift vehicles away from lanes; x and y become NaN if that takes more than `SHIFT`."""
     tree = cKDTree(lanes[:, :2])
     need = HALF_TRAFFIC + MARGIN
     x, y, yaw = places.T.copy()
@@ -128,7 +129,7 @@ def _keep_clear(places: Floats, size: Floats, lanes: Floats) -> tuple[Floats, Fl
 
 
 def _rim(x: Floats, y: Floats, yaw: Floats, size: Floats) -> Floats:
-    """Return points (N, 20, 2) round each box."""
+    """Return points (N, 20, 2) around each box."""
     t = np.linspace(-0.5, 0.5, 9)
     edge = np.concatenate([np.stack([t, t * 0 + s], axis=1) for s in (-0.5, 0.5)] + [[[-0.5, 0], [0.5, 0]]])
     local = edge[None] * size[:, None, :2]
@@ -138,7 +139,7 @@ def _rim(x: Floats, y: Floats, yaw: Floats, size: Floats) -> Floats:
 
 
 def overlap(a: Floats, b: Floats) -> bool:
-    """Return whether two rectangles (x, y, yaw, length, width) in the plane share some area."""
+    """Return whether two rectangles (x, y, yaw, length, width) overlap."""
     c, s = np.cos([a[2], b[2]]), np.sin([a[2], b[2]])
     axes = np.array([[c[0], s[0]], [-s[0], c[0]], [c[1], s[1]], [-s[1], c[1]]])
     reach_a = np.abs(axes @ axes[:2].T) @ a[3:5] / 2

@@ -11,7 +11,7 @@ from ogm.simulation.mesh import Floats, Mesh, box, cylinder, ellipsoid, loft, me
 from ogm.simulation.traffic.bodies import Body, centered
 
 PHASES = 8  # poses of one walking cycle
-STRIDE = 1.45  # [m] a grown person of 1.75 m covers this in one cycle (two steps)
+STRIDE = 1.45  # [m] covered per cycle (two steps) by a person of 1.75 m
 
 
 class Clothes(NamedTuple):
@@ -23,19 +23,19 @@ class Clothes(NamedTuple):
 
 
 def clothes(rng: Generator) -> Clothes:
-    """Draw a person's clothes; one in sixteen wears a high-visibility vest."""
+    """Draw a person's clothes; one person in sixteen wears a high-visibility vest."""
     cloth = (M.CLOTH_LIGHT, M.CLOTH_DARK, M.CLOTH_DARK)
     top = M.HIGH_VIS if rng.random() < 1 / 16 else cloth[rng.integers(3)]
     return Clothes(top, cloth[rng.integers(3)], (M.CLOTH_DARK, M.CLOTH_LIGHT)[rng.integers(2)])
 
 
 def _swing(length: float, angle: float) -> Floats:
-    """Return a hanging limb's vector, turned forward by an angle [rad]."""
+    """Return the vector of a limb turned forward from hanging down by an angle [rad]."""
     return length * np.array([np.sin(angle), 0.0, -np.cos(angle)])
 
 
 def _limb(points: ArrayLike, radii: tuple[float, ...], material: int, *, sides: int = 6) -> list[Mesh]:
-    """Make tapered pieces from joint to joint."""
+    """Make tapered cylinders between joints."""
     joints = np.asarray(points, np.float64)
     return [
         cylinder(a, b, r, material, end_radius=q, sides=sides, caps=False)
@@ -44,9 +44,9 @@ def _limb(points: ArrayLike, radii: tuple[float, ...], material: int, *, sides: 
 
 
 class Posture(NamedTuple):
-    """Angles [rad] that turn limbs forward from hanging down, (left, right); knees bend backward, elbows forward.
+    """Joint angles [rad] from hanging down, (left, right); knees bend backward, all others forward.
 
-    `lean` is that of the back [rad], `spread` the distance that the feet are put apart [m].
+    `lean` is the angle of the back [rad], `spread` the additional distance between the feet [m].
     """
 
     thighs: tuple[float, float]
@@ -58,7 +58,7 @@ class Posture(NamedTuple):
 
 
 def _person(height: float, build: float, wear: Clothes, posture: Posture) -> Mesh:
-    """Make a person with the middle of the hips at the origin; `build` scales the girth."""
+    """Make a person with the middle of the hips at the origin; `build` is a factor of the girth."""
     thighs, knees, arms, elbows, lean, spread = posture
     k = height / 1.75
     parts: list[Mesh] = []
@@ -89,9 +89,9 @@ def _person(height: float, build: float, wear: Clothes, posture: Posture) -> Mes
 
 
 def walking(rng: Generator, *, grown: bool = True) -> list[Body]:
-    """Make one pedestrian in `PHASES` poses of a walking cycle.
+    """Make a pedestrian in `PHASES` poses of a walking cycle.
 
-    One in ten each pushes a pushchair, carries an umbrella, a backpack. A child is 1.0 to 1.4 m tall.
+    One adult in ten each has a pushchair, an umbrella or a backpack. A child is 1.0 to 1.4 m tall.
     """
     height = rng.normal(1.72, 0.08) if grown else rng.uniform(1.0, 1.4)
     height = float(np.clip(height, 0.95, 2.0))
@@ -113,7 +113,7 @@ def walking(rng: Generator, *, grown: bool = True) -> list[Body]:
 
 
 def _carried(extra: int, height: float, ground: float) -> list[Mesh]:
-    """Make what a pedestrian has along, in the frame of the hips; `ground` is the height below them [m]."""
+    """Make a pedestrian's pushchair, umbrella or backpack in the frame of the hips; `ground` is below them [m]."""
     if extra == 0:
         wheels = [
             cylinder((x, y, ground + 0.12), (x, y + 0.03, ground + 0.12), 0.12, M.TYRE, sides=8)
@@ -137,7 +137,7 @@ def _carried(extra: int, height: float, ground: float) -> list[Mesh]:
 
 
 def standing(rng: Generator) -> Body:
-    """Make a person who stands: arms hanging, on the hips or before the chest."""
+    """Make a standing person with arms hanging, on the hips or in front of the chest."""
     height, build = float(np.clip(rng.normal(1.72, 0.08), 1.5, 2.0)), float(rng.uniform(0.88, 1.25))
     arms, elbows = [((0.05, 0.0), (0.1, 0.15)), ((-0.3, -0.3), (1.2, 1.2)), ((0.2, 0.4), (1.6, 1.9))][rng.integers(3)]
     stance = float(rng.uniform(0.0, 0.12))
@@ -146,7 +146,7 @@ def standing(rng: Generator) -> Body:
 
 
 def _tyre(x: float, radius: float, tube: float, *, sides: int = 14) -> Mesh:
-    """Make an open wheel (a rim without a disc) on the ground at `x` [m]."""
+    """Make an open wheel without a disc on the ground at `x` [m]."""
     angles = 2 * np.pi * np.arange(sides + 1) / sides
     circle = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
     center = np.array([x, 0, radius])
@@ -157,7 +157,7 @@ def _tyre(x: float, radius: float, tube: float, *, sides: int = 14) -> Mesh:
 
 
 def bicycle(rng: Generator) -> Body:
-    """Make a bicycle with its rider, about 1.75 m long."""
+    """Make a bicycle with a rider, about 1.75 m long."""
     height, build = float(np.clip(rng.normal(1.74, 0.08), 1.5, 2.0)), float(rng.uniform(0.9, 1.15))
     wear = clothes(rng)
     k, r = height / 1.75, 0.34
@@ -179,7 +179,7 @@ def bicycle(rng: Generator) -> Body:
 
 
 def motorcycle(rng: Generator, paint: M) -> Body:
-    """Make a motorcycle with its rider and helmet, about 2.1 m long."""
+    """Make a motorcycle with a rider, about 2.1 m long."""
     height = float(np.clip(rng.normal(1.76, 0.07), 1.6, 2.0))
     wear = Clothes(M.CLOTH_DARK, M.CLOTH_DARK, M.CLOTH_DARK)
     r = 0.31

@@ -1,4 +1,4 @@
-"""Permission to enter junctions, compiled: signals, first come first served, no vehicle stops in a junction."""
+"""Compiled rules for entering junctions: signals, first come first served, and no stops inside a junction."""
 
 from typing import NamedTuple
 
@@ -10,21 +10,21 @@ from ogm.simulation.traffic.graph import LaneTable
 from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Signals
 
 MIN_GREEN, MAX_GREEN, ALL_RED = 4.0, 10.0, 2.0  # [s]
-PATIENCE = 8.0  # [s] who has waited longer is let through before those who come
-DETOUR = 6.0  # [s] who has waited so long for space behind a junction turns another way
-SHORT = 7.0  # [m] longer vehicles enter a roundabout only with permission as far as their exit
+PATIENCE = 8.0  # [s] waiting time after which a vehicle reserves its lanes against later ones
+DETOUR = 6.0  # [s] waiting time for space behind a junction after which a vehicle takes another route
+SHORT = 7.0  # [m] longer vehicles enter a roundabout only with permission up to their exit
 
 
 class Queue(NamedTuple):
-    """Vehicles that wait.
+    """Requests of waiting vehicles.
 
     Attributes
     ----------
     want, held : (V,) int64
-        Place in the route that each wants next, and the last one that a patient one, who is refused, has a claim
-        to; -1 for none.
+        Position in the route that each vehicle requests, and the last position that a patient vehicle reserves; -1 for
+        no request or reservation.
     inside : (J,) int64
-        Vehicles inside each junction.
+        Number of vehicles inside each junction.
     """
 
     want: Ints
@@ -34,7 +34,7 @@ class Queue(NamedTuple):
 
 @kernel
 def _chain_end(t: LaneTable, d: Drivers, i: int, k: int) -> int:
-    """Return the last place of the route that must be granted together with place `k`."""
+    """Return the last position of the route that must be granted together with position `k`."""
     while True:
         while t.guarded[d.route[i, k]] and k + 2 < d.route.shape[1]:
             if t.fork[d.route[i, k]] and d.length[i] < SHORT:
@@ -48,7 +48,7 @@ def _chain_end(t: LaneTable, d: Drivers, i: int, k: int) -> int:
 
 @kernel
 def _meet(t: LaneTable, d: Drivers, i: int, first: int, last: int, j: int, span: tuple[int, int], rear: float) -> bool:
-    """Return whether places first..last of i's route meet the places `span` of j's beyond `rear` [m] of its way."""
+    """Return whether positions first..last of i's route conflict with j's positions `span`, beyond `rear` [m]."""
     for k in range(span[0], span[1] + 1):
         other = d.route[j, k]
         for m in range(first, last + 1):
@@ -60,20 +60,20 @@ def _meet(t: LaneTable, d: Drivers, i: int, first: int, last: int, j: int, span:
 
 @kernel
 def _sorted(rank: Floats) -> Ints:
-    """Return the order of numbers, smallest first (numba's own sorting takes long to compile)."""
+    """Return the indices that sort numbers in ascending order (numba's sorting is slow to compile)."""
     order = np.zeros(len(rank), np.int64)
     for k in range(1, len(rank)):
-        one, m = k, k
-        while m > 0 and rank[order[m - 1]] > rank[one]:
+        index, m = k, k
+        while m > 0 and rank[order[m - 1]] > rank[index]:
             order[m] = order[m - 1]
             m -= 1
-        order[m] = one
+        order[m] = index
     return order
 
 
 @kernel
 def grant(t: LaneTable, d: Drivers, s: Signals, now: float, limits: DrivingLimits) -> None:
-    """Grant lanes that need permission; `limits.stop` becomes the way to where a vehicle without it halts [m]."""
+    """Grant permissions; `limits.stop` becomes the distance to the stop of vehicles without permission [m]."""
     count = len(d.x)
     queue = Queue(np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(len(t.most), np.int64))
     demand = np.zeros((len(s.phases), 16), np.bool_)
@@ -90,7 +90,7 @@ def grant(t: LaneTable, d: Drivers, s: Signals, now: float, limits: DrivingLimit
         if junction >= 0:
             queue.inside[junction] += 1
             if t.fork[d.route[i, d.front[i]]]:
-                rank[i] -= 1000.0  # in a roundabout goes before into a roundabout
+                rank[i] -= 1000.0  # vehicles in a roundabout have priority
     for i in _sorted(rank):
         first = queue.want[i]
         if first < 0:
@@ -111,7 +111,7 @@ def grant(t: LaneTable, d: Drivers, s: Signals, now: float, limits: DrivingLimit
 
 @kernel
 def _request(t: LaneTable, d: Drivers, s: Signals, i: int, now: float, limits: DrivingLimits, demand: Mask) -> int:
-    """Return the place in its route that vehicle i waits for, -1 for none; note its `demand` at signals."""
+    """Return the route position for which vehicle i waits, -1 for none, and register its `demand` at signals."""
     limits.stop[i] = 1e9
     k: int = max(d.front[i], d.granted[i]) + 1
     while not t.guarded[d.route[i, k]] and d.start[i, k] - d.x[i] < SIGHT:
@@ -127,7 +127,7 @@ def _request(t: LaneTable, d: Drivers, s: Signals, i: int, now: float, limits: D
         d.since[i] = -1.0
         return -1
     limits.stop[i] = ahead
-    if limits.gap[i] < ahead - 0.5:  # another vehicle is first in line
+    if limits.gap[i] < ahead - 0.5:  # another vehicle is ahead
         d.since[i] = -1.0
         return -1
     if d.since[i] < 0:
@@ -139,7 +139,7 @@ def _request(t: LaneTable, d: Drivers, s: Signals, i: int, now: float, limits: D
 def _may_enter(
     t: LaneTable, d: Drivers, s: Signals, i: int, last: int, now: float, limits: DrivingLimits, queue: Queue
 ) -> bool:
-    """Return whether signal and space allow vehicle i to drive to place `last`; it may turn another way instead."""
+    """Return whether signal and space let vehicle i drive to position `last`; after a wait, change its route."""
     first = queue.want[i]
     lane = d.route[i, first]
     junction = t.junction[lane]
@@ -149,7 +149,7 @@ def _may_enter(
     if t.fork[d.route[i, last]]:
         fits: bool = t.fork[d.route[i, first - 1]] or queue.inside[junction] < t.most[junction]
         return fits
-    # space behind the junction, so that no vehicle stops in it
+    # Space behind the junction, so that no vehicle stops in it.
     space = d.start[i, last + 1] - d.x[i] + d.length[i] + 1.0
     round_trip = t.phase[d.route[i, last]] < 0 and limits.pace[i] > 1.0
     if limits.gap[i] + limits.pace[i] ** 2 / 5.0 < space and not round_trip:
@@ -162,7 +162,7 @@ def _may_enter(
 
 @kernel
 def _free(t: LaneTable, d: Drivers, i: int, first: int, last: int, queue: Queue) -> bool:
-    """Return whether places first..last of i's route meet no lane that another vehicle is on or has a claim to."""
+    """Return whether positions first..last of i's route are free of lanes that other vehicles use or reserve."""
     for j in range(len(d.x)):
         if j == i:
             continue
@@ -175,13 +175,13 @@ def _free(t: LaneTable, d: Drivers, i: int, first: int, last: int, queue: Queue)
 
 @kernel
 def _detour(t: LaneTable, d: Drivers, i: int, place: int) -> None:
-    """Change the route of vehicle i from a place on that it has not come to."""
+    """Change the route of vehicle i from a future position on."""
     before, barred = d.route[i, place - 1], d.route[i, place]
     for k in range(place, d.route.shape[1]):
         count = 0
         for lane in t.onward[before]:
             count += lane >= 0 and lane != barred
-        if count == 0:  # no other way; only at `place`, as all others lead on
+        if count == 0:  # no alternative; possible only at `place`, because all other lanes lead on
             return
         d.dice[i] = d.dice[i] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
         pick = int((d.dice[i] >> np.uint64(33)) % np.uint64(count))
@@ -198,7 +198,7 @@ def _detour(t: LaneTable, d: Drivers, i: int, place: int) -> None:
 
 @kernel
 def _switch(s: Signals, demand: Mask, now: float) -> None:
-    """Change signals: green goes round to the next phase that a vehicle waits for."""
+    """Switch signals to the next phase with waiting vehicles."""
     for junction in range(len(s.phases)):
         phases = s.phases[junction]
         if phases == 0:

@@ -1,4 +1,4 @@
-"""State of the traffic as kernels change it, step by step."""
+"""State of the traffic, updated by kernels step by step."""
 
 from typing import NamedTuple
 
@@ -7,34 +7,34 @@ from numpy.typing import NDArray
 
 from ogm.simulation.mesh import Floats, Floats32, Ints
 
-LAST = 1200.0  # [s] scenarios end here
-WARM_UP = 30.0  # [s] simulated before time 0, so that queues have formed
+LAST = 1200.0  # [s] duration of a scenario
+WARM_UP = 30.0  # [s] simulated before time 0 to form queues
 STEP = 0.1  # [s]
-AHEAD = 14  # lanes of its route that a driver takes into account
-SIGHT = 70.0  # [m]
+AHEAD = 14  # lanes of the route that a driver considers
+SIGHT = 70.0  # [m] range that a driver considers
 GAP = 2.0  # [m] between standing vehicles
 
 
 class Drivers(NamedTuple):
-    """V vehicles; the first is the ego vehicle. Distances count along each vehicle's own route.
+    """State of V vehicles, the ego vehicle first; distances are along each vehicle's own route.
 
     Attributes
     ----------
     route : (V, R) int64
-        Lanes in the order in which they are driven.
+        Lanes of the route in driving order.
     start : (V, R + 1) float64
-        Where each of them begins [m].
+        Start of each lane along the route [m].
     x, v : (V,) float64
-        Front bumper [m] and speed [m/s]; changed by `advance`.
+        Position of the front bumper [m] and speed [m/s]; changed by `advance`.
     front, rear, granted : (V,) int64
-        Places in the route of the front and of the rear, and up to which there is permission; changed.
+        Route positions of the front, of the rear, and of the last permission; changed.
     since : (V,) float64
-        Time from which a vehicle has been waiting for permission [s], -1 if it is not; changed.
+        Time since which a vehicle waits for permission [s], -1 without waiting; changed.
     dice : (V,) uint64
-        State of each vehicle's random numbers; changed.
+        State of each vehicle's random number generator; changed.
     length, acceleration, braking, hardest, headway, pace, top : (V,) float64
-        Length with trailer [m]; comfortable acceleration and braking, hardest braking [m/s^2]; time gap [s]; share
-        of the limit that is driven; highest speed [m/s].
+        Length with trailer [m]; comfortable acceleration and braking, hardest braking [m/s^2]; time gap [s]; driven
+        share of the speed limit; top speed [m/s].
     """
 
     route: Ints
@@ -56,7 +56,7 @@ class Drivers(NamedTuple):
 
 
 class Signals(NamedTuple):
-    """J junctions: number of phases (0: no signal), the one that is green, and since when [s]; changed."""
+    """Signals of J junctions: number of phases (0 without a signal), green phase, and its start [s]; changed."""
 
     phases: Ints
     green: Ints
@@ -64,26 +64,26 @@ class Signals(NamedTuple):
 
 
 class Walkers(NamedTuple):
-    """N pedestrians, each to and fro on one walkway.
+    """State of N pedestrians, who walk back and forth on a walkway each.
 
     Attributes
     ----------
     line : (N,) int64
-        Walkway.
+        Walkway of each pedestrian.
     way, short : (N,) float64
-        Length of the way walked, and how far before either end of the walkway it stops [m].
+        Length of the path [m], and its distance from both ends of the walkway [m].
     w : (N,) float64
-        Distance walked; the way out and back is twice `way`; changed.
+        Distance walked [m], where a return trip counts twice `way`; changed.
     pace, rest : (N,) float64
-        Speed [m/s]; time that is rested at either end [s].
+        Speed [m/s], and time of rest at either end [s].
     resting : (N,) float64
-        Rest that is left [s]; changed.
+        Remaining rest [s]; changed.
     zone : (N,) int64
-        Crossing that is being walked over, -1 if none; changed.
+        Crossing in use, -1 for none; changed.
     busy : (Z,) int64
-        Pedestrians on each crossing; changed.
+        Number of pedestrians on each crossing; changed.
     left : (Z,) float64
-        When the last of them left it [s]; changed.
+        Time when the last pedestrian left each crossing [s]; changed.
     """
 
     line: Ints
@@ -99,7 +99,7 @@ class Walkers(NamedTuple):
 
 
 class Record(NamedTuple):
-    """States before each of n steps: `Drivers.x` and `v` (n, V), `Walkers.w` (n, N); filled."""
+    """States before each of n steps: `Drivers.x` and `v` (n, V), `Walkers.w` (n, N); output of `advance`."""
 
     x: Floats
     v: Floats32
@@ -107,12 +107,12 @@ class Record(NamedTuple):
 
 
 class DrivingLimits(NamedTuple):
-    """What limits each vehicle in one step.
+    """Limits of each vehicle in one step.
 
     Attributes
     ----------
     gap, pace, stop : (V,) float64
-        Free way ahead [m]; speed of what ends it [m/s]; way to where it has to stop [m].
+        Free distance ahead [m], speed of the vehicle at its end [m/s], and distance to a required stop [m].
     """
 
     gap: Floats
