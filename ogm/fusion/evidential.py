@@ -69,7 +69,7 @@ class EvidentialMapper(Mapper):
         have other extents and resolutions.
     rule : function
         Combines two masses, ``rule(map, scan)``. The functions `dempster`, `yager`, `cumulative`, `cautious`, `revise`
-        and `smooth` of `ogm.evidence` are compiled; other functions of two (..., 2) arrays are ten times slower or more.
+        and `smooth` of `ogm.evidence` are compiled; other functions of two (..., 2) arrays are 10 times slower or more.
         Open-world rules return triples: close them, ``lambda a, b: close_world(conjunctive(a, b))``. The default treats
         scans as dependent: weak evidence that every scan repeats, such as rays over a roof, does not become certainty.
     half_life : float or (free, occupied)

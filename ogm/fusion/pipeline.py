@@ -130,7 +130,7 @@ def fuse(
     Raises
     ------
     ValueError
-        If de-skewing is asked for without poses, or with the models of several sensors.
+        If de-skewing has no poses, or `ism` has models of several sensors.
 
     Examples
     --------
