@@ -1,4 +1,4 @@
-"""Kernels that find the moving cells of a grid, and join them to groups. Nothing is checked here."""
+"""Kernels that find the moving cells of a grid and join them to groups. They check nothing."""
 
 from typing import Any
 
@@ -32,22 +32,22 @@ def moving_cells(
 def join_cells(
     cells: NDArray[Any], velocity: NDArray[Any], place: NDArray[Any], reach: int, gate: tuple[float, float]
 ) -> NDArray[Any]:
-    """Return the number of the group of each cell, (K,) int64, in the order of their first cells.
+    """Return the group number of each cell, (K,) int64, in the order of their first cells.
 
-    Sets are joined by union and find: the root of a set is its first cell.
+    Groups are joined by union-find: the root of a group is its first cell.
 
     Parameters
     ----------
     cells : (K, 2) int64
         Sorted row by row.
     velocity : (nx, ny, 2) float32
-        [m/s], finite in the cells.
+        Velocity [m/s], finite in the cells.
     place : (nx, ny) int32
-        Zeros; holds 1 + the place in `cells` afterwards.
+        Zeros; set to 1 + index in `cells`.
     reach : int
         Distance along each axis up to which cells are neighbours [cells].
     gate : (float, float)
-        Greatest difference of the velocities of neighbours [m/s], plus its growth with the greater speed.
+        Greatest difference between velocities of neighbours [m/s], and its growth with the greater of their speeds.
     """
     count = len(cells)
     root = np.arange(count)
