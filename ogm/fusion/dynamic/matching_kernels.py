@@ -79,7 +79,7 @@ def _sum_levels(
 
 @vector
 def _add_interpolated(sums: NDArray[np.uint16], ratio: float, weight: np.float32, total: NDArray[np.float32]) -> None:
-    """Add the sums of a scan to the cost of velocities; its displacements are `ratio` times those of the oldest scan."""
+    """Add the sums of a scan to the cost of velocities, at `ratio` times the displacements of the oldest scan."""
     side, inner = len(total), len(sums) // 2
     low, share = np.empty(side, np.int32), np.empty(side, np.float32)
     for j in range(side):
