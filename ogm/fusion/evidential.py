@@ -113,7 +113,7 @@ class EvidentialMapper(Mapper):
     sees between the legs of a table never clears the table top that a depth camera saw.
 
     Threads. One thread may update the map while other threads read it. Each property and method returns a consistent
-    state, from before or after an update. For several values of one state use ``with mapper.lock:``.
+    state, from before or after an update. To read several values of the same state use ``with mapper.lock:``.
     """
 
     rule: Rule
@@ -440,7 +440,7 @@ class EvidentialMapper(Mapper):
         return ScanLookup(values, scan.affine, scan.samples)
 
     def _memory(self, elapsed: float) -> Memory:
-        """Return the forgetting parameters and the time of a scan, `elapsed` [s] after the last one."""
+        """Return the forgetting parameters and the time of a scan, `elapsed` [s] after the last scan."""
         evidence, observed = self.discounting is discount_evidence, self.forget == "observed"
         half_lives = *self.half_life, self.moving_half_life, self.conflict_half_life
         return Memory(*half_lives, evidence, observed, elapsed, self._now + elapsed)

@@ -86,7 +86,7 @@ def resampled(grid: AnyGrid | PlacedGrid, spec: GridSpec | float, method: Resamp
     method : {"worst", "area", "nearest", "cautious"}
         Method for masses, see `ogm.fusion.resample_to`: the default never enlarges free. A new cell takes the greatest
         conflict of the cells that it covers; other layers take the value at its centre. Layers of several models are
-        dropped, unless both grids have cells of one lattice.
+        dropped, unless both grids have cells of the same lattice.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def merge(
     rule: Callable[[Any, Any], Any] = cautious,
     method: ResampleMethod = "worst",
 ) -> PlacedGrid:
-    """Return two maps as one, on the cells of the first, extended to cover the second.
+    """Merge two maps, on the cells of the first, extended to cover the second.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def _joined(first: LayeredGrid | None, second: LayeredGrid | None) -> dict[str, 
 
 
 def extended(spec: GridSpec, other: GridSpec, T: ArrayLike | None = None) -> GridSpec:
-    """Return the cells of one grid, extended to cover another; `T` (4, 4) takes the other to the first's frame."""
+    """Return the cells of a grid, extended to cover another; `T` (4, 4) takes the other to the first's frame."""
     A, b = planar_transform(np.eye(4) if T is None else np.asarray(T, np.float64))
     x0, x1, y0, y1 = other.extent
     corners = np.array([(x, y) for x in (x0, x1) for y in (y0, y1)]) @ A.T + b

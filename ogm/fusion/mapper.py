@@ -107,7 +107,7 @@ class Mapper(ABC):
     Notes
     -----
     One thread may update the map while other threads read it. Each property and method returns a consistent state,
-    from before or after an update. For several values of one state use ``with mapper.lock:``.
+    from before or after an update. To read several values of the same state use ``with mapper.lock:``.
     """
 
     lock: MapLock

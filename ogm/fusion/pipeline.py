@@ -209,7 +209,7 @@ def turn_within_scan(previous: FusionStep, step: FusionStep) -> float:
     Parameters
     ----------
     previous, step : FusionStep
-        Successive steps of one drive. The angle is 0 at a restart of the map, and without poses, stamps or times of the
+        Successive steps of a drive. The angle is 0 at a restart of the map, and without poses, stamps or times of the
         points.
     """
     time, (now, then) = step.frame.scan.time, (step.frame.stamp, previous.frame.stamp)

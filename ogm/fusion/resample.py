@@ -91,7 +91,7 @@ def resample_to(grid: EvidentialGrid, spec: GridSpec, method: ResampleMethod | N
 
 
 def lattice_offset(source: GridSpec, spec: GridSpec) -> tuple[int, int] | None:
-    """Return the index in `source` of the first cell of `spec`; None if their cells are not of one lattice."""
+    """Return the index in `source` of the first cell of `spec`; None if their cells are not of the same lattice."""
     shift = (np.array(spec.origin) - source.origin) / source.resolution
     if not math.isclose(spec.resolution, source.resolution) or np.abs(shift - np.rint(shift)).max() > _SAME_LATTICE:
         return None

@@ -165,7 +165,7 @@ class UpdateGate:
         return CheckedScan(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid))
 
     def accept(self, scan: CheckedScan) -> None:
-        """Keep a scan as the last one, unless it is late."""
+        """Keep a scan for the check of the next, unless it is late."""
         self.scans += 1
         if scan.elapsed >= 0:
             self.stamp, self.T_map_vehicle = scan.stamp, scan.T_map_vehicle

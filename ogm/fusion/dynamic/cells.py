@@ -36,7 +36,7 @@ class Rates(NamedTuple):
     reliability : float32
         Shafer's discount of the scan, [0, 1].
     particle : float32
-        Remaining mass of one particle.
+        Remaining mass of a particle.
     """
 
     keep_free: np.float32
@@ -210,7 +210,7 @@ def share_particles(
     masses : two of (cells,) float32
         Surviving and born parts of dynamic.
     mass : float
-        Mass of one particle.
+        Mass of a particle.
     offset : float
         Offset of the rounding, [0, 1).
     most : int

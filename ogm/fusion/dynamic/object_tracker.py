@@ -103,7 +103,7 @@ class ObjectTracker:
         objects : Objects
             In map coordinates.
         stamp : float
-            Time of the scan [s], not before the last one.
+            Time of the scan [s], not before the last stamp.
 
         Returns
         -------
@@ -114,11 +114,11 @@ class ObjectTracker:
         Raises
         ------
         ValueError
-            If the stamp is not finite, or before the last one.
+            If the stamp is not finite, or before the last stamp.
         """
         elapsed = 0.0 if self.stamp is None else stamp - self.stamp
         if not -_TOLERANCE <= elapsed < math.inf:
-            raise ValueError(f"stamp must be finite and not before the last one, {self.stamp} s, got {stamp} s")
+            raise ValueError(f"stamp must be finite and not before the last stamp, {self.stamp} s, got {stamp} s")
         elapsed, self.stamp = max(elapsed, 0.0), stamp
         for track in self._tracks:
             track.predict(elapsed)

@@ -14,7 +14,7 @@ _ANGLES = np.radians(np.arange(0, 90, 5))  # candidates for the yaw of a box wit
 
 
 class ObjectSettings(NamedTuple):
-    """Criteria for moving cells, and for cells of one object.
+    """Criteria for moving cells, and for cells of the same object.
 
     Attributes
     ----------
