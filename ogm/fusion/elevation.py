@@ -42,8 +42,9 @@ class ElevationMapper:
     process_noise : float
         Growth of the variance of a cell with time [m2/s].
     independent_scans : float
-        Greatest precision of a cell, in multiples of the precision of a single scan, at least 1. Scans from nearby poses
-        share the errors of gaps and calibration, so they are not all independent. Infinity is the plain Kalman filter.
+        Greatest precision of a cell, in multiples of the precision of a single scan, at least 1. Scans from nearby
+        poses share the errors of gaps and calibration, so they are not all independent. Infinity is the plain Kalman
+        filter.
     window, max_speed, max_delay
         See `EvidentialMapper`.
 
