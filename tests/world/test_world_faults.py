@@ -165,8 +165,8 @@ def test_a_map_whose_making_was_stopped_is_begun_or_goes_on(tmp_path: Path, town
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let leases be renewed, and end, within moments."""
-    monkeypatch.setattr(writer, "RENEWED", 0.2)
-    monkeypatch.setattr(writer, "DEAD", 3.0)
+    monkeypatch.setattr(writer, "RENEWAL_INTERVAL", 0.2)
+    monkeypatch.setattr(writer, "LEASE_TIMEOUT", 3.0)
 
 
 def test_a_bucket_has_one_writer(s3: dict[str, str], quick: None, make_grid: Callable) -> None:
