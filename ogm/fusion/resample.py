@@ -117,8 +117,8 @@ def cells_at(array: NDArray[Any], source: GridSpec, spec: GridSpec, outside: flo
     low = [max(-k, 0) for k in offset]
     high = [min(m - k, n) for k, m, n in zip(offset, source.shape, spec.shape, strict=True)]
     if all(a < b for a, b in zip(low, high, strict=True)):
-        there = tuple(slice(a + k, b + k) for a, b, k in zip(low, high, offset, strict=True))
-        made[low[0] : high[0], low[1] : high[1]] = array[there]
+        overlap = tuple(slice(a + k, b + k) for a, b, k in zip(low, high, offset, strict=True))
+        made[low[0] : high[0], low[1] : high[1]] = array[overlap]
     return made
 
 
@@ -243,12 +243,12 @@ def _clipped_area(corners: Any, a: int, b: int, work: Any) -> float:
         n = 0
         for k in range(count):
             m = k + 1 if k + 1 < count else 0
-            here, there = sign * (polygon[k, axis] - edge), sign * (polygon[m, axis] - edge)
-            if here >= 0:
+            start, end = sign * (polygon[k, axis] - edge), sign * (polygon[m, axis] - edge)
+            if start >= 0:
                 other[n] = polygon[k]
                 n += 1
-            if (here > 0 > there) or (here < 0 < there):
-                t = here / (here - there)
+            if (start > 0 > end) or (start < 0 < end):
+                t = start / (start - end)
                 other[n, 0] = polygon[k, 0] + t * (polygon[m, 0] - polygon[k, 0])
                 other[n, 1] = polygon[k, 1] + t * (polygon[m, 1] - polygon[k, 1])
                 n += 1

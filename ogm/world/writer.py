@@ -59,7 +59,7 @@ def check_writer(url: str, place: Any, token: str) -> None:
     with reading(url):
         found = read_object(place, WRITER)
     if found is None or _Lease.of(found).token != token:
-        raise BlockingIOError(errno.EWOULDBLOCK, "another process writes to this map", url)
+        raise BlockingIOError(errno.EWOULDBLOCK, "another process has become the writer of this map", url)
 
 
 class _Lease(NamedTuple):

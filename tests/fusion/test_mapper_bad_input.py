@@ -50,11 +50,16 @@ def test_a_refused_scan_changes_nothing(mapper):
         ("stamp", math.nan, ValueError, "stamp must be finite"),
         ("stamp", None, ValueError, "stamp is missing"),
         ("stamp", 9.0, ValueError, "1 s older than the map"),
-        ("stamp", 1.1e11, ValueError, "are the stamps in seconds|divide nanoseconds"),
+        ("stamp", 1.1e11, ValueError, "give stamps in seconds|divide nanoseconds"),
         ("reliability", 1.5, ValueError, r"reliability must be a number in \[0, 1\], got 1.5"),
         ("reliability", math.nan, ValueError, "reliability must be"),
         ("grid", np.zeros((32, 24, 2)), TypeError, "updated with an EvidentialGrid, got ndarray"),
-        ("grid", far, ValueError, "has no cell in the map's window; is T_map_sensor the pose of the grid's own frame"),
+        (
+            "grid",
+            far,
+            ValueError,
+            "has no cell in the map's window: give T_map_sensor as the pose of the grid's own frame",
+        ),
     ):
         given = {"grid": uniform(SPEC), "T_map_sensor": pose(1.05, 2.0), "stamp": 10.1} | {name: value}
         refused(words, mapper.update, error=error, **given)

@@ -63,7 +63,7 @@ def test_a_lost_sub_map_is_made_anew_or_named(town: Path, copy: Path) -> None:
         part = next(one for one in (copy / "drives" / "a" / "c").rglob(f"{index[0] + 2**21}/{index[1] + 2**21}"))
         part.unlink()
         os.unlink(copy / world.store.key(index))  # so that the sub-map is needed
-        message = r"tiles of sub-maps of drive a .* are lost, such as drives/a/c/"
+        message = r"tiles of sub-maps of drive a .* are missing, such as drives/a/c/"
         refused(message, rebuild_world, world, error=OgmError)
         assert sum(map(len, lost_tiles(world.store, load_drive(world.store, "a")).values())) == 1
         events = build(world)
@@ -194,7 +194,7 @@ def test_the_lease_of_a_killed_writer_is_taken_over_and_it_writes_no_more(
         killed = WorldMap.create(**where, **OPTIONS)
     killed.integrate(make_grid(), np.eye(4))
     with WorldMap.open(**where, mode="r+") as world:
-        with pytest.raises(BlockingIOError, match="another process has begun to write"):
+        with pytest.raises(BlockingIOError, match="another process has become the writer"):
             killed.flush()
         assert world.tiles() == []
         killed.forget_tiles()

@@ -199,7 +199,7 @@ def share_particles(
     masses: tuple[np.ndarray, np.ndarray],
     mass: float,
     offset: float,
-    most: int,
+    capacity: int,
     survivors: np.ndarray,
     start: np.ndarray,
 ) -> None:
@@ -213,8 +213,8 @@ def share_particles(
         Mass of a particle.
     offset : float
         Offset of the rounding, [0, 1).
-    most : int
-        Capacity: upper bound of the number of particles.
+    capacity : int
+        Upper bound of the number of particles.
     survivors : (cells,) int32
         Output: number of particles that a cell draws from its old ones.
     start : (cells + 1,) int32
@@ -223,7 +223,7 @@ def share_particles(
     surviving, born = masses
     scale = 2.0**FRACTION_BITS / mass
     summed = np.int64(offset * 2.0**FRACTION_BITS)  # integers: sums are exact
-    at, space = np.int64(0), np.int64(most)
+    at, space = np.int64(0), np.int64(capacity)
     for c in range(len(survivors)):
         start[c] = at
         survivors[c] = 0

@@ -103,7 +103,7 @@ def move_mass(
     # A white acceleration q shifts by q sqrt(dt³ / 3) n; the velocity changes by q sqrt(dt) (sqrt(3) n + m) / 2.
     shifted = np.float32(q * math.sqrt(dt**3 / 3))
     changed = np.float32(q * math.sqrt(0.75 * dt))
-    one, nothing = np.float32(1), np.float32(0)
+    one, zero = np.float32(1), np.float32(0)
     row, moments = out.row, out.moments
     moments[0] = 0
     rows = 1
@@ -112,7 +112,7 @@ def move_mass(
         if first == last:
             continue
         b = label[c // ny, c % ny]
-        m = mass[c // ny, c % ny, 2] + (np.float32(horizon.moved_static) * mass[c // ny, c % ny, 1] if b else nothing)
+        m = mass[c // ny, c % ny, 2] + (np.float32(horizon.moved_static) * mass[c // ny, c % ny, 1] if b else zero)
         m /= np.float32(last - first)
         loose = one - bodies.rigidity[b]
         ux, uy = bodies.velocity[b, 0], bodies.velocity[b, 1]
@@ -128,7 +128,7 @@ def move_mass(
             rx, ry = particles.x[k] - cx, particles.y[k] - cy
             x = (cx + cosine * rx - sine * ry + p * vx - q * vy + shifted * n2) * scale
             y = (cy + sine * rx + cosine * ry + q * vx + p * vy + shifted * n3) * scale
-            if not (nothing <= x < np.float32(nx) and nothing <= y < np.float32(ny)):
+            if not (zero <= x < np.float32(nx) and zero <= y < np.float32(ny)):
                 continue
             to_i, to_j = np.uint32(x), np.uint32(y)
             wx, wy = cosine * vx - sine * vy + changed * n2, sine * vx + cosine * vy + changed * n3
@@ -166,7 +166,7 @@ def cells_later(
         Output.
     """
     nx, ny = label.shape
-    one, nothing = np.float32(1), np.float32(0)
+    one, zero = np.float32(1), np.float32(0)
     independent = np.float32(horizon.acceleration**2 * horizon.seconds / 4)
     row, moments = arrivals.row, arrivals.moments
     for i in range(nx):
@@ -178,11 +178,11 @@ def cells_later(
             left = min((one - dynamic) / max(one - mass[i, j, 2], np.float32(1e-6)), one)  # less if more mass arrives
             free = min(mass[i, j, 0] * np.float32(horizon.kept_free) * left, one - static - dynamic)
             result[i, j, 0], result[i, j, 1], result[i, j, 2] = free, static, dynamic
-            if m0 > nothing:
+            if m0 > zero:
                 vx, vy = moments[r, 1] / m0, moments[r, 2] / m0
                 velocity[i, j, 0], velocity[i, j, 1] = vx, vy
-                covariance[i, j, 0, 0] = max(moments[r, 3] / m0 - vx * vx, nothing) + independent
-                covariance[i, j, 1, 1] = max(moments[r, 5] / m0 - vy * vy, nothing) + independent
+                covariance[i, j, 0, 0] = max(moments[r, 3] / m0 - vx * vx, zero) + independent
+                covariance[i, j, 1, 1] = max(moments[r, 5] / m0 - vy * vy, zero) + independent
                 covariance[i, j, 0, 1] = covariance[i, j, 1, 0] = moments[r, 4] / m0 - vx * vy
             else:
                 velocity[i, j, :] = np.nan
