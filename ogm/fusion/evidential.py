@@ -13,13 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import cautious, cumulative, dempster, discount, discount_evidence, revise, smooth, yager
 from ogm.fusion.kernels import (
-    CAUTIOUS,
     CONFIRMED,
-    CUMULATIVE,
-    DEMPSTER,
-    REVISION,
-    SMOOTHING,
-    YAGER,
     Aging,
     Memory,
     age_blocks,
@@ -41,18 +35,11 @@ from ogm.unknown_cause import UnknownCause
 
 Rule = Callable[[Any, Any], Any]
 DYNAMIC_DECAY_RATIO = 100.0  # default half-life of occupied over `moving_half_life`
-_COMPILED: dict[Rule, int] = {
-    **{
-        dempster: DEMPSTER,
-        yager: YAGER,
-        cumulative: CUMULATIVE,
-        cautious: CAUTIOUS,
-        revise: REVISION,
-        smooth: SMOOTHING,
-    }
-}
+_RULES: tuple[Rule, ...] = dempster, yager, cumulative, cautious, revise, smooth
+_COMPILED = {rule: code for code, rule in enumerate(_RULES)}  # codes of `ogm.fusion.kernels.combine_cells`
 _NO_MASS = np.zeros((1, 1, 2), np.float32)
 _NO_MASS.flags.writeable = False
+_NO_CAUSE = np.zeros((1, 1), np.uint8)
 _NOWHERE = np.array([[1.0, 0.0, 1e9], [0.0, 1.0, 1e9]])  # affine map to cells outside of `_NO_MASS`
 
 
@@ -285,8 +272,8 @@ class EvidentialMapper(Mapper):
         if self._codes is None:
             raise ValueError("no scan of the map has causes: use the sensor model ogm.models.ExplainedISM(model)")
         self._age_all()
-        codes, grid = self._codes.copy(), _NO_MASS[..., 0].astype(np.uint8)
-        note_causes(codes, self._whole(), self._whole_conflict(), self._window.ring, grid, _NOWHERE)
+        codes = self._codes.copy()
+        note_causes(codes, self._whole(), self._whole_conflict(), self._window.ring, _NO_CAUSE, _NOWHERE)
         codes[codes == 0] = UnknownCause.OUTSIDE_VIEW
         codes[codes == CONFIRMED] = UnknownCause.KNOWN
         return LayeredGrid(self.spec, {"cause": self._window.unrolled(codes.astype(np.float32))})
@@ -325,9 +312,7 @@ class EvidentialMapper(Mapper):
             self._codes = np.zeros(self._window.spec0.shape, np.uint8)
         if self._codes is None or scan.elapsed < 0:
             return
-        cause, affine = (
-            (_NO_MASS[..., 0].astype(np.uint8), _NOWHERE) if grid.cause is None else (grid.cause, scan.affine)
-        )
+        cause, affine = (_NO_CAUSE, _NOWHERE) if grid.cause is None else (grid.cause, scan.affine)
         note_causes(self._codes, self._whole(), self._whole_conflict(), self._window.ring, cause, affine)
 
     def _combined(self, masses: Mapping[int, NDArray[np.float32]], shape: tuple[int, int]) -> NDArray[np.float32]:
@@ -445,10 +430,6 @@ class EvidentialMapper(Mapper):
         half_lives = *self.half_life, self.moving_half_life, self.conflict_half_life
         return Memory(*half_lives, evidence, observed, elapsed, self._now + elapsed)
 
-    def _kept(self, seconds: float) -> tuple[float, float]:
-        """Return the remaining shares of free and occupied after a time [s]."""
-        return 0.5 ** (seconds / self.half_life[0]), 0.5 ** (seconds / self.half_life[1])
-
     def _by_rule(self, aged: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply a rule without a kernel, and check that it returns masses."""
         new = np.asarray(self.rule(aged, measured))
@@ -462,7 +443,7 @@ class EvidentialMapper(Mapper):
 
     def _aged(self, mass: NDArray[np.float32], seconds: float) -> NDArray[np.float32]:
         """Return the masses that remain after a time [s]."""
-        kept = mass * np.array(self._kept(seconds), np.float32)
+        kept = mass * np.array([0.5 ** (seconds / half_life) for half_life in self.half_life], np.float32)
         if self.discounting is discount:
             return kept
         total = np.maximum(1 - mass.sum(axis=-1, keepdims=True), 0) + kept.sum(axis=-1, keepdims=True)

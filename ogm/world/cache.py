@@ -47,9 +47,6 @@ class TileCache:
     def __contains__(self, index: TileIndex) -> bool:
         return index in self._kept
 
-    def __len__(self) -> int:
-        return len(self._kept)
-
     @property
     def changed(self) -> list[TileIndex]:
         """Tiles that are not written yet, sorted."""

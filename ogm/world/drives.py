@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.io.poses import frame_numbers
-from ogm.pose import Trajectory, check_pose
+from ogm.pose import Trajectory, check_pose, inverse
 from ogm.scan import Frame
 from ogm.storage.archive import attributes_checksum
 from ogm.storage.files import OgmError
@@ -61,10 +61,7 @@ class SubMap:
         """Transform of its cells to their present place, (4, 4); None if they have not moved."""
         if np.array_equal(self.made, self.pose):
             return None
-        inverse = np.eye(4)
-        inverse[:3, :3] = self.made[:3, :3].T
-        inverse[:3, 3] = -self.made[:3, :3].T @ self.made[:3, 3]
-        return self.pose @ inverse
+        return self.pose @ inverse(self.made)
 
 
 @dataclass
@@ -82,11 +79,6 @@ class Drive:
     name: str
     source: str
     submaps: list[SubMap] = field(default_factory=list)
-
-    @property
-    def finished(self) -> bool:
-        """Whether all sub-maps are made."""
-        return all(submap.tiles is not None for submap in self.submaps)
 
     def moved(self, place: Callable[[SubMap], NDArray[np.float64]]) -> "Drive":
         """Return the drive with new poses of the anchors."""
@@ -277,16 +269,7 @@ def _array(store: TileStore, count: int) -> dict[str, Any]:
 
 def _attributes(drive: Drive) -> dict[str, Any]:
     submaps = [
-        {
-            "frames": list(submap.frames),
-            "anchor": submap.anchor,
-            "stamp": submap.stamp,
-            "made": submap.made.ravel().tolist(),
-            "pose": submap.pose.ravel().tolist(),
-            "tiles": None if submap.tiles is None else [list(index) for index in submap.tiles],
-            "mapped": submap.mapped,
-            "number": submap.number,
-        }
+        vars(submap) | {"made": submap.made.ravel().tolist(), "pose": submap.pose.ravel().tolist()}
         for submap in drive.submaps
     ]
     attributes = {"format": _FORMAT, "source": drive.source, "layers": list(LAYERS), "submaps": submaps}

@@ -82,7 +82,7 @@ class WorldLayout:
 
     @property
     def steps(self) -> dict[str, float]:
-        """Stored value 1 as a number: for masses, and for conflict."""
+        """Values of 1 in stored layers: of masses, and of conflict."""
         if self.dtype == "float32":
             return {"mass": 1.0, "conflict": 1.0}
         return {"mass": 1 / MASS_STEPS, "conflict": 1 / CONFLICT_STEPS}

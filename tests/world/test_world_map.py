@@ -103,7 +103,7 @@ def test_what_is_written_is_what_was_in_memory(place: Place, make_grid: MakeGrid
 def test_the_memory_does_not_change_the_map(place: Place, make_grid: MakeGrid) -> None:
     where = place()
     with made(where, make_grid, memory=1.0) as small, made(place(), make_grid) as large:
-        assert len(small._cache) == 4 < len(large._cache)
+        assert len(small._cache._kept) == 4 < len(large._cache._kept)
         assert small.window(AROUND) == large.window(AROUND)
         assert small.layers(AROUND) == large.layers(AROUND)
 

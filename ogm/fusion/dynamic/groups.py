@@ -28,11 +28,12 @@ class Groups(NamedTuple):
 
 
 @inline
-def _root(parent: NDArray[np.int32], run: int) -> int:
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
+def find_root(parent: NDArray[np.integer], k: int) -> int:
+    """Return the root of element k of a union-find forest, and shorten its path."""
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
 
 
 @kernel
@@ -78,12 +79,12 @@ def find_groups(occupied: NDArray[np.uint8], candidates: NDArray[np.uint8], link
                     other += 1
                 at = other
                 while at < end and first[at] <= last[run] + link:
-                    a, b = _root(parent, at), _root(parent, run)
+                    a, b = find_root(parent, at), find_root(parent, run)
                     parent[max(a, b)] = min(a, b)
                     at += 1
     size = np.zeros(runs, np.int32)
     for run in range(runs):
-        root = _root(parent, run)
+        root = find_root(parent, run)
         size[root] += count[run]
         chosen[root] |= chosen[run]
     number = np.zeros(runs, np.int32)
@@ -108,7 +109,7 @@ def _collect(occupied: NDArray[np.uint8], runs: tuple[NDArray[np.int32], ...], s
     filled = start.copy()
     for i in range(occupied.shape[0]):
         for run in range(row_start[i], row_start[i + 1]):
-            group = number[_root(parent, run)]
+            group = number[find_root(parent, run)]
             if group == 0:
                 continue
             for j in range(first[run], last[run] + 1):

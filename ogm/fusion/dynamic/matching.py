@@ -127,11 +127,6 @@ class Matches(NamedTuple):
     gain: NDArray[np.float64]
     resting: NDArray[np.bool_]
 
-    @property
-    def sigma(self) -> NDArray[np.float64]:
-        """Standard deviation of the velocity, (G,): root mean square over directions [m/s]."""
-        return _sigma(self.covariance)
-
 
 def match_velocities(
     now: ScanCells,
@@ -218,7 +213,7 @@ def match_velocities(
     apart, contradicted = (cost - unseen * (UNSEEN / LEVELS * cap)).T * resolution  # of measured cells
     gain = still - residual
     max_residual = settings.max_residual * np.sqrt(np.minimum(size / settings.sure_cells, 1))
-    sigma = _sigma(covariance)
+    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)  # root mean square over directions
     sure = sigma <= settings.max_sigma
     speed = np.hypot(*velocity.T)
     fast = (sigma <= settings.relative_sigma * speed) & (speed + 2 * sigma <= settings.max_speed)
@@ -227,11 +222,6 @@ def match_velocities(
     resting = sure & (gain < settings.min_gain) & (unseen[:, 1] <= 0.5)
     resting &= contradicted <= settings.min_gain * (1 - unseen[:, 1])
     return Matches(groups.label, velocity, covariance, valid, residual, gain, resting)
-
-
-def _sigma(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    sigma: NDArray[np.float64] = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
-    return sigma
 
 
 def _checked(

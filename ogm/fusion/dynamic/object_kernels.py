@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.fusion.dynamic.groups import find_root
 from ogm.jit import kernel
 
 
@@ -64,23 +65,15 @@ def join_cells(
                 limit = gate[0] + gate[1] * np.sqrt(max(vx * vx + vy * vy, ux * ux + uy * uy))
                 if (vx - ux) ** 2 + (vy - uy) ** 2 > limit * limit:
                     continue
-                p, q = _root(root, k), _root(root, other)
+                p, q = find_root(root, k), find_root(root, other)
                 root[max(p, q)] = min(p, q)
     number = np.empty(count, np.int64)
     groups = 0
     for k in range(count):
-        first = _root(root, k)
+        first = find_root(root, k)
         if first == k:
             number[k] = groups
             groups += 1
         else:
             number[k] = number[first]
     return number
-
-
-@kernel
-def _root(root: NDArray[Any], k: int) -> int:
-    while root[k] != k:
-        root[k] = root[root[k]]
-        k = root[k]
-    return k

@@ -86,9 +86,6 @@ class ObjectTracker:
         confirmed = sum(bool(track.number) for track in self._tracks)
         return f"ObjectTracker({confirmed} confirmed of {len(self._tracks)} tracks)"
 
-    def __len__(self) -> int:
-        return len(self._tracks)
-
     def reset(self) -> None:
         """End all tracks; numbers start again at 1."""
         self._tracks: list[_Track] = []

@@ -37,7 +37,7 @@ class DynamicSettings:
         Greatest factor by which a measured velocity raises the odds of dynamic to static in the cells of its group, at
         least 1; with 1 only the particles decide.
     hiding_width : float
-        Free in cells within this distance of a dynamic cell that the scan measures as occupied is limited to the free
+        Free in cells within this distance of a dynamic cell that the scan measures as occupied is bounded by the free
         mass of the scan [m]; 0 sets no limit. The default is the greatest width of a road vehicle: Council Directive
         96/53/EC allows 2.6 m.
     conflict_half_life : float

@@ -181,13 +181,8 @@ def _mean_rotation(turn: NDArray[np.float64]) -> NDArray[np.float64]:
     angle = float(np.linalg.norm(turn))
     x, y, z = turn
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    mean: NDArray[np.float64]
-    if angle < 1e-4:  # next terms: angle**3 / 24 and angle**4 / 120, below rounding
-        mean = np.eye(3) + cross / 2 + cross @ cross / 6
-        return mean
-    mean = (
-        np.eye(3)
-        + (2 * np.sin(angle / 2) ** 2 / angle**2) * cross
-        + ((angle - np.sin(angle)) / angle**3) * (cross @ cross)
-    )
+    first, second = 1 / 2, 1 / 6  # next terms: angle**3 / 24 and angle**4 / 120, below rounding
+    if angle >= 1e-4:
+        first, second = 2 * np.sin(angle / 2) ** 2 / angle**2, (angle - np.sin(angle)) / angle**3
+    mean: NDArray[np.float64] = np.eye(3) + first * cross + second * (cross @ cross)
     return mean
