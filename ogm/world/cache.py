@@ -29,7 +29,7 @@ class Tiles(Protocol):
 
 
 class TileCache:
-    """Tiles of level 0 that a map works on, limited by memory.
+    """Tiles of level 0 that a map works on, bounded in memory.
 
     Parameters
     ----------

@@ -234,7 +234,7 @@ class WorldMap(MapReader):
         """Make all overviews, levels of half the resolution each; return the number of levels.
 
         The top level has at most 2 x 2 tiles. A cell of a level has the greatest occupied of its four cells, and the
-        mean of free limited to 1 - occupied, so walls and poles stay visible. Overviews do not follow later changes.
+        mean of free bounded by 1 - occupied, so walls and poles stay visible. Overviews do not follow later changes.
         """
         self.check_writable()
         self.flush()
