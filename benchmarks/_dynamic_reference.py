@@ -1,8 +1,8 @@
 """Slow reference of the filter of `ogm.fusion.DynamicMapper`, in plain numpy.
 
 It follows the formulas of the documentation with numpy's sums, and sorts particles by argsort. It draws the same random
-numbers as the kernels (`hashed_noise`), so both filters hold the same particles up to rounding. Tests compare the two,
-and `benchmarks/dynamic_speed.py` times them.
+numbers as the kernels (`hashed_noise`), so both filters hold the same particles up to rounding. `tests/fusion`
+compares the two, and `dynamic_speed.py` times them.
 """
 
 import math
