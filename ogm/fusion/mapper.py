@@ -195,7 +195,7 @@ class Mapper(ABC):
         StampJump
             If the stamp is more than `max_delay` older than the map, or more than a day newer.
         ValueError
-            If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules of the mapper,
+            If a pose is not rigid, is tilted by more than 45 degrees or holds NaN, a stamp breaks the rules of the mapper,
             the grid and the window have no cell in common, or the columns of `radial` do not fit together.
         """
         # Check masses, pose, stamp and the distance travelled; an error leaves the map as it was

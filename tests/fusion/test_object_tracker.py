@@ -62,7 +62,7 @@ def test_missed_scans_do_not_end_a_track_but_many_do() -> None:
     assert set(numbers(tracker, scans)[18:]) == {("2",)}, "a number is never given twice"
     numbers_left = ObjectTracker()
     numbers(numbers_left, scans[:10] + [objects()] * 6)
-    assert len(numbers_left) == 0
+    assert len(numbers_left._tracks) == 0
 
 
 def test_a_static_scene_has_no_tracks() -> None:

@@ -80,7 +80,7 @@ def test_a_damaged_tile_is_named_and_made_anew(town: Path, copy: Path) -> None:
         for at in range(len(data)):
             data[at] ^= 4 * (at % 40 == 0)  # some byte of every layer
         path.write_bytes(data)
-        message = rf"tile \({index[0]}, {index[1]}\).*`ogm world rebuild` makes it anew"
+        message = rf"tile \({index[0]}, {index[1]}\).*`ogm world rebuild` makes it again"
         refused(message, world.window, world.layout.spec(world.layout.box_of(index)), error=OgmError)
         events: list[Progress] = []
         rebuild_world(world, progress=events.append)

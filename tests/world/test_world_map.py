@@ -302,7 +302,7 @@ def test_scans_that_make_no_sense_are_refused(tmp_path: Path, make_grid: MakeGri
     with WorldMap.create(tmp_path / "map", 0.5, 16) as world, WorldMap.create(tmp_path / "b", 0.25, 16) as finer:
         add, grid = world.integrate, make_grid()
         refused("must be rigid", add, grid, np.diag([1, 1, 2, 1.0]))
-        refused("leans by", add, grid, pose(pitch=1.2))
+        refused("is tilted by", add, grid, pose(pitch=1.2))
         refused("stamp must be 0", add, grid, np.eye(4), stamp=-1.0)
         refused("reliability", add, grid, np.eye(4), reliability=1.5)
         refused("beyond the map", add, grid, pose(1e12))
