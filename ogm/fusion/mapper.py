@@ -195,8 +195,8 @@ class Mapper(ABC):
         StampJump
             If the stamp is more than `max_delay` older than the map, or more than a day newer.
         ValueError
-            If a pose is not rigid, is tilted by more than 45 degrees or holds NaN, a stamp breaks the rules of the mapper,
-            the grid and the window have no cell in common, or the columns of `radial` do not fit together.
+            If a pose is not rigid, is tilted by more than 45 degrees or contains NaN, a stamp breaks the rules of the
+            mapper, the grid and the window have no cell in common, or the columns of `radial` differ in length.
         """
         # Check masses, pose, stamp and the distance travelled; an error leaves the map as it was
         check_measurement(grid, reliability)
