@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 from _charts import FLOOR, TWIN, draw_speed
+from _dynamic_reference import NumpyFilter
 from _timing import Contender, Times, long_run, measure
 
 from ogm import EvidentialGrid, GridSpec
 from ogm.datasets import open_dataset
 from ogm.fusion import DynamicMapper
 from ogm.fusion.dynamic.hashed_noise import scan_key
-from ogm.fusion.dynamic.reference import NumpyFilter
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.geometric import RayISM
 from ogm.pose import pose

@@ -302,7 +302,7 @@ def test_impossible_questions_are_refused(message: str, call: Any, arguments: An
 
 def test_what_holds_no_masses_is_refused() -> None:
     for call in (distance_to_obstacles, lambda grid: costmap(grid, 0.1, 0.2), lambda grid: inflated(grid, 1)):
-        refused("wanted an EvidentialGrid or a DynamicGrid, got EvidentialMapper: a mapper has `.grid`", call,
+        refused("wanted an EvidentialGrid or a DynamicGrid, got EvidentialMapper: give mapper.grid", call,
                 EvidentialMapper(GridSpec.centered()), error=TypeError)  # fmt: skip
     refused("give `seconds`", collision, lambda seconds: road(), VEHICLE, [(0, 0, 0)])
     refused("one number for each of 1 poses", collision, lambda seconds: road(), VEHICLE, [(0, 0, 0)], [0, 1])

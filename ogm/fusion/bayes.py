@@ -22,30 +22,30 @@ Match = Literal["pignistic", "plausibility"]
 
 
 class BinaryBayesMapper(Mapper):
-    """A map of one probability per cell: log-odds that add up, between two limits.
+    """Map of one probability per cell: log-odds are added and clipped to limits.
 
-    A scan adds the log-odds of its own probability of occupied, so both kinds of map take the same sensor model. An
-    unobserved cell and one with as much evidence for free as for occupied are both 1/2.
+    A scan adds the log-odds of its own probability of occupied, so the sensor models of `EvidentialMapper` apply.
+    Unobserved cells have probability 1/2, as have cells with equal evidence for free and occupied.
 
     Parameters
     ----------
     spec : GridSpec
-        As for `EvidentialMapper`.
+        Window of the map, see `EvidentialMapper`.
     half_life : float
         Time in which log-odds halve [s]; infinity, the classical filter, forgets nothing.
     match : {"pignistic", "plausibility"}
-        The probability of a mass: occupied + unknown / 2, or the normalised plausibility, whose log-odds Dempster's
-        rule adds up too (Cobb and Shenoy, 2006).
+        Probability of a mass: "pignistic" is occupied + unknown / 2, "plausibility" the normalised plausibility. The
+        log-odds of the plausibility add up under Dempster's rule (Cobb and Shenoy, 2006).
     limits : (float, float)
-        Between which the probability is kept; the default is OctoMap's.
+        Lowest and highest probability of a cell, 0 < low < 0.5 < high < 1. The default is OctoMap's.
     forget, window, max_speed, max_delay
-        As for `EvidentialMapper`.
+        See `EvidentialMapper`.
 
     Notes
     -----
-    Stamps, poses, jumps, threads and planes are treated as `EvidentialMapper` does: log-odds of scans that are free in
-    the plane of a laser alone add up by themselves. Of both sums the one counts that is more for occupied, or, if both
-    are for free, the one that is more for free.
+    Stamps, poses, jumps and threads are treated as in `EvidentialMapper`. Scans that are free only in the plane of a
+    laser are summed separately. A cell takes the larger of the two sums if one of them favours occupied, else the
+    smaller one.
     """
 
     half_life: float
@@ -76,7 +76,7 @@ class BinaryBayesMapper(Mapper):
         forgets = self.half_life != math.inf
         super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=forgets))
         self._log_odds = np.zeros(spec.shape, np.float32)
-        self._plane: NDArray[np.float32] | None = None  # of `EvidentialGrid.in_plane`, from the first such scan on
+        self._plane: NDArray[np.float32] | None = None  # log-odds of in-plane scans; None before the first one
 
     @property
     def _layers(self) -> Sequence[NDArray[np.float32]]:
@@ -92,7 +92,7 @@ class BinaryBayesMapper(Mapper):
         layers = self._layers
         self._window.move_to(scan.corner, *layers)
         keep = 0.5 ** (abs(scan.elapsed) / self.half_life)
-        if scan.elapsed < 0:  # late: what ageing would have left of it
+        if scan.elapsed < 0:  # a late scan is aged to the time of the map
             log_odds, keep = log_odds * np.float32(keep), 1.0
         lookup = ScanLookup(log_odds, scan.affine, scan.samples)
         bayes_update(layers[grid.in_plane], self._window.ring, lookup, keep, self.forget == "observed", (low, high))
@@ -118,7 +118,7 @@ class BinaryBayesMapper(Mapper):
     @property
     @locked
     def grid(self) -> EvidentialGrid:
-        """The map as masses: the least committed ones with this probability; unknown is 1 where it is 1/2."""
+        """The map as least committed masses with this probability: unknown is 1 at probability 1/2."""
         p = self.probability
         mass = np.stack([np.maximum(1 - 2 * p, 0), np.maximum(2 * p - 1, 0)], axis=-1)
         return EvidentialGrid.trusted(self.spec, mass)

@@ -1,4 +1,4 @@
-"""Heights of the ground over time: a Kalman filter for each cell, in a window that moves with the vehicle.
+"""Heights of the ground over time: one Kalman filter per cell, in a window that moves with the vehicle.
 
 Source: Fankhauser, Bloesch and Hutter, "Probabilistic terrain mapping for mobile robots with uncertain localization"
 (2018); the drift of heights is estimated here from the overlap of scan and map.
@@ -16,36 +16,37 @@ from ogm.fusion.window import Window, WindowMode
 from ogm.geometric.heights import HEIGHT_LAYERS
 from ogm.grid import GridSpec, LayeredGrid
 
-_SLOPE_REACH = 0.5  # [m] on either side of a cell
-_CONTRADICTION = 3.0  # standard deviations from which on a height contradicts that of the map
-_PATCH = 50  # cells whose heights have one error in common
-_LEAST = 200  # cells that scan and map must share for an estimate of the drift
-HEIGHT, PRECISION, LATEST = 0, 1, 2  # of a cell's numbers: [m], [1/m2], and 1 + value of the last four layers
+_SLOPE_REACH = 0.5  # [m] to either side of a cell over which its slope is measured
+_CONTRADICTION = 3.0  # [standard deviations] height difference that counts as a contradiction
+_CORRELATED_CELLS = 50  # neighbouring cells whose heights have a common error
+_MIN_SHARED_CELLS = 200  # cells that scan and map must share for an estimate of the drift
+HEIGHT, PRECISION, LATEST = 0, 1, 2  # indices in a cell: [m], [1/m2], and from 2 on 1 + value of the last four layers
 
 
 class ElevationMapper:
-    """A map of ground heights with their variances, and of the last steps, roughness, obstacles and clearance seen.
+    """Map of ground heights and variances, with the newest step, roughness, obstacles and clearance.
 
-    Each cell holds a height that is constant but for process noise. A height that differs from it by more than three
-    standard deviations raises the cell's variance to the square of the difference first.
+    The height of a cell is constant up to process noise. A measured height that differs by more than three standard
+    deviations first raises the variance of the cell to the square of the difference.
 
     Parameters
     ----------
     spec : GridSpec
-        Cells and extent of the window; as for `EvidentialMapper`.
+        Cells and extent of the window, see `EvidentialMapper`.
     drift : float
-        Drift of the poses' heights as a random walk: standard deviation after one metre of travel [m]; after s metres
-        it is ``drift * sqrt(s)``.
+        Drift of the poses' heights, a random walk: the standard deviation after s metres of travel is
+        ``drift * sqrt(s)`` [m].
     estimate_drift : bool
-        With True, the drift is estimated by the median difference of scan and map, and removed: heights remain those
-        of the first scans. With False, the variance of all cells grows by ``drift**2`` per metre of travel.
+        With True, the drift is estimated by the median difference between scan and map, and removed: heights keep the
+        reference of the first scans. With False, the variance of all cells grows by ``drift**2`` per metre of travel.
     process_noise : float
         Growth of the variance of a cell with time [m2/s].
     independent_scans : float
-        Number of scans whose errors in one cell are independent, at least 1: a cell is at most as many times as precise
-        as one scan, since scans from nearby share the errors of gaps and calibration. Infinity is the plain filter.
+        Greatest precision of a cell, in multiples of the precision of a single scan, at least 1. Scans from nearby
+        poses share the errors of gaps and calibration, so they are not all independent. Infinity is the plain Kalman
+        filter.
     window, max_speed, max_delay
-        As for `EvidentialMapper`.
+        See `EvidentialMapper`.
 
     Raises
     ------
@@ -83,7 +84,7 @@ class ElevationMapper:
 
     def _clear(self) -> None:
         self._offset, self._offset_variance = 0.0, 0.0
-        self._level: float | None = None  # height of the first pose: float32 holds millimetres beside it
+        self._level: float | None = None  # height of the first pose: float32 resolves millimetres relative to it
 
     @property
     @locked
@@ -115,9 +116,9 @@ class ElevationMapper:
         Parameters
         ----------
         layers : LayeredGrid
-            From `ogm.geometric.height_layers`.
+            Height layers of the scan, see `ogm.geometric.height_layers`.
         T_map_vehicle : (4, 4) array
-            Takes the vehicle frame, that of `layers`, to the map [m], heights too. Of a frame it is
+            Pose of the vehicle in the map, heights included [m]; `layers` are in the vehicle frame. For a `Frame` it is
             ``frame.T_map_sensor @ inverse(frame.mount.T_vehicle_sensor)``.
         stamp : float
             Time of the scan [s]; optional without process noise.
@@ -127,7 +128,7 @@ class ElevationMapper:
         KeyError
             If a layer is missing.
         PoseJump, StampJump, ValueError
-            As for `Mapper.update`.
+            See `Mapper.update`.
         """
         scan = self._gate.check(self._window, layers.spec, T_map_vehicle, stamp, None)
         before, T = self._gate.T_map_vehicle, np.asarray(T_map_vehicle, np.float64)
@@ -164,8 +165,8 @@ class ElevationMapper:
         added = np.where(seen, 1 / np.where(seen, variance, 1), 0).astype(np.float32)
         new = precision + added
         height += difference * added / np.where(seen, new, 1)
-        most = np.maximum(precision, np.minimum(np.float32(self.independent_scans), 1e9) * added)
-        precision[:] = np.minimum(new, most)
+        max_precision = np.maximum(precision, np.minimum(np.float32(self.independent_scans), 1e9) * added)
+        precision[:] = np.minimum(new, max_precision)
 
         # Other layers: the last values
         for k in (0, 2):
@@ -184,12 +185,12 @@ class ElevationMapper:
         return out
 
     def _estimate_offset(self, differences: NDArray[np.float32]) -> None:
-        """Update the error of the pose's height by differences of scan and map [m]."""
-        if len(differences) < _LEAST:
+        """Update the estimated height error of the pose from differences between scan and map [m]."""
+        if len(differences) < _MIN_SHARED_CELLS:
             return
         middle = float(np.median(differences))
         deviation = 1.4826 * float(np.median(np.abs(differences - middle)))
-        noise = (deviation**2 + 1e-6) * _PATCH / len(differences)
+        noise = (deviation**2 + 1e-6) * _CORRELATED_CELLS / len(differences)
         gain = self._offset_variance / (self._offset_variance + noise)
         self._offset += gain * (middle - self._offset)
         self._offset_variance *= 1 - gain
@@ -205,7 +206,7 @@ class ElevationMapper:
     @property
     @locked
     def layers(self) -> LayeredGrid:
-        """Layers of `ogm.geometric.height_layers` in map coordinates; heights in the map, slope by them."""
+        """The layers of `ogm.geometric.height_layers` in map coordinates; the slope is that of the map's heights."""
         cells = self._window.unrolled(self._cells)
         known = cells[..., PRECISION] > 0
         height = np.where(known, cells[..., HEIGHT] + (self._level or 0.0), np.nan)
@@ -220,7 +221,7 @@ class ElevationMapper:
 
 
 def _slope(height: NDArray[np.floating], resolution: float) -> NDArray[np.floating]:
-    """Return the inclination [rad] by the rise over `_SLOPE_REACH` on either side, or on the side that is known."""
+    """Return the inclination [rad] from the rise over `_SLOPE_REACH` to both sides, or to the known side alone."""
     reach = max(round(_SLOPE_REACH / resolution), 1)
     squares = np.zeros(height.shape)
     for axis in (0, 1):

@@ -1,6 +1,6 @@
-"""The map of belief masses: fuses the measurement grids of a moving vehicle, and forgets at a given rate.
+"""The map of belief masses: fuses measurement grids of a moving vehicle and forgets at a given rate.
 
-The map stays aligned with the world and scrolls by whole cells, so driving blurs nothing. `EvidentialMapper.view`
+The map stays aligned with the world and scrolls by whole cells, so driving does not blur it. `EvidentialMapper.view`
 returns it in the vehicle's axes, resampled once.
 """
 
@@ -13,13 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import cautious, cumulative, dempster, discount, discount_evidence, revise, smooth, yager
 from ogm.fusion.kernels import (
-    CAUTIOUS,
     CONFIRMED,
-    CUMULATIVE,
-    DEMPSTER,
-    REVISION,
-    SMOOTHING,
-    YAGER,
     Aging,
     Memory,
     age_blocks,
@@ -40,27 +34,20 @@ from ogm.pose import check_pose, pose
 from ogm.unknown_cause import UnknownCause
 
 Rule = Callable[[Any, Any], Any]
-DYNAMIC_DECAY_RATIO = 100.0  # how many times faster dynamic cells are forgotten by default
-_COMPILED: dict[Rule, int] = {
-    **{
-        dempster: DEMPSTER,
-        yager: YAGER,
-        cumulative: CUMULATIVE,
-        cautious: CAUTIOUS,
-        revise: REVISION,
-        smooth: SMOOTHING,
-    }
-}
-_NOTHING = np.zeros((1, 1, 2), np.float32)
-_NOTHING.flags.writeable = False
-_NOWHERE = np.array([[1.0, 0.0, 1e9], [0.0, 1.0, 1e9]])  # affine map to cells that `_NOTHING` does not have
+DYNAMIC_DECAY_RATIO = 100.0  # default half-life of occupied over `moving_half_life`
+_RULES: tuple[Rule, ...] = dempster, yager, cumulative, cautious, revise, smooth
+_COMPILED = {rule: code for code, rule in enumerate(_RULES)}  # codes of `ogm.fusion.kernels.combine_cells`
+_NO_MASS = np.zeros((1, 1, 2), np.float32)
+_NO_MASS.flags.writeable = False
+_NO_CAUSE = np.zeros((1, 1), np.uint8)
+_NOWHERE = np.array([[1.0, 0.0, 1e9], [0.0, 1.0, 1e9]])  # affine map to cells outside of `_NO_MASS`
 
 
 class EvidentialMapper(Mapper):
-    """A map of belief masses that fuses scan after scan.
+    """Map of belief masses that fuses scan after scan.
 
-    Every `update` ages the map by the time since the last scan, combines it with the new measurement grid, bounds its
-    certainty, and keeps where the two contradict each other.
+    Each `update` ages the map by the time since the last scan, combines it with the new measurement grid, bounds the
+    known mass, and records the conflict between the two.
 
     Parameters
     ----------
@@ -68,53 +55,52 @@ class EvidentialMapper(Mapper):
         The window: relative to the vehicle if it rolls, in map coordinates if it is fixed. The measurement grids may
         have other extents and resolutions.
     rule : function
-        Combines two masses, ``rule(map, scan)``. `ogm.evidence.cautious`, `dempster`, `yager` and
-        `cumulative` run as one compiled pass; any other function of two (..., 2) arrays works too, ten times and more
-        slower. Rules in an open world give triples: close them, ``lambda a, b: close_world(conjunctive(a, b))``. The
-        default treats scans as dependent, which they are: weak evidence that every scan repeats, such as rays that
-        pass over a roof, does not become certainty.
+        Combines two masses, ``rule(map, scan)``. The functions `dempster`, `yager`, `cumulative`, `cautious`, `revise`
+        and `smooth` of `ogm.evidence` are compiled; other functions of two (..., 2) arrays are 10 times slower or more.
+        Open-world rules return triples: close them, ``lambda a, b: close_world(conjunctive(a, b))``. The default treats
+        scans as dependent: weak evidence that every scan repeats, such as rays over a roof, does not become certainty.
     half_life : float or (free, occupied)
         Time in which belief halves [s]; infinity forgets nothing.
     moving_half_life : float
-        The same [s] for occupied in cells that were free and became occupied: the belief halves this fast where the
-        conflict free -> occupied exceeds occupied -> free by 1, and in proportion to the excess else. It removes the
-        trails that moving objects leave where no ray measures any more; infinity keeps them. By default a hundredth of
-        the half-life of occupied, so that a map with infinite half-life forgets nothing.
+        Half-life [s] of occupied in cells that were free and became occupied: it applies in full where the conflict
+        free -> occupied exceeds occupied -> free by 1, and in proportion to a smaller excess. It removes the trails of
+        moving objects from cells that are no longer measured; infinity keeps them. By default a hundredth of the
+        half-life of occupied, so a map with infinite half-life forgets nothing.
     conflict_half_life : float
-        Time in which the conflict layers fade by half [s]; 0 keeps the last scan's conflict alone.
+        Half-life of the conflict layers [s]; 0 keeps only the conflict of the last scan.
     discounting : {discount, discount_evidence}
-        What fades: the mass (Shafer), or the evidence, which `cumulative` adds up.
+        Fading quantity: the mass (Shafer), or the evidence, which `cumulative` adds up.
     forget : {"everywhere", "observed"}
-        Whether all cells fade, or only those that the present scan has a belief about.
+        Cells that fade: all, or only the cells that the present scan observes.
     min_unknown : float
-        Lower bound of unknown, [0, 1), so that new scans can change the map: with Dempster's rule the number of scans
-        that this takes grows with the logarithm of its inverse, and at 0 it may be infinite in float32.
+        Lower bound of unknown, [0, 1), so that new scans can change the map. With Dempster's rule the number of scans
+        needed for a change grows with the logarithm of its inverse; at 0 it may be infinite in float32.
     window : {"rolling", "fixed"}
-        Follow the vehicle, or stay in place, for a yard or a whole drive. Memory is that of one grid in both cases.
+        Follow the vehicle, or stay in place, for a yard or a whole drive. Both take the memory of one grid.
     max_speed : float
-        Beyond which a pose is a jump [m/s].
+        Greatest speed of the vehicle [m/s]; a pose beyond its reach is a jump.
     max_delay : float
-        How much older than the map a scan may be [s].
+        Greatest age of a scan relative to the map [s].
 
     Raises
     ------
     ValueError
-        If a number is out of its range, or a name is none of the choices.
+        If a number is out of its range, or a name is not one of the choices.
 
     Notes
     -----
-    Stamps. A repeated stamp is a scan of the same moment (another sensor's): nothing ages. A scan that is at most
-    `max_delay` older than the map counts as much as ageing would have left of it; the window does not move back for
-    it, and it changes no conflict layer. An older one, a missing stamp (unless nothing is ever forgotten), a gap of
-    more than a day, NaN: ValueError; so is every scan after one whose stamp was wrong by hours, until `reset`. A pose
-    jump: `PoseJump`. After an error the map is as it was.
+    Stamps. A repeated stamp is a scan of the same moment, by another sensor: nothing ages. A scan up to `max_delay`
+    older than the map is first aged to the map's time; it moves no window and changes no conflict layer. ValueError is
+    raised for an older scan, a missing stamp (unless the map never forgets), a gap of more than a day, and NaN. After a
+    stamp that was wrong by hours, all later scans are refused until `reset`. A pose jump raises `PoseJump`. After an
+    error the map is unchanged.
 
-    Planes. Cells that are free in the plane of a laser alone (`EvidentialGrid.in_plane`) are a map by themselves. It is
-    joined with the rest when it is read: the greater mass of each state, and free at most what occupied leaves. So a
-    laser that sees between the legs of a table never clears the top that a depth camera saw.
+    Planes. Scans that are free only in the plane of a laser (`EvidentialGrid.in_plane`) have a map of their own. The
+    two maps are joined when read: each state takes its greater mass, and free at most 1 - occupied. So a laser that
+    sees between the legs of a table never clears the table top that a depth camera saw.
 
-    Threads. One thread may update the map while any number of others read it: each property and method returns a
-    whole state, that before or after an update. What belongs together is read with ``with mapper.lock:``.
+    Threads. One thread may update the map while other threads read it. Each property and method returns a consistent
+    state, from before or after an update. To read several values of the same state use ``with mapper.lock:``.
     """
 
     rule: Rule
@@ -159,10 +145,8 @@ class EvidentialMapper(Mapper):
         forgets = not math.inf == self.moving_half_life == min(self.half_life)
         super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=forgets))
         self._parts: dict[int, PartLayers] = {}
-        self._combine: Combine | None = None  # of the parts beyond `PLAIN`
-        self._waiting: dict[int, PartLayers] | None = (
-            None  # of a saved map, until the first scan: the map of each model
-        )
+        self._combine: Combine | None = None  # combines the parts of several models
+        self._waiting: dict[int, PartLayers] | None = None  # parts of a saved map, until the first scan
         self._now = 0.0  # [s] sum of the times between scans
         self._codes: NDArray[np.uint8] | None = None  # see `note_causes`; None until a grid has causes
 
@@ -181,15 +165,15 @@ class EvidentialMapper(Mapper):
         Parameters
         ----------
         saved : PlacedGrid or EvidentialGrid
-            The map, in map coordinates, as `ogm.io.read_placed_grid` reads it: with its stamp, by which it ages until
-            the first scan (without one it does not), and with `layers`. Without these there is no conflict, and scans
-            of several models, each of which has a map of its own, are joined with the saved map as with one more model.
+            The map in map coordinates, see `ogm.io.read_placed_grid`. It ages from its stamp to the first scan; without
+            a stamp it does not. `layers` hold its conflict and the maps of several models. Without them the conflict
+            is 0, and scans of several models are joined with the saved map as with one more model.
         spec : GridSpec, optional
-            The window, see `EvidentialMapper`; by default as many cells as the map has. Other cells than those of the
-            map take the least free and the greatest occupied (`ogm.fusion.resampled`).
+            The window, see `EvidentialMapper`; by default as many cells as the map has. Cells that differ from the
+            cells of the map take the least free and the greatest occupied (`ogm.fusion.resampled`).
         window : {"rolling", "fixed"}
         T_map_vehicle : (4, 4) array, optional
-            Where a rolling window begins; by default in the middle of the map.
+            First pose of a rolling window; by default the middle of the map.
         **settings
             Further parameters of `EvidentialMapper`; no file holds them.
 
@@ -202,11 +186,11 @@ class EvidentialMapper(Mapper):
 
         Notes
         -----
-        The map is that of the mapper that was saved, to the last bit: scans that follow change both in the same way.
-        Neither the vehicle's pose, with which jumps are found, nor the number of scans is in a file.
+        The state equals that of the saved mapper to the last bit: later scans change both in the same way. A file holds
+        neither the vehicle's pose, which is needed to detect jumps, nor the number of scans.
         """
         placed = PlacedGrid.of(saved).upright
-        placed.evidential  # noqa: B018  it must have masses
+        placed.evidential  # noqa: B018  raises without masses
         (nx, ny), side = placed.grid.spec.shape, placed.grid.spec.resolution
         if spec is None:
             spec = placed.grid.spec if window == "fixed" else GridSpec(side, (nx, ny), (-nx * side / 2, -ny * side / 2))
@@ -216,7 +200,8 @@ class EvidentialMapper(Mapper):
         mapper._window.corner = mapper._window.corner_around(start)
         if not overlaps(affine_between(mapper.spec, placed.grid.spec, np.eye(4)), mapper.spec, placed.grid.spec):
             raise ValueError(
-                f"the map, {placed.grid.spec}, has no cell in the window, {mapper.spec}: is it of this place?"
+                f"the map, {placed.grid.spec}, has no cell in the window, {mapper.spec}: give the window or "
+                "T_map_vehicle in the coordinates of this map"
             )
         bands = resampled(placed, mapper.spec).bands
         whole, parts = parts_of_bands(bands, mapper._window.ring)
@@ -227,7 +212,7 @@ class EvidentialMapper(Mapper):
     @property
     @locked
     def layers(self) -> LayeredGrid:
-        """All that `from_grid` continues from besides `grid`: conflict, and the map of each of several models."""
+        """Layers that `from_grid` needs in addition to `grid`: conflict, and the maps of several models."""
         parts = {} if self._parts.keys() <= {PLAIN} or self._parts.keys() == {PLANE} else self._parts
         unrolled = {
             n: (self._window.unrolled(part.mass), self._window.unrolled(part.conflict)) for n, part in parts.items()
@@ -243,7 +228,7 @@ class EvidentialMapper(Mapper):
     @property
     @locked
     def grid(self) -> EvidentialGrid:
-        """The map (a copy), in map coordinates, as of the last scan."""
+        """The map after the last scan (a copy), in map coordinates."""
         self._age_all()
         masses = {part: self._window.unrolled(layers.mass) for part, layers in self._parts.items()}
         return EvidentialGrid.trusted(self.spec, self._combined(masses, self._window.spec0.shape))
@@ -256,7 +241,7 @@ class EvidentialMapper(Mapper):
         *,
         method: ResampleMethod = "nearest",
     ) -> EvidentialGrid:
-        """Return the map in the vehicle's axes: see `Mapper.view`. Maps of several models are combined after it."""
+        """Return the map in the vehicle's axes, see `Mapper.view`. Maps of several models are combined afterwards."""
         cells, T = self._around(spec, T_map_vehicle)
         self._age_all()
         masses = {
@@ -267,35 +252,35 @@ class EvidentialMapper(Mapper):
 
     @locked
     def reset(self) -> None:
-        """Forget everything: the next scan begins a new map, and may be one of another model."""
+        """Forget everything: the next scan begins a new map, with any model."""
         super().reset()
         self._parts, self._waiting, self._combine, self._now, self._codes = {}, None, None, 0.0, None
 
     @property
     @locked
     def cause(self) -> LayeredGrid:
-        """Why cells of `grid` are unknown: the layer ``cause``, with codes of `ogm.UnknownCause`.
+        """Layer ``cause``: why cells of `grid` are unknown, as codes of `ogm.UnknownCause`.
 
-        A cell that the map once knew is contradicted, if the conflict exceeded 1/4 when it was lost, else forgotten;
-        other cells have the cause of the last scan that covered them.
+        A formerly known cell is contradicted if the conflict exceeded 1/4 when it was lost, else forgotten. Other
+        cells have the cause of the last scan that covered them.
 
         Raises
         ------
         ValueError
-            If no grid had causes: the model of the scans must be an `ogm.models.ExplainedISM`.
+            If no grid had causes: the sensor model must be an `ogm.models.ExplainedISM`.
         """
         if self._codes is None:
-            raise ValueError("no scan of the map has causes: map scans by ogm.models.ExplainedISM(model)")
+            raise ValueError("no scan of the map has causes: use the sensor model ogm.models.ExplainedISM(model)")
         self._age_all()
-        codes, grid = self._codes.copy(), _NOTHING[..., 0].astype(np.uint8)
-        note_causes(codes, self._whole(), self._whole_conflict(), self._window.ring, grid, _NOWHERE)
+        codes = self._codes.copy()
+        note_causes(codes, self._whole(), self._whole_conflict(), self._window.ring, _NO_CAUSE, _NOWHERE)
         codes[codes == 0] = UnknownCause.OUTSIDE_VIEW
         codes[codes == CONFIRMED] = UnknownCause.KNOWN
         return LayeredGrid(self.spec, {"cause": self._window.unrolled(codes.astype(np.float32))})
 
     @property
     def has_causes(self) -> bool:
-        """Whether `cause` is known."""
+        """Whether `cause` is available."""
         return self._codes is not None
 
     @property
@@ -308,12 +293,12 @@ class EvidentialMapper(Mapper):
         return self._window.unrolled(self._whole_conflict())
 
     def _whole(self) -> NDArray[np.float32]:
-        """Return the masses of the map as they are stored."""
+        """Return the masses of the map in buffer order."""
         masses = {part: layers.mass for part, layers in self._parts.items()}
         return self._combined(masses, self._window.spec0.shape)
 
     def _whole_conflict(self) -> NDArray[np.float32]:
-        """Return the conflict of the map as it is stored, the greatest of its parts."""
+        """Return the conflict of the map in buffer order: the greatest of its parts."""
         if len(self._parts) == 1:
             return next(iter(self._parts.values())).conflict
         conflict = np.zeros((*self._window.spec0.shape, 2), np.float32)
@@ -322,31 +307,29 @@ class EvidentialMapper(Mapper):
         return conflict
 
     def _note_causes(self, grid: EvidentialGrid, scan: CheckedScan) -> None:
-        """Note why cells are unknown, if any grid so far said it of its own."""
+        """Record why cells are unknown, once a grid with causes was fused."""
         if grid.cause is not None and self._codes is None:
             self._codes = np.zeros(self._window.spec0.shape, np.uint8)
         if self._codes is None or scan.elapsed < 0:
             return
-        cause, affine = (
-            (_NOTHING[..., 0].astype(np.uint8), _NOWHERE) if grid.cause is None else (grid.cause, scan.affine)
-        )
+        cause, affine = (_NO_CAUSE, _NOWHERE) if grid.cause is None else (grid.cause, scan.affine)
         note_causes(self._codes, self._whole(), self._whole_conflict(), self._window.ring, cause, affine)
 
     def _combined(self, masses: Mapping[int, NDArray[np.float32]], shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the masses of the map from those of its parts."""
+        """Return the masses of the map from the masses of its parts."""
         whole, plane = masses.get(PLAIN), masses.get(PLANE)
         if self._combine is not None:
             combined = self._combine([mass for part, mass in sorted(masses.items()) if part > PLAIN])
             whole = combined if whole is None else cautious(combined, whole)
         if whole is None:
             return np.zeros((*shape, 2), np.float32) if plane is None else plane
-        return whole if plane is None else _beside_plane(whole, plane)
+        return whole if plane is None else _joined_with_plane(whole, plane)
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
         corner, measured, whole_scan = grid.known[0], self._measured(grid), scan
         if self._waiting is not None:
             self._parts, self._waiting = continued_parts(self._parts[PLAIN], self._waiting, measured.keys()), None
-            for layers in self._parts.values():  # of other programs, which leave nothing to unknown
+            for layers in self._parts.values():  # masses of other programs may leave nothing to unknown
                 sure = layers.mass.sum(axis=-1) > 1 - self.min_unknown + TOLERANCE
                 layers.mass[sure] = _bounded(layers.mass[sure], self.min_unknown)
         shape, now = self._window.spec0.shape, self._now + max(scan.elapsed, 0.0)
@@ -375,23 +358,23 @@ class EvidentialMapper(Mapper):
         self._note_causes(grid, whole_scan)
 
     def _measured(self, grid: EvidentialGrid) -> dict[int, NDArray[np.float32]]:
-        """Return the masses of a scan by the part of the map that they belong to."""
+        """Return the masses of a scan by part of the map."""
         if not isinstance(grid, CombinedGrid):
             return {PLANE if grid.in_plane else PLAIN: grid.known[1]}
         known = sum(part > PLAIN for part in self._parts)
         if known and known != len(grid.parts):
             raise ValueError(
-                f"the map holds {known} models, each by itself, but the grid is combined of {len(grid.parts)}; "
-                "call reset() before another model"
+                f"the map holds {known} models, but the grid is combined of {len(grid.parts)}; call reset() before "
+                "another model"
             )
         return dict(enumerate(grid.parts, PLAIN + 1))
 
     def _update(
         self, layers: PartLayers, mass: NDArray[np.float32] | None, scan: CheckedScan, reliability: float
     ) -> None:
-        """Age a part where the scan may reach, and fuse the masses of a scan into it, if it has any."""
+        """Age a part within reach of the scan, and fuse masses of the scan into it, if any."""
         rows = layers.rows
-        if scan.elapsed < 0:  # it changes no conflict
+        if scan.elapsed < 0:  # a late scan changes no conflict
             age_blocks(rows, self._memory(0.0))
             rows = rows._replace(conflict=rows.conflict.copy())
         evidential_update(
@@ -405,7 +388,7 @@ class EvidentialMapper(Mapper):
         )
 
     def _age_all(self) -> None:
-        """Age what has waited since no scan reached it."""
+        """Age the cells that no recent scan reached."""
         if self.rule in _COMPILED:
             for layers in self._parts.values():
                 age_blocks(layers.rows, self._memory(0.0))
@@ -413,7 +396,7 @@ class EvidentialMapper(Mapper):
     def _update_by_any_rule(
         self, layers: PartLayers, mass: NDArray[np.float32] | None, scan: CheckedScan, reliability: float
     ) -> None:
-        """Do the same in numpy, by a rule that is only a function of two masses: the reference of the compiled pass."""
+        """Update a part in numpy, by any function of two masses: the reference of the compiled pass."""
         measured = np.empty_like(layers.mass)
         gather(self._lookup(mass, scan), self._window.ring, measured.reshape(len(measured), -1))
         measured *= np.float32(reliability)
@@ -428,31 +411,27 @@ class EvidentialMapper(Mapper):
         layers.mass[:] = fused
         if scan.elapsed < 0:
             return
-        contradicted = aged * measured[..., ::-1]  # free then and occupied now, occupied then and free now
+        contradicted = aged * measured[..., ::-1]  # free -> occupied, occupied -> free
         np.maximum(layers.conflict * np.float32(aging.keep_conflict), contradicted, out=layers.conflict)
 
     def _lookup(self, mass: NDArray[np.float32] | None, scan: CheckedScan) -> ScanLookup:
-        """Return the masses of a scan, of which what is late has aged, at the cells of the window."""
+        """Return the masses of a scan at the cells of the window; a late scan is aged."""
         if mass is None:
-            return ScanLookup(_NOTHING, _NOWHERE, 1)
+            return ScanLookup(_NO_MASS, _NOWHERE, 1)
         if scan.elapsed < 0:
             mass = self._aged(mass, -scan.elapsed)
         values = np.ascontiguousarray(mass).view()
-        values.flags.writeable = False  # as masses of some grids are: the kernel is compiled for one type
+        values.flags.writeable = False  # one type for the kernel: some grids have read-only masses
         return ScanLookup(values, scan.affine, scan.samples)
 
     def _memory(self, elapsed: float) -> Memory:
-        """Return how the map forgets, and the time of a scan [s after the last one]."""
+        """Return the forgetting parameters and the time of a scan, `elapsed` [s] after the last scan."""
         evidence, observed = self.discounting is discount_evidence, self.forget == "observed"
         half_lives = *self.half_life, self.moving_half_life, self.conflict_half_life
         return Memory(*half_lives, evidence, observed, elapsed, self._now + elapsed)
 
-    def _kept(self, seconds: float) -> tuple[float, float]:
-        """Return the shares of free and of occupied that are left after some time."""
-        return 0.5 ** (seconds / self.half_life[0]), 0.5 ** (seconds / self.half_life[1])
-
     def _by_rule(self, aged: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Apply a rule that has no kernel, and check that it gives masses."""
+        """Apply a rule without a kernel, and check that it returns masses."""
         new = np.asarray(self.rule(aged, measured))
         if new.shape != aged.shape or new.dtype.kind != "f":
             name = getattr(self.rule, "__name__", repr(self.rule))
@@ -463,8 +442,8 @@ class EvidentialMapper(Mapper):
         return EvidentialGrid(self._window.spec0, new).mass
 
     def _aged(self, mass: NDArray[np.float32], seconds: float) -> NDArray[np.float32]:
-        """Return what is left of masses after some time."""
-        kept = mass * np.array(self._kept(seconds), np.float32)
+        """Return the masses that remain after a time [s]."""
+        kept = mass * np.array([0.5 ** (seconds / half_life) for half_life in self.half_life], np.float32)
         if self.discounting is discount:
             return kept
         total = np.maximum(1 - mass.sum(axis=-1, keepdims=True), 0) + kept.sum(axis=-1, keepdims=True)
@@ -472,15 +451,15 @@ class EvidentialMapper(Mapper):
 
 
 def _bounded(mass: NDArray[np.float32], min_unknown: float) -> NDArray[np.float32]:
-    """Scale beliefs down where they leave less than `min_unknown` to unknown."""
+    """Scale masses down so that unknown is at least `min_unknown`."""
     known = mass.sum(axis=-1, keepdims=True)
     limit = np.float32(1 - min_unknown)
     bounded: NDArray[np.float32] = mass * np.minimum(1, limit / np.maximum(known, limit)).astype(np.float32)
     return bounded
 
 
-def _beside_plane(whole: NDArray[np.float32], plane: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the masses of a map and of another in a plane alone: free of neither takes from occupied of the other."""
+def _joined_with_plane(whole: NDArray[np.float32], plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Join the masses of a map with the masses of a plane: free of one never reduces occupied of the other."""
     mass = np.maximum(whole, plane)
     mass[..., 0] = np.minimum(mass[..., 0], 1 - mass[..., 1])
     return mass
@@ -488,7 +467,7 @@ def _beside_plane(whole: NDArray[np.float32], plane: NDArray[np.float32]) -> NDA
 
 def _half_lives(half_life: float | Sequence[float]) -> tuple[float, float]:
     both = (half_life, half_life) if isinstance(half_life, int | float | np.number) else tuple(half_life)
-    if len(both) != 2 or not all(one > 0 for one in both):
+    if len(both) != 2 or not all(seconds > 0 for seconds in both):
         raise ValueError(
             f"half_life must be greater than 0 s, one number or two (free, occupied), got {half_life}; "
             "infinity forgets nothing"

@@ -1,4 +1,4 @@
-"""Maps by the name of their rule, and the windows that they need."""
+"""Maps by rule name, and the windows that they need."""
 
 import math
 from collections.abc import Iterable
@@ -20,8 +20,9 @@ from ogm.io.grids.placed import PlacedGrid
 from ogm.scan import Frame
 
 _MARGIN = 1.0  # [m] around echoes
-_DAMAGED = (ValueError, TypeError, OSError)  # a scan that cannot be read, which the mapping reports
-_MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
+_DAMAGED = (ValueError, TypeError, OSError)  # errors of one scan, which the mapping reports
+_MAX_CELLS = 2**24  # cells of a covering window: 655 m x 655 m at 0.16 m
+_NO_POSES = "no scan has a pose, so the extent of a fixed window is unknown: give poses, or window=rolling"
 
 
 def make_mapper(
@@ -34,26 +35,27 @@ def make_mapper(
     saved: PlacedGrid | None = None,
     T_map_vehicle: NDArray[np.float64] | None = None,  # noqa: N803
 ) -> Mapper:
-    """Return a map that fuses by a rule, with defaults else.
+    """Return a map for the name of a rule, with default parameters.
 
     Parameters
     ----------
     rule : str
         A name in `ogm.evidence.map_rules.MAP_RULES`: an evidence rule, ``"bayes"`` for `BinaryBayesMapper`, or
-        ``"dynamic"`` and ``"nuss"`` for `DynamicMapper` with its own filter and with that of Nuss.
+        ``"dynamic"`` and ``"nuss"`` for `DynamicMapper` with its own filter and with the filter of Nuss et al.
     spec : GridSpec
-        Its window.
+        Window of the map.
     half_life : float, optional
-        [s]; by default 2, and infinity for ``"bayes"``. For dynamic maps that of static, by default their own.
+        Half-life of belief [s]: by default 2, and infinity for ``"bayes"``. For dynamic maps the half-life of static,
+        by default that of `DynamicSettings`.
     window : {"rolling", "fixed"}
     particles : int
-        Of dynamic maps.
+        Number of particles of a dynamic map.
     max_speed : float
-        Beyond which a pose is a jump [m/s]; infinity allows every jump.
+        Greatest speed [m/s]; a pose beyond its reach is a jump. Infinity allows every jump.
     saved : PlacedGrid, optional
         A map that an evidence rule continues, see `EvidentialMapper.from_grid`.
     T_map_vehicle : (4, 4) array, optional
-        Where a rolling window of a saved map begins.
+        First pose of a rolling window of a saved map.
 
     Raises
     ------
@@ -78,30 +80,30 @@ def make_mapper(
 
 
 def adding_rule_warning(rule: str) -> str:
-    """Return what to know of a rule that takes scans for independent, or "" if it does not.
+    """Return a warning about a rule that treats scans as independent, "" for other rules.
 
     Parameters
     ----------
     rule : str
-        A name in `MAP_RULES`.
+        A name in `ogm.evidence.map_rules.MAP_RULES`.
     """
     if rule not in ADDING_RULES:
         return ""
     return (
-        f"by the rule {rule} claims add up that every scan repeats: cells become free, or occupied, that no scan calls "
-        "so, as in the shadow of a standing car; revise, the default, leaves them unknown (docs/fusion.md)"
+        f"rule {rule} adds up evidence that every scan repeats: cells become free or occupied although no single scan "
+        "shows it, as in the shadow of a parked car; revise, the default, leaves them unknown (docs/fusion.md)"
     )
 
 
 def rolling_window(spec: GridSpec) -> GridSpec:
-    """Return a square as wide as the diagonal of a grid: the vehicle's view of that size is complete at any yaw."""
+    """Return a square window as wide as the diagonal of a grid, so that views of the grid are complete at any yaw."""
     side = 2 * math.ceil(math.hypot(spec.length, spec.width) / 2 / spec.resolution + 1)
     corner = -side * spec.resolution / 2
     return GridSpec(spec.resolution, (side, side), (corner, corner))
 
 
 def covering_window(spec: GridSpec, poses: NDArray[np.float64]) -> GridSpec:
-    """Return the cells, in map coordinates, that hold a grid at all poses (K, 4, 4) of a drive.
+    """Return the window, in map coordinates, that contains a grid at all poses (K, 4, 4) of a drive.
 
     Raises
     ------
@@ -109,14 +111,14 @@ def covering_window(spec: GridSpec, poses: NDArray[np.float64]) -> GridSpec:
         If there is no pose, or more than 2**24 cells would be needed.
     """
     if not len(poses):
-        raise ValueError("none of the scans has a pose, so a fixed window has no area")
+        raise ValueError(_NO_POSES)
     reach = math.hypot(spec.length, spec.width) / 2
     xy = poses[:, :2, 3]
     return bounding_window(spec.resolution, xy.min(axis=0) - reach, xy.max(axis=0) + reach)
 
 
 def bounding_window(step: float, lowest: NDArray[np.float64], highest: NDArray[np.float64]) -> GridSpec:
-    """Return the cells of side `step` [m], in map coordinates, that hold a rectangle.
+    """Return the window of cells of side `step` [m], in map coordinates, that contains a rectangle.
 
     Parameters
     ----------
@@ -129,7 +131,7 @@ def bounding_window(step: float, lowest: NDArray[np.float64], highest: NDArray[n
     ValueError
         If more than 2**24 cells would be needed.
     """
-    low, high = [math.floor(one / step) for one in lowest], [math.ceil(one / step) for one in highest]
+    low, high = [math.floor(x / step) for x in lowest], [math.ceil(x / step) for x in highest]
     nx, ny = (max(b - a, 1) for a, b in zip(low, high, strict=True))
     if nx * ny > _MAX_CELLS:
         raise ValueError(
@@ -140,7 +142,7 @@ def bounding_window(step: float, lowest: NDArray[np.float64], highest: NDArray[n
 
 
 def continued_window(cells: GridSpec, saved: PlacedGrid, window: WindowMode | str) -> GridSpec:
-    """Return the window of a drive that continues a saved map: a fixed one holds both, on the cells of the map.
+    """Return the window of a drive that continues a saved map; a fixed window holds both, on the cells of the map.
 
     Parameters
     ----------
@@ -156,9 +158,9 @@ def continued_window(cells: GridSpec, saved: PlacedGrid, window: WindowMode | st
 
 
 def echo_window(frames: Iterable[Frame], spec: GridSpec) -> GridSpec:
-    """Return the cells, in map coordinates, that hold all echoes of planar scans and 1 m around them.
+    """Return the window, in map coordinates, that contains all echoes of planar scans with a margin of 1 m.
 
-    All scans are read once. Echoes beyond the reach of a measurement grid are left out.
+    All scans are read once. Echoes beyond the reach of a measurement grid are ignored.
 
     Parameters
     ----------
@@ -182,11 +184,11 @@ def echo_window(frames: Iterable[Frame], spec: GridSpec) -> GridSpec:
             points = frame.scan.points[:, :3]
         except _DAMAGED:
             continue
-        points = points[np.hypot(points[:, 0], points[:, 1]) < reach]  # NaN is left out
+        points = points[np.hypot(points[:, 0], points[:, 1]) < reach]  # false for NaN
         if len(points):
             ends = points.astype(np.float64) @ T[:2, :3].T + T[:2, 3]
             corners.append(np.stack([ends.min(axis=0), ends.max(axis=0)]))
     if not corners:
-        raise ValueError("none of the scans has a pose, so a fixed window has no area")
+        raise ValueError(_NO_POSES)
     both = np.stack(corners)
     return bounding_window(spec.resolution, both[:, 0].min(axis=0) - _MARGIN, both[:, 1].max(axis=0) + _MARGIN)

@@ -1,8 +1,8 @@
 """Numba kernels of the maps: one pass over the window per scan, row by row while a row is in the cache.
 
-Maps are kept as ring buffers of rows: `state` is (nx, 2 ny) with free and occupied in turn (or (nx, ny) log-odds),
-and the window's cell (i, j) is at row (i + row) mod nx, cell (j + column) mod ny, with (row, column) = `ring`. Nothing
-is checked here.
+Maps are stored as ring buffers of rows: `state` is (nx, 2 ny) with free and occupied in turn, or (nx, ny) log-odds. The
+window's cell (i, j) is at row (i + row) mod nx, cell (j + column) mod ny, with (row, column) = `ring`. The kernels
+check nothing.
 """
 
 import math
@@ -17,23 +17,23 @@ from ogm.unknown_cause import UnknownCause
 
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS, REVISION, SMOOTHING = range(6)
 BLOCK = 64  # cells of a row that age together
-# Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
+# Added and subtracted, it sets very small numbers to zero, which would slow down a loop.
 TINY = np.float32(1e-18)
 CONFIRMED = 255
 BETWEEN_BEAMS, FORGOTTEN = int(UnknownCause.BETWEEN_BEAMS), int(UnknownCause.FORGOTTEN)
 CONTRADICTED = int(UnknownCause.CONTRADICTED)
-A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the series of exp
+A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # coefficients of the series of exp
 
 
 class BeliefLayers(NamedTuple):
-    """A map, and until when each block of its cells has aged.
+    """A map and the time to which each block of its cells has aged.
 
     Attributes
     ----------
     state, conflict : (nx, 2 ny) float32
         Masses (free, occupied), and (free -> occupied, occupied -> free).
     aged : (nx, blocks) float64
-        [s] of each `BLOCK` cells of a row, the last of which may have fewer.
+        Time [s] of each block of `BLOCK` cells of a row; the last block may have fewer cells.
     """
 
     state: np.ndarray
@@ -42,14 +42,14 @@ class BeliefLayers(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """How a map forgets, and the time.
+    """Forgetting parameters of a map, and the time of a scan.
 
     Attributes
     ----------
     free, occupied, moving, conflict : float
         Half-lives [s], see `ogm.fusion.EvidentialMapper`.
     evidence, observed : bool
-        Whether evidence fades, not mass; whether only cells fade that the scan has a belief about.
+        Whether evidence fades instead of mass; whether only cells that the scan observes fade.
     elapsed : float
         Time since the last scan [s].
     now : float
@@ -67,19 +67,19 @@ class Memory(NamedTuple):
 
 
 class Aging(NamedTuple):
-    """How much of a map is left after some time.
+    """Shares of a map that remain after some time.
 
     Attributes
     ----------
     keep_free, keep_occupied : float
-        Share of the masses that stays, or of the evidence if `evidence`, [0, 1].
+        Remaining share of the masses, or of the evidence if `evidence`, [0, 1].
     dynamic_decay : float
         Occupied falls by exp(-dynamic_decay * excess), with the excess of the conflict free -> occupied over
         occupied -> free.
     keep_conflict : float
-        Share of the conflict layers that stays, [0, 1].
+        Remaining share of the conflict layers, [0, 1].
     evidence, observed : bool
-        Whether evidence fades, not mass; whether only cells fade that the scan has a belief about.
+        Whether evidence fades instead of mass; whether only cells that the scan observes fade.
     """
 
     keep_free: float
@@ -92,7 +92,7 @@ class Aging(NamedTuple):
 
 @kernel
 def shares_left(memory: Memory, seconds: float) -> Aging:
-    """Return the shares of a map that are left after some time, and its dynamic decay."""
+    """Return the shares of a map that remain after some time [s], and its dynamic decay."""
     free, occupied = 0.5 ** (seconds / memory.free), 0.5 ** (seconds / memory.occupied)
     if seconds == 0:  # a scan of the same moment
         return Aging(free, occupied, 0.0, 1.0, memory.evidence, memory.observed)
@@ -107,7 +107,7 @@ def shares_left(memory: Memory, seconds: float) -> Aging:
 
 
 def _combiner(rule: Rule) -> Any:
-    """Return the loop that combines rows of a map with those of a scan by a rule."""
+    """Return the compiled loop that combines rows of a map with rows of a scan by a rule."""
     cell = rule.cell
 
     @vector
@@ -117,7 +117,7 @@ def _combiner(rule: Rule) -> Any:
             c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
             free, occupied, whole = cell(FLOAT32, f, o, g, p)
             half = np.float32(0.5) * limit
-            scale = limit / max(limit * whole, free + occupied)  # 1 / whole, or limit / known where that is less
+            scale = limit / max(limit * whole, free + occupied)  # 1 / whole, or limit / known if less
             m[2 * k] = half if whole == 0 else free * scale
             m[2 * k + 1] = half if whole == 0 else occupied * scale
 
@@ -129,7 +129,7 @@ _dempster, _yager, _cumulative, _cautious, _revision, _smoothing = map(_combiner
 
 @vector
 def combine_cells(rule: int, m: Any, c: Any, z: Any, limit: Any) -> None:
-    """Combine cells of a map with those of a scan, and raise the map's conflict to that between the two.
+    """Combine cells of a map with cells of a scan, and raise the conflict of the map to the conflict of the two.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def combine_cells(rule: int, m: Any, c: Any, z: Any, limit: Any) -> None:
     z : (2 n,) float32
         Masses of the scan.
     limit : float32
-        The most that free + occupied may be, [0, 1].
+        Upper bound of free + occupied, [0, 1].
     """
     if rule == DEMPSTER:
         _dempster(m, c, z, limit)
@@ -166,26 +166,26 @@ def evidential_update(
     rule: int,
     max_known: float,
 ) -> None:
-    """Age the part of a map that a scan may reach, fuse the scan into it, and keep where the two contradict each other.
+    """Age the part of a map within reach of a scan, fuse the scan into it, and record their conflict.
 
-    What a map forgets in two steps of time it forgets in one of both, so that the other blocks of cells may wait:
-    `age_blocks`. Not so where only observed cells fade, or no conflict is kept: then all cells age.
+    Ageing in two steps equals ageing once over the total time, so the other blocks of cells wait for `age_blocks`. This
+    does not hold if only observed cells fade, or if no conflict is kept: then all cells age now.
 
     Parameters
     ----------
     layers : BeliefLayers
         Changed in place.
     ring : (int, int)
-        Row and cell of the window's cell (0, 0).
+        Row and column of the window's cell (0, 0) in the buffer.
     scan : ScanLookup
-        Of masses.
+        Masses of the scan.
     reliability : float
         Shafer's discount of the scan, [0, 1].
     memory : Memory
     rule : int
         `DEMPSTER`, `YAGER`, `CUMULATIVE`, `CAUTIOUS`, `REVISION` or `SMOOTHING`.
     max_known : float
-        The most that free + occupied may be, [0, 1].
+        Upper bound of free + occupied, [0, 1].
     """
     state, conflict, aged = layers
     nx, ny = state.shape[0], state.shape[1] // 2
@@ -203,7 +203,7 @@ def evidential_update(
             _scale(z[2 * low : 2 * high], w)
         for part in range(2):
             a, b = (0, first) if part == 0 else (first, ny)  # cells of the window
-            shift = column if part == 0 else column - ny  # to their place in the row
+            shift = column if part == 0 else column - ny  # from window cells to cells of the row
             if a < b and not blocks:
                 m, c = state[at, 2 * (a + shift) : 2 * (b + shift)], conflict[at, 2 * (a + shift) : 2 * (b + shift)]
                 _age(m, c, z[2 * a : 2 * b], shares)
@@ -227,7 +227,7 @@ def evidential_update(
 
 @vector
 def age_blocks(layers: BeliefLayers, memory: Memory) -> None:
-    """Age all blocks of cells of a map that have waited.
+    """Age all blocks of cells of a map to the present time.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def _scale(numbers: Any, factor: Any) -> None:
 
 @vector
 def _kept_of_occupied(one: Any, part: Any, excess: Any) -> Any:
-    # exp(x) as (1 + y + y^2 / 2 + ...)^16 with y = x / 16: plain arithmetic, which runs on vector units
+    # exp(x) as (1 + y + y^2 / 2 + ...)^16 with y = x / 16: plain arithmetic runs on vector units
     y = part * max(excess, one - one)
     e = one + y * (one + y * (A + y * (B + y * C)))
     e *= e
@@ -338,17 +338,17 @@ def note_causes(
     causes: np.ndarray,
     affine: np.ndarray,
 ) -> None:
-    """Note which cells a map knows, and why it does not know the others.
+    """Update the codes of cells: known, or the cause why the map does not know them.
 
     Parameters
     ----------
     codes : (nx, ny) uint8
-        Of each cell, changed in place: `CONFIRMED` if the map knows it, `FORGOTTEN` or `CONTRADICTED` from when it did
-        last, else the cause of the last scan that covered it, 0 for none.
+        Code of each cell, changed in place. `CONFIRMED`: the map knows it. `FORGOTTEN`, `CONTRADICTED`: the map knew it
+        before. Else the cause of the last scan that covered it, 0 for none.
     mass, conflict : (nx, ny, 2) float32
-        The map, and its conflict.
+        Masses and conflict of the map.
     ring : (int, int)
-        Row and cell of the window's cell (0, 0).
+        Row and column of the window's cell (0, 0) in the buffer.
     causes : (mx, my) uint8
         `UnknownCause` of the cells of a scan.
     affine : (2, 3) float64
@@ -382,20 +382,20 @@ def note_causes(
 def bayes_update(
     state: np.ndarray, ring: tuple[int, int], scan: ScanLookup, keep: float, observed: bool, limits: tuple[float, float]
 ) -> None:
-    """Age a map of log-odds and add those of a scan.
+    """Age a map of log-odds and add the log-odds of a scan.
 
     Parameters
     ----------
     state : (nx, ny) float32
         Log-odds of occupied, changed in place.
     ring, observed
-        As for `evidential_update`.
+        See `evidential_update`.
     scan : ScanLookup
-        Of log-odds.
+        Log-odds of the scan.
     keep : float
-        Share of the log-odds that stays, [0, 1].
+        Remaining share of the log-odds, [0, 1].
     limits : (float, float)
-        Between which log-odds are kept.
+        Lower and upper bound of the log-odds.
     """
     nx, ny = state.shape
     row, column = ring
@@ -416,18 +416,18 @@ def bayes_update(
 
 @vector
 def log_odds_of(mass: np.ndarray, plausibility: bool, limit: float, out: np.ndarray) -> None:
-    """Turn masses into the log-odds that a scan adds to a Bayesian map.
+    """Fill `out` with the log-odds of masses that a scan adds to a Bayesian map.
 
     Parameters
     ----------
     mass : (cells, 2) float32
     plausibility : bool
-        Whether the probability of occupied is the normalised plausibility, not the pignistic probability.
+        Whether the probability of occupied is the normalised plausibility, else it is the pignistic probability.
     limit : float
-        The log-odds are kept within +- this.
+        Bound of the absolute log-odds.
     out : (cells,) float32
     """
-    most = np.float32(limit)
+    bound = np.float32(limit)
     zero, half = np.float32(0), np.float32(0.5)
     for k in range(len(mass)):
         f, o = mass[k, 0], mass[k, 1]
@@ -437,5 +437,5 @@ def log_odds_of(mass: np.ndarray, plausibility: bool, limit: float, out: np.ndar
         value = zero
         if f != o:
             above, below = o + u, f + u
-            value = most if below <= 0 else -most if above <= 0 else np.log(above / below)
-        out[k] = min(max(value, -most), most)
+            value = bound if below <= 0 else -bound if above <= 0 else np.log(above / below)
+        out[k] = min(max(value, -bound), bound)

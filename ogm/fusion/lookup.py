@@ -1,4 +1,4 @@
-"""Kernels that look up a measurement grid at the cells of a window, through an affine map between their cells."""
+"""Kernels that read a measurement grid at the cells of a window, through an affine map between their cells."""
 
 from typing import NamedTuple
 
@@ -6,20 +6,20 @@ import numpy as np
 
 from ogm.jit import vector
 
-EPS_CELL = 1e-6  # [cells] so that rounding does not decide where centres of cells fall on edges of others
+EPS_CELL = 1e-6  # [cells] added to centres of cells, so that rounding does not decide on which side of an edge they lie
 
 
 class ScanLookup(NamedTuple):
-    """A measurement grid, and where the cells of a window lie in it.
+    """A measurement grid and its position relative to the cells of a window.
 
     Attributes
     ----------
     values : (mx, my, 2) or (mx, my) float32
         Masses of free and occupied, or log-odds.
     affine : (2, 3) float64
-        Takes the centre of a window cell, (i + 1/2, j + 1/2, 1), to the cell coordinates of the grid.
+        Takes the centre of a window cell, (i + 1/2, j + 1/2, 1), to cell coordinates of the grid.
     samples : int
-        Points per cell and axis at which the grid is looked up; their mean counts.
+        Sampling points per cell and axis; a cell takes their mean.
     """
 
     values: np.ndarray
@@ -29,7 +29,7 @@ class ScanLookup(NamedTuple):
 
 @vector
 def gather(scan: ScanLookup, ring: tuple[int, int], out: np.ndarray) -> None:
-    """Look up a grid of pairs at the cells of another, in `out` (nx, 2 ny); outside the grid it is 0."""
+    """Fill `out` (nx, 2 ny) with the pairs of a grid at the cells of a window; 0 outside the grid."""
     nx, ny = out.shape[0], out.shape[1] // 2
     row, column = ring
     z = np.zeros(2 * ny, np.float32)
@@ -50,7 +50,7 @@ def _copy(numbers: np.ndarray, out: np.ndarray) -> None:  # faster than numba's 
 
 @vector
 def look_up(z: np.ndarray, values: np.ndarray, affine: np.ndarray, samples: int, i: int, ny: int) -> tuple[int, int]:
-    """Fill row i of the window from a grid; return the cells [low, high) that the grid may cover."""
+    """Fill row i of the window from a grid; return the range of cells [low, high) that the grid may cover."""
     mx, my = values.shape[0], values.shape[1]
     flat = values.reshape(-1)
     du, dv = affine[0, 1], affine[1, 1]
@@ -62,7 +62,7 @@ def look_up(z: np.ndarray, values: np.ndarray, affine: np.ndarray, samples: int,
         for j in range(low, high):
             # Unsigned, so that no code for negative indices slows the loop down fourfold.
             at = np.uint64(np.int32(u0 + j * du) * np.int32(my) + np.int32(v0 + j * dv))
-            if values.ndim == 3:  # known when it is compiled
+            if values.ndim == 3:  # resolved at compile time
                 z[2 * j], z[2 * j + 1] = flat[np.uint64(2) * at], flat[np.uint64(2) * at + np.uint64(1)]
             else:
                 z[j] = flat[at]

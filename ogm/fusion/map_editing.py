@@ -1,4 +1,4 @@
-"""Saved maps cut, on other cells, and merged, with their conflict and other layers.
+"""Cropping, resampling and merging of saved maps, with their conflict and other layers.
 
 >>> import numpy as np
 >>> from ogm import EvidentialGrid, GridSpec
@@ -36,13 +36,13 @@ _ROUNDING = 1e-6  # [cells]
 
 
 def crop(grid: AnyGrid | PlacedGrid, extent: Sequence[float]) -> PlacedGrid:
-    """Return the cells of a map that an area touches, with all that they hold.
+    """Return the cells of a map that an area touches, with all layers.
 
     Parameters
     ----------
     grid : PlacedGrid, EvidentialGrid, DynamicGrid or LayeredGrid
     extent : (x_min, x_max, y_min, y_max)
-        In the grid's own coordinates [m]; cells beyond the map are left out.
+        Area in the grid's own coordinates [m]; its part beyond the map is ignored.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def crop(grid: AnyGrid | PlacedGrid, extent: Sequence[float]) -> PlacedGrid:
         high.append(min(math.ceil((stop - edge) / source.resolution - _ROUNDING), n))
     if not (x0 < x1 and y0 < y1) or min(b - a for a, b in zip(low, high, strict=True)) < 1:
         raise ValueError(
-            f"the area x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m has no cell of the map, which has {source}"
+            f"the area x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m touches no cell of the map, which has {source}"
         )
     (i, j), (k, m) = low, high
     corner = source.origin[0] + i * source.resolution, source.origin[1] + j * source.resolution
@@ -67,7 +67,7 @@ def crop(grid: AnyGrid | PlacedGrid, extent: Sequence[float]) -> PlacedGrid:
         if isinstance(grid, LayeredGrid):
             return LayeredGrid(spec, {name: layer[i:k, j:m] for name, layer in grid.layers.items()})
         if isinstance(grid, DynamicGrid):
-            parts = (one[i:k, j:m] for one in (grid.mass, grid.velocity, grid.covariance))
+            parts = (array[i:k, j:m] for array in (grid.mass, grid.velocity, grid.covariance))
             return DynamicGrid.trusted(spec, *parts)
         return EvidentialGrid.trusted(spec, grid.mass[i:k, j:m])
 
@@ -80,13 +80,13 @@ def resampled(grid: AnyGrid | PlacedGrid, spec: GridSpec | float, method: Resamp
     Parameters
     ----------
     grid : PlacedGrid, EvidentialGrid or LayeredGrid
-        `DynamicGrid.to_evidential` gives the masses of a dynamic map.
+        For a dynamic map, give the masses of `DynamicGrid.to_evidential`.
     spec : GridSpec or float
-        The cells, or their side [m], from the same corner on.
+        The new cells, or their side [m], with the same corner.
     method : {"worst", "area", "nearest", "cautious"}
-        Of masses, see `ogm.fusion.resample_to`: by default free is never enlarged. Of conflict counts the greatest of
-        the cells that a new cell covers, of other layers that at its centre. The maps of several models that a map was
-        combined from are left out, unless the cells are of one lattice.
+        Method for masses, see `ogm.fusion.resample_to`: the default never enlarges free. A new cell takes the greatest
+        conflict of the cells that it covers; other layers take the value at its centre. Layers of several models are
+        dropped, unless both grids have cells of the same lattice.
 
     Raises
     ------
@@ -111,40 +111,42 @@ def merge(
     rule: Callable[[Any, Any], Any] = cautious,
     method: ResampleMethod = "worst",
 ) -> PlacedGrid:
-    """Return two maps as one, on the cells of the first and as many more as the second needs.
+    """Merge two maps, on the cells of the first, extended to cover the second.
 
     Parameters
     ----------
     first, second : PlacedGrid, EvidentialGrid or LayeredGrid
     T_first_second : (4, 4) array, optional
-        Takes the frame of the second to that of the first; identity by default.
+        Transform from the frame of the second to the frame of the first; identity by default.
     rule : function
-        Combines the masses, ``rule(first, second)``. The default treats the maps as dependent: of evidence that both
-        have, the stronger counts. `ogm.evidence.dempster` takes them for independent, `ogm.evidence.revise` lets the
-        second contradict the first.
+        Combines the masses, ``rule(first, second)``. The default treats the maps as dependent: the stronger evidence
+        counts. `ogm.evidence.dempster` treats them as independent; with `ogm.evidence.revise` the second may contradict
+        the first.
     method : {"worst", "area", "nearest", "cautious"}
-        For cells of the second that are turned, or lie between those of the first, see `resampled`.
+        Method for cells of the second that do not coincide with cells of the first, see `resampled`.
 
     Returns
     -------
     PlacedGrid
-        In the place of the first. Of conflict it has the greater, of other layers the values of the first, and those of
-        the second where the first has none; its stamp is the later one.
+        Placed as the first. It has the greater conflict; other layers have the values of the first, and where these are
+        missing the values of the second. Its stamp is the later of both.
 
     Raises
     ------
     TypeError
         If a map is dynamic.
     ValueError
-        If one has masses and the other layers alone, or coordinate reference systems differ.
+        If one map has masses and the other only layers, or coordinate reference systems differ.
     """
-    first, second = (PlacedGrid.of(one).without_models() for one in (first, second))
+    first, second = (PlacedGrid.of(grid).without_models() for grid in (first, second))
     if first.crs and second.crs and first.crs != second.crs:
-        raise ValueError(f"the maps have different coordinate reference systems, {first.crs} and {second.crs}")
+        raise ValueError(
+            f"the maps have different coordinate reference systems, {first.crs} and {second.crs}: transform one of them"
+        )
     if isinstance(first.grid, LayeredGrid) != isinstance(second.grid, LayeredGrid):
-        raise ValueError("one map has masses of free and occupied, the other layers alone: merge maps of one kind")
+        raise ValueError("one map has masses of free and occupied, the other only layers: merge maps of one kind")
     T = np.eye(4) if T_first_second is None else check_pose(T_first_second, "T_first_second")
-    T = inverse(first.T_frame_grid) @ T @ second.T_frame_grid  # from the cells of one to those of the other
+    T = inverse(first.T_frame_grid) @ T @ second.T_frame_grid  # from cells of the second to cells of the first
     spec = extended(first.grid.spec, second.grid.spec, T)
     a, b = _moved(first, spec, np.eye(4), method), _moved(second, spec, T, method)
     grid: AnyGrid
@@ -154,12 +156,12 @@ def merge(
         grid = EvidentialGrid(spec, np.asarray(rule(a.evidential.mass, b.evidential.mass), np.float32))
         joined = _joined(a.layers, b.layers)
         layers = LayeredGrid(spec, joined) if joined else None
-    stamps = [one.stamp for one in (first, second) if one.stamp is not None]
+    stamps = [placed.stamp for placed in (first, second) if placed.stamp is not None]
     return replace(first, grid=grid, layers=layers, stamp=max(stamps, default=None), crs=first.crs or second.crs)
 
 
 def _joined(first: LayeredGrid | None, second: LayeredGrid | None) -> dict[str, NDArray[np.float32]]:
-    """Return the layers of two grids: the greater conflict, else the values of the first where it has one."""
+    """Return the layers of two grids: the greater conflict, else values of the first, and where NaN of the second."""
     joined = dict(first.layers) if first else {}
     for name, layer in second.layers.items() if second else ():
         own = joined.get(name, layer)
@@ -168,7 +170,7 @@ def _joined(first: LayeredGrid | None, second: LayeredGrid | None) -> dict[str, 
 
 
 def extended(spec: GridSpec, other: GridSpec, T: ArrayLike | None = None) -> GridSpec:
-    """Return the cells of one grid and as many more as another needs, which `T`, (4, 4), takes to its coordinates."""
+    """Return the cells of a grid, extended to cover another; `T` (4, 4) takes the other to the first's frame."""
     A, b = planar_transform(np.eye(4) if T is None else np.asarray(T, np.float64))
     x0, x1, y0, y1 = other.extent
     corners = np.array([(x, y) for x in (x0, x1) for y in (y0, y1)]) @ A.T + b
@@ -182,7 +184,7 @@ def extended(spec: GridSpec, other: GridSpec, T: ArrayLike | None = None) -> Gri
 
 
 def _moved(placed: PlacedGrid, spec: GridSpec, T: NDArray[np.float64], method: ResampleMethod) -> PlacedGrid:
-    """Return a map and its layers on other cells, whose coordinates `T` takes its own to."""
+    """Return a map with its layers on other cells; `T` takes its coordinates to the coordinates of `spec`."""
     grid, still = placed.grid, np.array_equal(T, np.eye(4))
     if isinstance(grid, DynamicGrid):
         raise TypeError("wanted a map of masses or layers, got a DynamicGrid: use its to_evidential()")

@@ -1,6 +1,6 @@
-"""The base class of maps: a window that moves with the vehicle, a gate for scans, a lock, and views of the map.
+"""Base class of maps: a window that moves with the vehicle, a gate for scans, a lock, and views of the map.
 
-`Mapper.update` is the same for all maps; each has its own `_fuse`.
+All maps share `Mapper.update`; each implements `_fuse`.
 """
 
 import functools
@@ -27,11 +27,11 @@ R = TypeVar("R")
 
 
 class MapLock:
-    """A lock that its owner may take again, for ``with``.
+    """Reentrant lock of a map, for ``with``.
 
-    A copy of it, by `copy`, `pickle` or a spawned process, is a lock of its own, which is free. A process forks only
-    while no other thread has a lock of a map, so that the maps of the child are whole and their locks free; it waits
-    for that for at most `_PATIENCE`.
+    A copy, by `copy`, `pickle` or a spawned process, is a new, free lock. A process forks only while no other thread
+    holds the lock of a map, so that the maps of the child are consistent and their locks free. A fork waits at most
+    `_FORK_TIMEOUT` for this.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class MapLock:
         return self
 
     def acquire(self, timeout: float) -> bool:
-        """Take the lock; return whether it was free within some time [s]."""
+        """Acquire the lock; return whether it became free within `timeout` [s]."""
         return self._lock.acquire(timeout=timeout)
 
     def __exit__(
@@ -56,14 +56,14 @@ class MapLock:
         return MapLock, ()
 
 
-_PATIENCE = 10.0  # [s] that a fork waits for a lock: longer than any update, and two threads may wait for each other
+_FORK_TIMEOUT = 10.0  # [s] a fork waits for a lock: longer than any update, but bounded in case of a deadlock
 _all_locks: "weakref.WeakSet[MapLock]" = weakref.WeakSet()
-_registry = threading.Lock()  # of the set; held for so short a time that nothing waits within
+_registry = threading.Lock()  # guards `_all_locks`; nothing waits while it is held
 _at_fork: list[MapLock] = []
 
 
 def locked(method: Callable[Concatenate[Any, P], R]) -> Callable[Concatenate[Any, P], R]:
-    """Return a method that has the lock of its map while it runs."""
+    """Return a method that holds the lock of its map while it runs."""
 
     @functools.wraps(method)
     def with_lock(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -76,7 +76,7 @@ def locked(method: Callable[Concatenate[Any, P], R]) -> Callable[Concatenate[Any
 def _before_fork() -> None:
     with _registry:
         locks = list(_all_locks)
-    _at_fork.extend(lock for lock in locks if lock.acquire(_PATIENCE))
+    _at_fork.extend(lock for lock in locks if lock.acquire(_FORK_TIMEOUT))
     _registry.acquire()
 
 
@@ -95,23 +95,23 @@ CONFLICT_LAYERS = ("free_to_occupied", "occupied_to_free")
 
 
 class Mapper(ABC):
-    """A map that fuses the measurement grids of a moving vehicle, scan after scan.
+    """Map that fuses the measurement grids of a moving vehicle, scan after scan.
 
     Parameters
     ----------
     window : Window
-        The part of the world that the map holds.
+        Part of the world that the map covers.
     gate : UpdateGate
-        Decides which scans are fused.
+        Check of scans before they are fused.
 
     Notes
     -----
-    One thread may update the map while any number of others read it: each property and method returns a whole state,
-    that before or after an update. Several values of one state are read with ``with mapper.lock:``.
+    One thread may update the map while other threads read it. Each property and method returns a consistent state,
+    from before or after an update. To read several values of the same state use ``with mapper.lock:``.
     """
 
     lock: MapLock
-    half_life: float | tuple[float, float]  # in which belief halves [s]; a pair is for free and for occupied
+    half_life: float | tuple[float, float]  # [s] of belief; a pair is (free, occupied)
 
     def __init__(self, window: Window, gate: UpdateGate) -> None:
         self.lock, self._window, self._gate = MapLock(), window, gate
@@ -124,7 +124,7 @@ class Mapper(ABC):
     @property
     @abstractmethod
     def _layers(self) -> Sequence[NDArray[np.generic]]:
-        """Arrays that are 0 in an empty map."""
+        """Arrays of the map; 0 in an empty map."""
 
     @abstractmethod
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
@@ -139,13 +139,13 @@ class Mapper(ABC):
     @property
     @locked
     def stamp(self) -> float | None:
-        """Time of the map [s]: that of the newest scan."""
+        """Time of the newest scan [s]."""
         return self._gate.stamp
 
     @property
     @locked
     def T_map_vehicle(self) -> NDArray[np.float64] | None:  # noqa: N802
-        """Pose of the vehicle at that time, (4, 4)."""
+        """Pose of the vehicle at the newest scan, (4, 4)."""
         return self._gate.T_map_vehicle
 
     @property
@@ -170,21 +170,21 @@ class Mapper(ABC):
         Parameters
         ----------
         grid : EvidentialGrid
-            The measurement grid of a scan. Its extent and resolution are free: cells of the map take the masses at
-            their centre, or, if the scan's cells are finer, the mean over the cell.
+            Measurement grid of a scan, of any extent and resolution. A cell of the map takes the masses at its centre,
+            or the mean over the cell if the cells of the scan are finer.
         T_map_sensor : (4, 4) array
             Takes the frame of `grid` to the map [m].
         stamp : float
             Time of the scan [s].
         T_vehicle_sensor : (4, 4) array, optional
-            Pose of the frame of `grid` in the vehicle frame, of which there is one for all sensors: the window and the
-            check for jumps follow the vehicle. By default both frames are the same.
+            Pose of the frame of `grid` in the vehicle frame, which all sensors share. The window and the check for
+            jumps follow the vehicle. By default both frames are the same.
         reliability : float
-            Reliability of the sensor, [0, 1]: its masses are discounted by it.
+            Reliability of the sensor, [0, 1], by which masses are discounted.
         radial : RadialVelocities, optional
             Radial velocities of moving objects by Doppler, in the frame of `grid`, see
-            `ogm.geometric.doppler.radial_velocities`. Only `DynamicMapper` uses them, except those of a late scan.
-            Even without rows they mark a scan of sparse detections, whose cells are not matched.
+            `ogm.geometric.doppler.radial_velocities`. Only `DynamicMapper` uses them, except in late scans. Even
+            without rows they mark a scan of sparse detections, which is not matched with other scans.
 
         Raises
         ------
@@ -195,23 +195,23 @@ class Mapper(ABC):
         StampJump
             If the stamp is more than `max_delay` older than the map, or more than a day newer.
         ValueError
-            If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules of the mapper,
-            the grid and the window have no cell in common, or the columns of `radial` do not fit together.
+            If a pose is not rigid, is tilted by more than 45 degrees or contains NaN, a stamp breaks the rules of the
+            mapper, the grid and the window have no cell in common, or the columns of `radial` differ in length.
         """
         # Check masses, pose, stamp and the distance travelled; an error leaves the map as it was
         check_measurement(grid, reliability)
         scan = self._gate.check(self._window, grid.spec, T_map_sensor, stamp, T_vehicle_sensor)
 
-        # Doppler in the axes of the map
+        # Transform Doppler velocities to the axes of the map
         if radial is not None:
             if not isinstance(radial, RadialVelocities):
                 raise TypeError(f"radial must be RadialVelocities, got {type(radial).__name__}")
             scan = scan._replace(radial=radial.checked().moved(np.asarray(T_map_sensor, np.float64)))
 
-        # Scroll to the vehicle, age by the time since the last scan, combine, bound the certainty, note the conflict
+        # Scroll to the vehicle, age by the elapsed time, combine, bound the known mass, record the conflict
         self._fuse(grid, scan, reliability)
 
-        # The next scan is compared with this one
+        # Keep the scan for the checks of the next one
         self._gate.accept(scan)
 
     @locked
@@ -235,17 +235,17 @@ class Mapper(ABC):
         Parameters
         ----------
         spec : GridSpec, optional
-            The cells, in the vehicle's frame; by default as many as the window has, around the vehicle. To see all of
-            them at any yaw the window must be a square as wide as their diagonal: `ogm.fusion.rolling_window`.
+            Cells in the vehicle's frame; by default as many as the window has, around the vehicle. To cover all of them
+            at any yaw, the window must be a square as wide as their diagonal: `ogm.fusion.rolling_window`.
         T_map_vehicle : (4, 4) array, optional
-            By default that of the newest scan.
+            Pose of the vehicle; by default that at the newest scan.
         method : {"nearest", "area", "cautious"}
         """
         grid, (cells, T) = self.grid, self._around(spec, T_map_vehicle)
         return EvidentialGrid.trusted(cells, view_layers(grid.mass, grid.spec, cells, T, method))
 
     def opinion_at(self, points: ArrayLike, method: Sampling = "nearest") -> Opinion | NDArray[np.float32]:
-        """Return the opinion of the map at any points of the map's frame; see `EvidentialGrid.opinion_at`."""
+        """Return the opinion of the map at points in its frame, see `EvidentialGrid.opinion_at`."""
         return self.grid.opinion_at(np.asarray(points), method)
 
     @property
@@ -253,8 +253,8 @@ class Mapper(ABC):
     def conflict(self) -> LayeredGrid:
         """Recent contradictions between map and scans, [0, 1], on the cells of `grid`.
 
-        The layer ``free_to_occupied`` is where the map was free and a scan occupied, ``occupied_to_free`` the reverse:
-        the greatest conflict mass, which fades with time. `BinaryBayesMapper` has none.
+        Layer ``free_to_occupied``: the map was free and a scan occupied; ``occupied_to_free``: the reverse. Values are
+        the greatest conflict mass, which fades with time. `BinaryBayesMapper` has no conflict.
         """
         return _conflict_grid(self.spec, self._conflict_layers())
 
@@ -264,12 +264,12 @@ class Mapper(ABC):
         spec: GridSpec | None = None,
         T_map_vehicle: ArrayLike | None = None,  # noqa: N803
     ) -> LayeredGrid:
-        """Return `conflict` in the vehicle's axes, by nearest cells. Arguments: see `view`."""
+        """Return `conflict` in the vehicle's axes, by nearest cells. For the arguments see `view`."""
         cells, T = self._around(spec, T_map_vehicle)
         return _conflict_grid(cells, view_layers(self._conflict_layers(), self.spec, cells, T))
 
     def _conflict_layers(self) -> NDArray[np.float32]:
-        """Return conflict free to occupied and occupied to free, (nx, ny, 2), in the order of the window's cells."""
+        """Return the conflict (free -> occupied, occupied -> free), (nx, ny, 2), in the order of the window's cells."""
         raise AttributeError(f"{type(self).__name__} keeps no conflict")
 
     def _around(
@@ -277,10 +277,10 @@ class Mapper(ABC):
         spec: GridSpec | None,
         T_map_vehicle: ArrayLike | None,  # noqa: N803
     ) -> tuple[GridSpec, ArrayLike]:
-        """Return cells and pose of a view: by default those around the vehicle of the newest scan."""
+        """Return cells and pose of a view, by default around the vehicle at the newest scan."""
         T = self._gate.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
         if T is None:
-            raise ValueError("the map has no scan yet, and so no pose for a view; give T_map_vehicle")
+            raise ValueError("the map has no scan yet, so a view has no default pose: give T_map_vehicle")
         return spec or self._window.around, T
 
 

@@ -1,4 +1,4 @@
-"""Maps of several models side by side, each fused by itself: their memory, and their bands in files."""
+"""Parts of a map, one per sensor model, each fused separately: their arrays, and their bands in files."""
 
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
@@ -11,14 +11,14 @@ from ogm.fusion.mapper import CONFLICT_LAYERS
 from ogm.grid import LayeredGrid
 from ogm.io.grids.placed import MODEL_LAYER
 
-PLAIN = 0  # key of the part that grids of one model are fused into; those of several models have 1, 2, ...
-PLANE = -1  # key of the part of grids whose cells are free in a plane alone
-_NAMES = {PLAIN: "rest", PLANE: "plane"}  # of parts in files; the others are model1, model2, ...
+PLAIN = 0  # key of the part of scans of one model; parts of several models have keys 1, 2, ...
+PLANE = -1  # key of the part of scans that are free in a plane only
+_NAMES = {PLAIN: "rest", PLANE: "plane"}  # names of parts in files; further parts are model1, model2, ...
 _BANDS = ("free", "occupied"), CONFLICT_LAYERS
 
 
 class PartLayers(NamedTuple):
-    """A map by itself: masses and conflict, (nx, ny, 2), and until when blocks of cells have aged [s]."""
+    """Masses and conflict of a part, (nx, ny, 2), and the time to which blocks of cells have aged [s]."""
 
     mass: NDArray[np.float32]
     conflict: NDArray[np.float32]
@@ -26,17 +26,17 @@ class PartLayers(NamedTuple):
 
     @classmethod
     def empty(cls, shape: tuple[int, int], now: float) -> "PartLayers":
-        """Return a map without belief."""
+        """Return a part without belief."""
         mass, conflict = np.zeros((2, *shape, 2), np.float32)
         return cls(mass, conflict, np.full((shape[0], -(-shape[1] // BLOCK)), now))
 
     def copy(self) -> "PartLayers":
-        """Return a copy in memory of its own."""
+        """Return a deep copy."""
         return PartLayers(self.mass.copy(), self.conflict.copy(), self.aged.copy())
 
     @property
     def rows(self) -> BeliefLayers:
-        """The same memory as kernels take it."""
+        """View of the arrays in the form that kernels take."""
         nx, ny = self.mass.shape[:2]
         return BeliefLayers(self.mass.reshape(nx, 2 * ny), self.conflict.reshape(nx, 2 * ny), self.aged)
 
@@ -44,7 +44,7 @@ class PartLayers(NamedTuple):
 def bands_of_parts(
     parts: Mapping[int, tuple[NDArray[np.float32], NDArray[np.float32]]],
 ) -> dict[str, NDArray[np.float32]]:
-    """Return masses and conflict, (nx, ny, 2) each, of parts of a map as bands such as ``model1_free``."""
+    """Return masses and conflict, (nx, ny, 2), of parts of a map as bands such as ``model1_free``."""
     return {
         f"{_NAMES.get(number, f'model{number}')}_{name}": array[..., k]
         for number, part in parts.items()
@@ -54,12 +54,12 @@ def bands_of_parts(
 
 
 def parts_of_bands(bands: LayeredGrid, ring: tuple[int, int]) -> tuple[PartLayers, dict[int, PartLayers]]:
-    """Return the memory of a map, and of its parts if the bands have them, at time 0.
+    """Return a whole map, and its parts if the bands contain them, at time 0.
 
     Parameters
     ----------
     bands : LayeredGrid
-        On the cells of the window. Bands that are missing, and NaN, are 0.
+        Bands on the cells of the window. Missing bands and NaN are 0.
     ring : (int, int)
         See `ogm.fusion.window.Window.ring`.
     """
@@ -83,23 +83,23 @@ def parts_of_bands(bands: LayeredGrid, ring: tuple[int, int]) -> tuple[PartLayer
 def continued_parts(
     whole: PartLayers, parts: dict[int, PartLayers], measured: Collection[int]
 ) -> dict[int, PartLayers]:
-    """Return the parts of a saved map that scans are fused into.
+    """Return the parts of a saved map into which scans are fused.
 
     Parameters
     ----------
     whole : PartLayers
-        The map.
+        The map as a whole.
     parts : dict of int to PartLayers
-        Those of its models, if the file has them.
+        Parts of the map, if the file contains them.
     measured : collection of int
-        Parts that the first scan belongs to.
+        Parts to which the first scan belongs.
 
     Returns
     -------
     dict of int to PartLayers
-        `parts` if they are of as many models as the scan, `whole` as the only part if there are none and the scan has
-        one, else `whole` beside the models.
+        `parts` if the map and the scan have the same models. Without `parts`, `whole` is the part of a scan of one
+        model. In all other cases `whole` is a separate part.
     """
-    if parts and {one for one in parts if one > PLAIN} == {one for one in measured if one > PLAIN}:
+    if parts and {key for key in parts if key > PLAIN} == {key for key in measured if key > PLAIN}:
         return parts
     return {next(iter(measured)) if len(measured) == 1 and not parts else PLAIN: whole}

@@ -1,4 +1,4 @@
-"""From frames to grids and maps: `map_scans`, `fuse`, and the step that both share with evaluation, `update_map`."""
+"""Pipelines from frames to grids and maps: `map_scans`, `fuse`, and their step `update_map`."""
 
 import logging
 import math
@@ -18,11 +18,11 @@ from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse
 from ogm.scan import Frame, LazyFrame, Scan, SensorModels, of_sensor, run_model
 
-_DAMAGED = (ValueError, TypeError, OSError)  # what is wrong with one frame, not with the program
-MAX_TURN = math.radians(2.0)  # while a scan is taken: points at 20 m are then off by 0.7 m
+_DAMAGED = (ValueError, TypeError, OSError)  # errors of a single frame; others are errors of the program
+MAX_TURN = math.radians(2.0)  # within a scan: points at 20 m are then off by 0.7 m
 
-_MAX_JUMPS = 3  # in a row, at the last of which the map begins anew
-_MARGIN = 0.5  # [s] by which a trajectory is extrapolated for the points of its first and last scans
+_MAX_JUMPS = 3  # consecutive jumps; the last one restarts the map
+_MARGIN = 0.5  # [s] by which a trajectory is extrapolated for points of the first and last scans
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ Reliability = float | Mapping[str, float]
 
 
 def log_error(frame: Frame, error: Exception) -> None:
-    """Log that a frame is skipped, and why."""
+    """Log a warning that a frame is skipped, with the reason."""
     _log.warning("%s is skipped: %s", frame.name, error)
 
 
@@ -43,12 +43,12 @@ def map_scans(
     Parameters
     ----------
     frames : iterable of Frame
-        A data set, or any other.
+        A dataset, or any other frames.
     ism : callable with `spec`, or mapping of str to these
-        The sensor model, ``ism(scan) -> EvidentialGrid``; of several sensors one for each `Scan.sensor`.
+        Sensor model, ``ism(scan) -> EvidentialGrid``; for several sensors one for each `Scan.sensor`.
     on_error : function
-        Called with a frame that is damaged or cannot be mapped, and its error; the frame is left out. By default it is
-        logged. A function that raises the error ends the loop.
+        Called with each frame that is damaged or cannot be mapped, and its error; the frame is skipped. By default the
+        error is logged. A function that raises it ends the loop.
     """
     for frame in frames:
         try:
@@ -60,24 +60,24 @@ def map_scans(
 
 
 class FusionStep(NamedTuple):
-    """What `fuse` did with a frame.
+    """Result of `fuse` for one frame.
 
     Attributes
     ----------
     frame : Frame
-        With the scan that was mapped, de-skewed if that was wanted.
+        The frame; its scan is de-skewed if requested.
     grid : EvidentialGrid or None
         Its measurement grid; None if the frame was skipped.
     T_map_grid : (4, 4) float64 or None
-        The pose at which the grid was fused: that of the levelled vehicle frame.
+        Pose at which the grid was fused: the levelled vehicle frame.
     error : Exception or None
-        Why the frame was skipped.
+        Reason why the frame was skipped.
     restart : str
-        Why the map began anew with this frame: "pose jump", "stamp jump" or "sequence"; "" if it did not.
+        Reason why a new map was begun with this frame: "pose jump", "stamp jump" or "sequence"; "" if none was begun.
     previous_map : EvidentialGrid or None
-        The map up to there, if it began anew: nothing else keeps it.
+        The map before a restart, which the mapper no longer holds.
     seconds : (float, float)
-        Time that the sensor model and the mapper took [s].
+        Run time of the sensor model and of the mapper [s].
     """
 
     frame: Frame
@@ -100,37 +100,37 @@ def fuse(
 ) -> Iterator[FusionStep]:
     """Fuse the scans of a drive into a map, one step per frame.
 
-    The map begins anew with every new `Frame.sequence`, and after three jumps in a row, at the last of them: jumps of
-    poses, or of stamps that follow each other.
+    A new map is begun at every new `Frame.sequence`, and at the third jump in a row. Jumps are of the pose, or of the
+    stamp; stamp jumps count only if their stamps follow each other.
 
     Parameters
     ----------
     frames : iterable of Frame
-        In the order of their stamps; each needs `T_map_sensor` and, unless the map never forgets, `stamp`. Of several
-        sensors of a vehicle each has its own poses, and its mount in one vehicle frame.
+        Frames in the order of their stamps. Each needs `T_map_sensor` and, unless the map never forgets, `stamp`. With
+        several sensors of a vehicle, each has its own poses, and a mount in one common vehicle frame.
     ism : callable with `spec`, or mapping of str to these
-        The sensor model, ``ism(scan) -> EvidentialGrid``; of several sensors one for each `Scan.sensor`. Frames of a
-        sensor without one are skipped.
+        Sensor model, ``ism(scan) -> EvidentialGrid``; for several sensors one for each `Scan.sensor`. Frames of other
+        sensors are skipped.
     mapper : EvidentialMapper, BinaryBayesMapper or DynamicMapper
         Updated in place.
     deskew : bool or Trajectory
-        Undo the ego motion during each scan, by the times of its points: with the poses of `frames`, which must then be
-        a sequence, or with a trajectory of the sensor, for example of higher rate. Scans of several sensors are
-        de-skewed before, each by its own poses: `deskew_frame`.
+        Undo the ego motion during each scan, by the times of its points. True uses the poses of `frames`, which must
+        then be a sequence; a trajectory of the sensor may have a higher rate. For several sensors, de-skew the frames
+        of each sensor beforehand by its own poses: `deskew_frame`.
     reliability : float or mapping of str to float
-        [0, 1]: masses are discounted by it; by `Scan.sensor`, "" for the rest, or for all.
+        Reliability, [0, 1], by which masses are discounted: for all sensors, or by `Scan.sensor`, with "" for others.
     on_error : function
-        Called with every frame that is skipped, and its error; by default it is logged.
+        Called with every skipped frame and its error; by default the error is logged.
 
     Yields
     ------
     FusionStep
-        Also for frames that were skipped: damaged, without pose, or with a pose jump. These leave the map as it was.
+        Also for skipped frames: damaged, without pose, or with a pose jump. These leave the map unchanged.
 
     Raises
     ------
     ValueError
-        If de-skewing has no poses, or `ism` is of several sensors.
+        If de-skewing has no poses, or `ism` has models of several sensors.
 
     Examples
     --------
@@ -140,7 +140,10 @@ def fuse(
     >>> mapper.grid.save("map.npz")                                        # doctest: +SKIP
     """
     if deskew is not False and isinstance(ism, Mapping):
-        raise ValueError("poses are of one sensor: de-skew each sensor's frames by its own trajectory, `deskew_frame`")
+        raise ValueError(
+            "deskew takes the poses of one sensor, got the models of several: de-skew the frames of each sensor by its "
+            "own trajectory, `deskew_frame`"
+        )
     trajectory = _trajectory(frames, deskew)
     jumps, sequence = _Jumps(), None
     for frame in frames:
@@ -149,7 +152,7 @@ def fuse(
         restart, previous = "", None
         try:
             T_map_grid = grid_pose(frame)
-            frame.scan  # noqa: B018  reading is not the model's time
+            frame.scan  # noqa: B018  read here, so that `seconds` leaves reading out
             start = time.perf_counter()
             grid = run_model(ism, frame)
             between = time.perf_counter()
@@ -176,18 +179,18 @@ def fuse(
 
 
 class _Jumps:
-    """Jumps since the last scan that was fused."""
+    """Counts of pose and stamp jumps since the last fused scan."""
 
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all."""
+        """Set both counts to 0."""
         self._poses = self._stamps = 0
-        self._last = math.inf  # stamp of the last jump of a stamp
+        self._last = math.inf  # stamp of the last stamp jump
 
     def add(self, jump: PoseJump | StampJump, stamp: float | None) -> bool:
-        """Count a jump; return whether it is the last that is refused: of stamps, only those that agree count."""
+        """Count a jump; return whether it restarts the map. Stamp jumps count if their stamps follow each other."""
         if isinstance(jump, PoseJump):
             self._poses += 1
             return self._poses >= _MAX_JUMPS
@@ -198,16 +201,16 @@ class _Jumps:
 
 
 def turn_within_scan(previous: FusionStep, step: FusionStep) -> float:
-    """Return the angle by which the vehicle turns while the points of a scan are measured [rad], 0 or more.
+    """Return the angle by which the vehicle turns while a scan is measured [rad], 0 or more.
 
-    Of scans that are not de-skewed, points at a distance r are off by up to r times this angle, so that static objects
-    seem to move.
+    Without de-skewing, points at a distance r are off by up to r times this angle, so that static objects appear to
+    move.
 
     Parameters
     ----------
     previous, step : FusionStep
-        Successive steps of one drive. Without times of the points, poses or stamps, and where the map begins anew, the
-        angle is 0.
+        Successive steps of a drive. The angle is 0 at a restart of the map, and without poses, stamps or times of the
+        points.
     """
     time, (now, then) = step.frame.scan.time, (step.frame.stamp, previous.frame.stamp)
     if step.restart or time is None or not len(time) or now is None or then is None or now <= then:
@@ -222,28 +225,28 @@ def turn_within_scan(previous: FusionStep, step: FusionStep) -> float:
 def update_map(
     mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: bool = True, reliability: Reliability = 1.0
 ) -> EvidentialGrid | None:
-    """Fuse the measurement grid of a frame, levelled by the frame's mount, and its radial velocities if it has Doppler.
+    """Fuse the measurement grid of a frame, levelled by its mount, and its radial velocities if it has Doppler.
 
     Parameters
     ----------
     mapper : EvidentialMapper, BinaryBayesMapper or DynamicMapper
     grid : EvidentialGrid
-        In the frame's levelled vehicle frame, as sensor models return it.
+        Grid in the frame's levelled vehicle frame, as returned by sensor models.
     frame : Frame
     restart : bool
-        Whether the map begins anew at a pose jump; else the `PoseJump` is raised.
+        Whether a pose jump begins a new map; else the `PoseJump` is raised.
     reliability : float or mapping of str to float
-        [0, 1]: masses are discounted by it; by `Scan.sensor` or for all.
+        Reliability, [0, 1], by which masses are discounted: for all sensors, or by `Scan.sensor`.
 
     Returns
     -------
     EvidentialGrid or None
-        The map up to a pose jump, if it began anew.
+        The map before a pose jump, if a new map was begun.
 
     Raises
     ------
     ValueError
-        If the frame has no pose, its sensor no reliability, and for all that the mapper refuses.
+        If the frame has no pose, its sensor has no reliability, or the mapper refuses the scan.
     """
     T_map_grid, scan = grid_pose(frame), frame.scan
     share = of_sensor(reliability, scan.sensor, "reliability") if isinstance(reliability, Mapping) else reliability
@@ -266,7 +269,7 @@ def deskew_frame(frame: Frame, trajectory: Trajectory) -> Frame:
     Parameters
     ----------
     frame : Frame
-        With a stamp, and times of its points.
+        Frame with a stamp, and with times of its points.
     trajectory : Trajectory
         Poses of the sensor, ``T_map_sensor``, around the stamp.
     """
@@ -274,9 +277,9 @@ def deskew_frame(frame: Frame, trajectory: Trajectory) -> Frame:
     def read() -> Scan:
         scan = frame.scan
         if scan.time is None:
-            raise ValueError("its points have no times, so that they cannot be de-skewed")
+            raise ValueError("the points have no times: fuse without de-skewing, or give scans with times")
         if frame.stamp is None:
-            raise ValueError("it has no stamp, so that it cannot be de-skewed")
+            raise ValueError("the frame has no stamp, which de-skewing needs: fuse without de-skewing, or give a stamp")
         poses = trajectory
         if frame.mount.points_in == "vehicle":
             poses = Trajectory(poses.stamps, poses.poses @ inverse(frame.mount.T_vehicle_sensor))
@@ -295,9 +298,9 @@ def deskew_frame(frame: Frame, trajectory: Trajectory) -> Frame:
 
 
 def grid_pose(frame: Frame) -> NDArray[np.float64]:
-    """Return the pose of the frame in which a measurement grid lies: the vehicle's axes and origin, at sensor height.
+    """Return the pose of a frame's measurement grid: the vehicle's axes and origin, at sensor height.
 
-    The window of a map and its check for jumps follow it: it is of the vehicle, whichever sensor measured.
+    The window of a map and its check for jumps follow this pose. It belongs to the vehicle, whichever sensor measured.
 
     Parameters
     ----------
@@ -315,7 +318,7 @@ def grid_pose(frame: Frame) -> NDArray[np.float64]:
     """
     T = frame.T_map_sensor
     if T is None:
-        raise ValueError("it has no pose, so that it cannot be fused")
+        raise ValueError("the frame has no pose, so it cannot be fused: give poses or odometry")
     T_level_vehicle = np.eye(4)
     T_level_vehicle[:2, 3] = -frame.mount.origin[:2]
     T_map_grid: NDArray[np.float64] = T @ frame.mount.T_sensor_level @ T_level_vehicle
@@ -323,7 +326,7 @@ def grid_pose(frame: Frame) -> NDArray[np.float64]:
 
 
 def _trajectory(frames: Iterable[Frame], given: bool | Trajectory) -> Trajectory | None:
-    """Return the poses by which scans are de-skewed, extrapolated at both ends."""
+    """Return the poses for de-skewing, extrapolated at both ends; None without de-skewing."""
     if given is False:
         return None
     if isinstance(given, Trajectory):
@@ -333,5 +336,5 @@ def _trajectory(frames: Iterable[Frame], given: bool | Trajectory) -> Trajectory
     posed = [frame for frame in frames if frame.T_map_sensor is not None and frame.stamp is not None]
     stamps, first = np.unique([frame.stamp for frame in posed], return_index=True)
     if len(stamps) < 2:
-        raise ValueError("de-skewing needs two frames or more with pose and stamp")
+        raise ValueError(f"de-skewing needs two frames or more with pose and stamp, got {len(stamps)}")
     return extrapolate(Trajectory(stamps, np.array([posed[k].T_map_sensor for k in first])), _MARGIN)

@@ -1,6 +1,6 @@
-"""Grids on other cells: through poses, coarser and finer.
+"""Resampling of grids: through poses, to coarser and to finer cells.
 
-All results are masses. The methods differ in the belief of a cell that covers several others.
+All results are masses. The methods differ in the masses of a cell that covers several others.
 """
 
 import math
@@ -16,9 +16,9 @@ from ogm.jit import kernel
 from ogm.pose import check_pose
 
 ResampleMethod = Literal["area", "nearest", "cautious", "worst"]
-_MODES = {"area": 0, "cautious": 1, "worst": 2}  # of `_overlap`
-_TOUCHED = 1e-6  # [cells] of area, below which rounding makes cells touch
-_SAME_LATTICE = 1e-3  # [cells] of shift that rounding of origins can make
+_MODES = {"area": 0, "cautious": 1, "worst": 2}  # modes of `_overlap`
+_TOUCHED = 1e-6  # [cells] overlap in area below which two cells only touch, by rounding
+_SAME_LATTICE = 1e-3  # [cells] largest shift that rounding of origins can cause
 
 
 def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: ResampleMethod = "area") -> EvidentialGrid:
@@ -29,16 +29,16 @@ def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: Res
     grid : EvidentialGrid
         In the "from" frame.
     spec : GridSpec
-        The cells to fill, in the "to" frame.
+        Cells of the result, in the "to" frame.
     T_to_from : (4, 4) array
-        Its x, y part counts, projected along the vertical.
+        Its x, y part is used, projected along the vertical.
     method : {"area", "nearest", "cautious", "worst"}
-        "area": the mean of the cells it covers, weighted by the exact area of overlap: a mixture, right where it is
-        uncertain which cell is meant. Sums of mass times area are kept, but for tilted poses, which shrink areas.
-        "nearest": the cell that holds its centre; nothing is mixed, but cells are lost where the new ones are coarser.
-        "cautious": as "area", but the dissonance from mixing free cells with occupied ones becomes unknown.
-        "worst": the least free and the greatest occupied of the cells it covers in part or whole, so that free is never
-        enlarged and nothing occupied is lost. Outside `grid` all is unknown.
+        "area": mean of the covered cells, weighted by the exact area of overlap. It is a mixture, correct if it is
+        uncertain which cell is meant. Sums of mass times area are kept, except for tilted poses, which shrink areas.
+        "nearest": the cell that holds the centre. Nothing is mixed, but some cells are lost if the new cells are
+        coarser. "cautious": as "area", but dissonance from mixing free with occupied cells becomes unknown. "worst":
+        least free and greatest occupied of all cells that are covered at least in part, so free is never enlarged and
+        nothing occupied is lost. Outside `grid` all is unknown.
 
     Returns
     -------
@@ -46,8 +46,8 @@ def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: Res
 
     Notes
     -----
-    "cautious": for m = min(F, O) of the mixture less the mixture of the cells' own min(F, O), F and O lose m each, and
-    unknown gains 2 m. Repeated warping blurs: warp from the same original instead.
+    "cautious": with m = min(F, O) of the mixture minus the mixture of min(F, O) of the cells, F and O lose m each, and
+    unknown gains 2 m. Repeated warping blurs: always warp from the original.
     """
     affine = affine_between(spec, grid.spec, check_pose(T_to_from, "T_to_from"))
     return EvidentialGrid.trusted(spec, _resampled(grid.mass, spec, affine, method))
@@ -56,21 +56,21 @@ def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: Res
 def resample_to(grid: EvidentialGrid, spec: GridSpec, method: ResampleMethod | None = "worst") -> EvidentialGrid:
     """Return a grid on the cells of `spec`, in the same frame.
 
-    Cells that are cells of the grid, or whole parts of one, copy its masses, whichever the method. With layers:
-    `ogm.fusion.resampled`.
+    New cells that coincide with cells of the grid, or are whole parts of one, copy its masses with every method. For
+    grids with layers use `ogm.fusion.resampled`.
 
     Parameters
     ----------
     grid : EvidentialGrid
     spec : GridSpec
     method : {"worst", "area", "nearest", "cautious"} or None
-        For all other cells, see `warp`; by default a cell is as free as the least free cell that it covers, and as
-        occupied as the most occupied. None refuses them.
+        Method for all other cells, see `warp`. By default a cell takes the least free and the greatest occupied of the
+        cells that it covers. None refuses such cells.
 
     Raises
     ------
     ValueError
-        If the cells of `spec` are no whole parts of those of the grid over the same area, and `method` is None.
+        If the cells of `spec` are not whole parts of the grid's cells over the same area, and `method` is None.
     """
     if grid.spec == spec:
         return grid
@@ -82,8 +82,8 @@ def resample_to(grid: EvidentialGrid, spec: GridSpec, method: ResampleMethod | N
         return EvidentialGrid.trusted(spec, grid.mass.repeat(factor, axis=0).repeat(factor, axis=1))
     if method is None:
         raise ValueError(
-            f"the grid has {grid.spec}, but wanted are {spec}; make the model with that spec, or with whole multiples "
-            "of its cells over the same area, or give a resampling method"
+            f"the grid has {grid.spec}, wanted {spec}: make the model with this spec, or with whole multiples of its "
+            "cells over the same area, or give a resampling method"
         )
     if lattice_offset(grid.spec, spec) is not None:
         return EvidentialGrid.trusted(spec, cells_at(grid.mass, grid.spec, spec))
@@ -91,7 +91,7 @@ def resample_to(grid: EvidentialGrid, spec: GridSpec, method: ResampleMethod | N
 
 
 def lattice_offset(source: GridSpec, spec: GridSpec) -> tuple[int, int] | None:
-    """Return the index in `source` of the first cell of `spec`; None unless both have cells of one lattice."""
+    """Return the index in `source` of the first cell of `spec`; None if their cells are not of the same lattice."""
     shift = (np.array(spec.origin) - source.origin) / source.resolution
     if not math.isclose(spec.resolution, source.resolution) or np.abs(shift - np.rint(shift)).max() > _SAME_LATTICE:
         return None
@@ -100,16 +100,16 @@ def lattice_offset(source: GridSpec, spec: GridSpec) -> tuple[int, int] | None:
 
 
 def cells_at(array: NDArray[Any], source: GridSpec, spec: GridSpec, outside: float = 0.0) -> NDArray[Any]:
-    """Return numbers of cells, (nx, ny, ...), at other cells of the same lattice.
+    """Return values of cells, (nx, ny, ...), at other cells of the same lattice.
 
     Parameters
     ----------
     array : (mx, my, ...) array
-        Numbers of the cells of `source`.
+        Values at the cells of `source`.
     source, spec : GridSpec
         See `lattice_offset`.
     outside : float
-        Value of cells that `source` does not have.
+        Value of cells outside of `source`.
     """
     offset = lattice_offset(source, spec)
     assert offset is not None
@@ -117,13 +117,13 @@ def cells_at(array: NDArray[Any], source: GridSpec, spec: GridSpec, outside: flo
     low = [max(-k, 0) for k in offset]
     high = [min(m - k, n) for k, m, n in zip(offset, source.shape, spec.shape, strict=True)]
     if all(a < b for a, b in zip(low, high, strict=True)):
-        there = tuple(slice(a + k, b + k) for a, b, k in zip(low, high, offset, strict=True))
-        made[low[0] : high[0], low[1] : high[1]] = array[there]
+        overlap = tuple(slice(a + k, b + k) for a, b, k in zip(low, high, offset, strict=True))
+        made[low[0] : high[0], low[1] : high[1]] = array[overlap]
     return made
 
 
 def values_at_centres(array: NDArray[np.float32], spec: GridSpec, affine: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the numbers of the cells that hold the centres of the cells of `spec`, (nx, ny); NaN outside.
+    """Return the values of the cells that hold the centres of the cells of `spec`, (nx, ny); NaN outside.
 
     Parameters
     ----------
@@ -149,14 +149,14 @@ def view_layers(
 ) -> NDArray[np.float32]:
     """Return pairs of layers of a map in the vehicle's axes.
 
-    The centre of every cell, in the vehicle's plane, is projected onto the map along the map's vertical, as scans are
-    when they are fused. It is not `warp` by the inverse pose, which projects along the vehicle's own vertical.
+    The centre of each cell, in the vehicle's plane, is projected onto the map along the map's vertical, as in the
+    fusion of scans. `warp` by the inverse pose differs: it projects along the vehicle's own vertical.
 
     Parameters
     ----------
     layers : (mx, my, 2) float32
     source, spec : GridSpec
-        Cells of the map, in its frame, and of the view, in the vehicle's.
+        Cells of the map, in its frame, and cells of the view, in the vehicle's frame.
     T_map_vehicle : (4, 4) array
     method : {"nearest", "area", "cautious", "worst"}
 
@@ -196,7 +196,7 @@ def _overlap(source: np.ndarray, affine: np.ndarray, mode: int, out: np.ndarray)
             v = a10 * (i + 0.5) + a11 * (j + 0.5) + affine[1, 2]
             free = occupied = own = 0.0
             if mode == 2 and min(u - reach_u, v - reach_v, mx - u - reach_u, my - v - reach_v) > -EPS_CELL:
-                free = 1.0  # the least is still to be found; 0 where a part of the cell lies outside
+                free = 1.0  # initial value of the minimum; it stays 0 if a part of the cell lies outside
             first, last = max(int(np.floor(u - reach_u)), 0), min(int(np.ceil(u + reach_u)), mx)
             left, right = max(int(np.floor(v - reach_v)), 0), min(int(np.ceil(v + reach_v)), my)
             for k in range(4):
@@ -208,7 +208,7 @@ def _overlap(source: np.ndarray, affine: np.ndarray, mode: int, out: np.ndarray)
                 for b in range(left, right):
                     f, o = source[a, b, 0], source[a, b, 1]
                     if (f >= free and o <= occupied) if mode == 2 else (f == 0 and o == 0):
-                        continue  # it changes nothing
+                        continue  # no change
                     area = _clipped_area(corners, a, b, work)
                     if mode == 2:
                         if area > _TOUCHED * min(whole, 1.0):
@@ -232,7 +232,7 @@ def _overlap(source: np.ndarray, affine: np.ndarray, mode: int, out: np.ndarray)
 
 @kernel
 def _clipped_area(corners: Any, a: int, b: int, work: Any) -> float:
-    """Return the area that a quadrilateral has in common with the cell (a, b) (Sutherland and Hodgman, 1974)."""
+    """Return the area common to a quadrilateral and the cell (a, b) (Sutherland and Hodgman, 1974)."""
     count = 4
     polygon, other = work[0], work[1]
     polygon[:4] = corners
@@ -243,12 +243,12 @@ def _clipped_area(corners: Any, a: int, b: int, work: Any) -> float:
         n = 0
         for k in range(count):
             m = k + 1 if k + 1 < count else 0
-            here, there = sign * (polygon[k, axis] - edge), sign * (polygon[m, axis] - edge)
-            if here >= 0:
+            start, end = sign * (polygon[k, axis] - edge), sign * (polygon[m, axis] - edge)
+            if start >= 0:
                 other[n] = polygon[k]
                 n += 1
-            if (here > 0 > there) or (here < 0 < there):
-                t = here / (here - there)
+            if (start > 0 > end) or (start < 0 < end):
+                t = start / (start - end)
                 other[n, 0] = polygon[k, 0] + t * (polygon[m, 0] - polygon[k, 0])
                 other[n, 1] = polygon[k, 1] + t * (polygon[m, 1] - polygon[k, 1])
                 n += 1

@@ -1,4 +1,4 @@
-"""Checks of a scan's pose and time before a map changes."""
+"""Checks of the pose and time of a scan before it changes a map."""
 
 import logging
 import math
@@ -13,41 +13,41 @@ from ogm.grid import CombinedGrid, EvidentialGrid, GridSpec, PartialGrid
 from ogm.pose import check_pose, check_stamp, inverse
 
 SLACK = 1.0  # [m] added to the distance that a vehicle may travel between two scans
-TURN_RATE, TURN_SLACK = 2 * math.pi, 0.3  # [rad/s], [rad] beyond which a turn is a jump
-LONG_GAP = 60.0  # [s] without a scan after which a warning is logged
-MAX_GAP = 86_400.0  # [s] beyond which stamps are taken to be no seconds
+TURN_RATE, TURN_SLACK = 2 * math.pi, 0.3  # greatest turn between two scans: [rad/s] of the time, plus [rad]
+LONG_GAP = 60.0  # [s] a longer time without a scan logs a warning
+MAX_GAP = 86_400.0  # [s] between two scans, beyond which stamps are refused
 
-TOLERANCE = 1e-5  # of masses, that rounding in a sensor model can make
+TOLERANCE = 1e-5  # of masses: rounding errors of sensor models
 _ONE = np.float32(1).view(np.uint32)
 
 _log = logging.getLogger(__name__)
 
 
 class PoseJump(ValueError):
-    """A pose further from the last one than a vehicle can travel: a glitch of GNSS, or a closed loop."""
+    """Pose beyond the reach of the vehicle since the last scan: a glitch of GNSS, or a closed loop."""
 
 
 class StampJump(ValueError):
-    """A stamp far before or after that of the map: a wrong one, or a clock that was set."""
+    """Stamp far before or after the time of the map: a wrong stamp, or a clock that was set."""
 
 
 class CheckedScan(NamedTuple):
-    """A scan that may be fused.
+    """Scan that has passed the checks.
 
     Attributes
     ----------
     T_map_vehicle : (4, 4) float64
     elapsed : float
-        Time since the last scan [s]; below 0 for a late one.
+        Time since the last scan [s]; negative for a late scan.
     stamp : float or None
     corner : (int, int)
         Lattice index of the window's first cell, after the window has moved.
     affine : (2, 3) float64
-        From the window's cells to those of the grid.
+        Takes cells of the window to cells of the grid.
     samples : int
-        Points per cell and axis at which the grid is looked up.
+        Sampling points per cell and axis.
     radial : RadialVelocities or None
-        Measured with the scan, in map coordinates.
+        Radial velocities measured with the scan, in map coordinates.
     """
 
     T_map_vehicle: NDArray[np.float64]
@@ -60,14 +60,13 @@ class CheckedScan(NamedTuple):
 
 
 def check_measurement(grid: EvidentialGrid, reliability: float) -> None:
-    """Raise unless a grid holds masses, up to rounding, and the reliability is one.
+    """Raise an error unless a grid holds masses up to rounding and the reliability is in [0, 1].
 
-    Grids of `EvidentialGrid.trusted`, and those whose array was changed, were never checked.
+    Grids of `EvidentialGrid.trusted`, and grids whose array was changed, have not been checked before.
     """
     if not isinstance(grid, EvidentialGrid):
         raise TypeError(
-            f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
-            "points first"
+            f"a map is updated with an EvidentialGrid, got {type(grid).__name__}: first call a sensor model on the scan"
         )
     if isinstance(grid, PartialGrid):
         _check_masses(grid.known[1], grid.known[1].shape[:2])
@@ -81,11 +80,11 @@ def check_measurement(grid: EvidentialGrid, reliability: float) -> None:
 def _check_masses(mass: NDArray[np.float32], shape: tuple[int, ...]) -> None:
     if mass.shape != (*shape, 2) or mass.dtype != np.float32:
         raise ValueError(f"the masses of the grid are {mass.dtype} {mass.shape}, wanted float32 {(*shape, 2)}")
-    # As whole numbers, floats above 1, below 0 and NaN are all greater than 1: one pass, which costs half of two.
+    # As whole numbers, floats above 1, below 0 and NaN are all greater than 1: one pass, half the time of two.
     if mass.view(np.uint32).max() > _ONE and not (mass.min() >= -TOLERANCE and mass.max() <= 1 + TOLERANCE):
         raise ValueError(f"the masses of the grid must be in [0, 1], got {mass.min()} to {mass.max()}")
     flat = mass.reshape(-1)
-    sums = flat[:-1] + flat[1:]  # at even places, free and occupied of a cell: four times as quick as a strided sum
+    sums = flat[:-1] + flat[1:]  # even places hold free + occupied of a cell: four times faster than a strided sum
     above = np.flatnonzero(sums > 1 + TOLERANCE)
     cells = above[above & 1 == 0]
     if cells.size:
@@ -93,16 +92,16 @@ def _check_masses(mass: NDArray[np.float32], shape: tuple[int, ...]) -> None:
 
 
 class UpdateGate:
-    """The last scan that a map accepted, and the conditions for the next one.
+    """Last scan that a map accepted, and the conditions for the next one.
 
     Parameters
     ----------
     max_speed : float
-        Of the vehicle [m/s].
+        Greatest speed of the vehicle [m/s].
     max_delay : float
-        How much older than the map a scan may be [s].
+        Greatest age of a scan relative to the map [s].
     needs_stamps : bool
-        Whether the map forgets in time, so that a scan without a stamp is refused.
+        Whether the map forgets over time, so that scans without a stamp are refused.
     """
 
     max_speed: float
@@ -119,7 +118,7 @@ class UpdateGate:
         self.clear()
 
     def clear(self) -> None:
-        """Forget that there were scans."""
+        """Forget all scans."""
         self.stamp: float | None = None
         self.T_map_vehicle: NDArray[np.float64] | None = None
         self.scans = 0
@@ -133,7 +132,7 @@ class UpdateGate:
         stamp: float | None,
         T_vehicle_sensor: ArrayLike | None,
     ) -> CheckedScan:
-        """Check a scan: return what its fusion needs, or raise why it cannot be fused; the pose of a jump is kept."""
+        """Return the data for fusing a scan, or raise an error if it cannot be fused; the pose of a jump is kept."""
         T = vehicle = check_pose(T_map_sensor, "T_map_sensor").copy()  # the caller may change its array
         if T_vehicle_sensor is not None:
             vehicle = T @ inverse(check_pose(T_vehicle_sensor, "T_vehicle_sensor"))
@@ -141,13 +140,13 @@ class UpdateGate:
         elapsed = 0.0 if time is None or self.stamp is None else time - self.stamp
         if elapsed < -self.max_delay:
             raise StampJump(
-                f"stamp {time} s is {-elapsed:.6g} s older than the map ({self.stamp} s), allowed are "
-                f"{self.max_delay:g} s: sort the scans by stamp; after a clock was put back, begin a new map"
+                f"stamp {time} s is {-elapsed:.6g} s older than the map ({self.stamp} s), at most "
+                f"{self.max_delay:g} s are allowed: sort the scans by stamp; after a clock reset, begin a new map"
             )
         if elapsed > MAX_GAP:
             raise StampJump(
-                f"stamp {time} follows {self.stamp}: a gap of {elapsed:.4g} s; are the stamps in seconds? "
-                "A new drive needs a new map"
+                f"stamp {time} s follows {self.stamp} s after a gap of {elapsed:.4g} s, at most {MAX_GAP:g} s are "
+                "allowed: give stamps in seconds, and begin a new map for a new drive"
             )
         if time is not None:
             self._check_jump(vehicle, time)
@@ -160,13 +159,13 @@ class UpdateGate:
             x0, x1, y0, y1 = grid.extent
             raise ValueError(
                 f"the grid, x {x0:g} to {x1:g} m and y {y0:g} to {y1:g} m around a sensor at "
-                f"({T[0, 3]:g}, {T[1, 3]:g}) m, has no cell in the map's window; is T_map_sensor the pose of "
-                "the grid's own frame?"
+                f"({T[0, 3]:g}, {T[1, 3]:g}) m, has no cell in the map's window: give T_map_sensor as the pose of the "
+                "grid's own frame"
             )
         return CheckedScan(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid))
 
     def accept(self, scan: CheckedScan) -> None:
-        """Take a scan as the last one, unless it came late."""
+        """Keep a scan for the check of the next, unless it is late."""
         self.scans += 1
         if scan.elapsed >= 0:
             self.stamp, self.T_map_vehicle = scan.stamp, scan.T_map_vehicle
@@ -175,8 +174,8 @@ class UpdateGate:
         if stamp is None:
             if self.needs_stamps or self.stamp is not None:
                 raise ValueError(
-                    "stamp is missing: a map that forgets must know when a scan was taken [s]; give stamp=..., or make "
-                    "the mapper with half_life=float('inf') and give no stamp at all"
+                    "the stamp is missing, but the map forgets over time: give stamp=... [s] with every scan, or make "
+                    "the mapper with half_life=float('inf') and give no stamps at all"
                 )
             return None
         return check_stamp(stamp)
@@ -188,8 +187,8 @@ class UpdateGate:
         seconds = abs(time - self.stamp)
         reachable = distance <= self.max_speed * seconds + SLACK and turn <= TURN_RATE * seconds + TURN_SLACK
         if reachable and self._refused is not None:
-            # A jump that is refused for long enough comes within reach by the time alone. It is still the same jump
-            # where the new pose follows the refused one better than the accepted one.
+            # A refused jump comes within reach after some time. It remains a jump if the new pose is closer in motion
+            # to the refused pose than to the accepted one.
             stamp, refused = self._refused
             distance_on, turn_on = _between(refused, vehicle)
             effort = (distance / self.max_speed + turn / TURN_RATE) / max(seconds, 1e-3)
@@ -198,15 +197,15 @@ class UpdateGate:
         if not reachable:
             self._refused = time, vehicle
             raise PoseJump(
-                f"the pose jumps by {distance:.3g} m and {math.degrees(turn):.3g} degrees since the last scan that was "
-                f"accepted, {seconds:.3g} s before (allowed: {self.max_speed:g} m/s): leave the scan out if it is a "
-                "glitch; begin a new map after a closed loop"
+                f"the pose jumps by {distance:.3g} m and {math.degrees(turn):.3g} degrees from the last accepted scan, "
+                f"{seconds:.3g} s before (allowed: {self.max_speed:g} m/s): leave the scan out if it is a glitch; "
+                "begin a new map after a closed loop"
             )
         self._refused = None
 
 
 def _between(T: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float]:
     """Return the distance of two poses in the plane [m] and the angle between them [rad]."""
-    trace = float((T[:3, :3] * other[:3, :3]).sum())  # of the rotation from one to the other
+    trace = float((T[:3, :3] * other[:3, :3]).sum())  # of the rotation between the poses
     turn = math.acos(min(max((trace - 1) / 2, -1.0), 1.0))
     return math.dist(T[:2, 3].tolist(), other[:2, 3].tolist()), turn

@@ -1,4 +1,4 @@
-"""Where a map lies in the world: cells that scroll by whole numbers, and affine maps between cells of two grids."""
+"""Position of a map in the world: a lattice that scrolls by whole cells, and affine maps between cells of two grids."""
 
 import math
 from typing import Any, Literal, get_args
@@ -14,34 +14,34 @@ _MAX_SAMPLES = 8  # per cell and axis, for scans with much finer cells than the 
 
 
 def check_choice(name: str, value: Any, literal: Any) -> Any:
-    """Return an argument that must be one of the values of a Literal type, or raise ValueError."""
+    """Return an argument that is one of the values of a Literal type, else raise ValueError."""
     if value not in get_args(literal):
         raise ValueError(f"{name} must be one of {', '.join(get_args(literal))}, got {value!r}")
     return value
 
 
 def planar_transform(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the (2, 2) matrix and the (2,) shift by which a rigid transform moves points of a grid's plane.
+    """Return the (2, 2) matrix and the (2,) shift of a rigid transform of points in a grid's plane.
 
-    The plane is projected along the vertical of the "to" frame: a grid in a tilted sensor's x and y shrinks by the
-    cosine of the tilt, as the road under it does. The height of the ground below the frame is neglected.
+    The plane is projected along the vertical of the "to" frame: a grid in the x and y of a tilted sensor shrinks by the
+    cosine of the tilt, as the road below it does. The height of the ground below the frame is neglected.
 
     Raises
     ------
     ValueError
-        If the z axis of `T` leans by more than 45 degrees.
+        If the z axis of `T` is tilted by more than 45 degrees.
     """
     if T[2, 2] < np.cos(np.radians(_MAX_TILT)):
         lean = np.degrees(np.arccos(np.clip(T[2, 2], -1, 1)))
         raise ValueError(
-            f"a pose leans by {lean:.0f} degrees, at most {_MAX_TILT:g} are allowed; grids lie in x forward, y left "
-            "with z up (REP 103): poses of a camera must be taken to such axes first"
+            f"a pose is tilted by {lean:.0f} degrees, at most {_MAX_TILT:g} are allowed: give poses of frames with x "
+            "forward, y left, z up (REP 103); transform poses of a camera to such axes first"
         )
     return T[:2, :2], T[:2, 3]
 
 
 def affine_between(spec: GridSpec, source: GridSpec, T_to_from: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the affine map from cells of `spec` ("to" frame) to those of `source` ("from" frame), (2, 3)."""
+    """Return the affine map from cells of `spec` ("to" frame) to cells of `source` ("from" frame), (2, 3)."""
     A, b = planar_transform(T_to_from)
     (p, q), (r, t) = A.tolist()
     det = p * t - q * r
@@ -52,18 +52,18 @@ def affine_between(spec: GridSpec, source: GridSpec, T_to_from: NDArray[np.float
 def cell_transform(
     spec: GridSpec, source: GridSpec, A: NDArray[np.float64], b: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the affine map, (2, 3), for points p of `spec` that lie at ``A p + b`` in the frame of `source`."""
+    """Return the affine map, (2, 3), from cells of `spec` to cells of `source`, with ``A p + b`` between the frames."""
     shift = (A @ np.array(spec.origin) + b - np.array(source.origin)) / source.resolution
     return np.column_stack([A * (spec.resolution / source.resolution), shift])
 
 
 def samples_per_axis(spec: GridSpec, source: GridSpec) -> int:
-    """Return at how many points per cell and axis `source` is looked up: 1 unless its cells are finer."""
+    """Return the number of sampling points per cell and axis in `source`: 1 unless its cells are finer."""
     return min(max(math.ceil(spec.resolution / source.resolution - 1e-6), 1), _MAX_SAMPLES)
 
 
 def overlaps(affine: NDArray[np.float64], spec: GridSpec, source: GridSpec) -> bool:
-    """Tell whether two grids overlap, given the affine map between their cells."""
+    """Return whether two grids overlap, given the affine map between their cells."""
     (a, b, c), (d, e, f) = affine.tolist()
     det = a * e - b * d
     back = (e / det, -b / det, (b * f - e * c) / det), (-d / det, a / det, (d * c - a * f) / det)
@@ -76,16 +76,16 @@ def overlaps(affine: NDArray[np.float64], spec: GridSpec, source: GridSpec) -> b
 
 
 class Window:
-    """The part of the world that a map holds: a lattice of cells, and a ring buffer that moves over it.
+    """Part of the world that a map covers: a lattice of cells, and a ring buffer that moves over it.
 
-    The lattice runs through the corner of `spec`, so a vehicle at the identity pose has exactly the cells of `spec`.
+    The lattice passes through the corner of `spec`, so at the identity pose the window has exactly the cells of `spec`.
     A rolling window follows the vehicle: the middle of `spec`, moved with the vehicle, stays within half a cell of the
-    window's middle. A fixed one never moves. Contents are never resampled.
+    middle of the window. A fixed window never moves. Contents are never resampled.
 
     Parameters
     ----------
     spec : GridSpec
-        Cells and extent; its origin is relative to the vehicle if rolling, in map coordinates if fixed.
+        Cells and extent. The origin is relative to the vehicle if rolling, in map coordinates if fixed.
     mode : {"rolling", "fixed"}
     """
 
@@ -99,25 +99,25 @@ class Window:
 
     @property
     def spec(self) -> GridSpec:
-        """The cells now, in map coordinates."""
+        """The present cells, in map coordinates."""
         return self.spec_at(self.corner)
 
     @property
     def around(self) -> GridSpec:
-        """As many cells as the window has, in the vehicle's frame: the default cells of a view."""
+        """Default cells of a view: as many as the window has, in the vehicle's frame."""
         if self.mode == "rolling":
             return self.spec0
         (nx, ny), side = self.spec0.shape, self.spec0.resolution
         return GridSpec(side, self.spec0.shape, (-nx * side / 2, -ny * side / 2))
 
     def spec_at(self, corner: tuple[int, int]) -> GridSpec:
-        """Return the cells of a window with some corner, in map coordinates."""
+        """Return the cells of the window at a corner, in map coordinates."""
         (x, y), side = self.spec0.origin, self.spec0.resolution
         return GridSpec(side, self.spec0.shape, (x + corner[0] * side, y + corner[1] * side))
 
     @property
     def ring(self) -> tuple[int, int]:
-        """Row and cell of the buffer at which the window's cell (0, 0) stands."""
+        """Row and column of the window's cell (0, 0) in the buffer."""
         return self.corner[0] % self.spec0.shape[0], self.corner[1] % self.spec0.shape[1]
 
     def corner_around(self, T_map_vehicle: NDArray[np.float64]) -> tuple[int, int]:
@@ -131,12 +131,13 @@ class Window:
         cells = (p * x + q * y + u - x) / spec.resolution, (r * x + t * y + v - y) / spec.resolution
         if max(abs(cells[0]), abs(cells[1])) > 2**52:
             raise ValueError(
-                f"the vehicle at {b} m is too far from the map's origin: float64 has no digits left for cells"
+                f"the vehicle at {b} m is too far from the map's origin for float64 to number cells: give poses "
+                "relative to a point near the drive"
             )
         return math.floor(cells[0] + 0.5), math.floor(cells[1] + 0.5)
 
     def move_to(self, corner: tuple[int, int], *arrays: NDArray[np.float32]) -> None:
-        """Scroll, and clear the rows and columns of (nx, ny, ...) arrays that come into view."""
+        """Scroll to a corner, and clear the newly visible rows and columns of (nx, ny, ...) arrays."""
         for axis, size in enumerate(self.spec0.shape):
             step = corner[axis] - self.corner[axis]
             if step == 0:

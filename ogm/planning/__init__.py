@@ -1,4 +1,4 @@
-"""Distances, costs and answers for planners: of the grids of scans and of maps.
+"""Distances, costs and collision checks for planners, from grids of scans and of maps.
 
 >>> import numpy as np
 >>> from ogm import EvidentialGrid, GridSpec

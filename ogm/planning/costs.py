@@ -1,4 +1,4 @@
-"""Costs of cells, as nav2's inflation layer computes them."""
+"""Costs of cells, equal to nav2's inflation layer."""
 
 import math
 from functools import lru_cache
@@ -23,9 +23,9 @@ def costmap(
     cost_scaling: float = 10.0,
     unknown: CostUnknown = "unknown",
 ) -> NDArray[np.uint8]:
-    """Return the costs that nav2 makes of a map by its inflation layer.
+    """Return the costs of nav2's inflation layer for a map.
 
-    A cell at the distance d of the nearest obstacle, from centre to centre, costs
+    A cell at the distance d from the nearest obstacle, from centre to centre, costs
     ``252 exp(-cost_scaling (d - inscribed_radius))``, rounded down.
 
     Parameters
@@ -33,15 +33,15 @@ def costmap(
     grid : EvidentialGrid or DynamicGrid
         Obstacles are the cells that `ogm.state.predict_state` predicts occupied, as in a map of map_server.
     inscribed_radius : float
-        Radius of the greatest circle about the vehicle's origin that fits into its footprint [m].
+        Radius of the largest circle about the vehicle's origin inside its footprint [m].
     inflation_radius : float
-        Distance beyond which obstacles cost nothing [m], rounded up to whole cells; at least `inscribed_radius`.
+        Distance beyond which obstacles have no cost [m], rounded up to whole cells; at least `inscribed_radius`.
     cost_scaling : float
         Decrease of costs with distance [1/m], nav2's ``cost_scaling_factor``, 0 or more.
     unknown : {"unknown", "inflated", "obstacle", "free"}
-        Cost of unknown cells. "unknown": 255, but 253 within the inscribed radius, nav2's default. "inflated": 255, but
-        the cost of obstacles near by (``inflate_unknown``). "obstacle": 254, with costs around
-        (``inflate_around_unknown``). "free": that of free cells.
+        Cost of unknown cells. "unknown": 255, but 253 within the inscribed radius, nav2's default. "inflated": 255, or
+        the cost of near obstacles (``inflate_unknown``). "obstacle": 254, with costs around
+        (``inflate_around_unknown``). "free": as free cells.
 
     Returns
     -------
@@ -57,9 +57,9 @@ def costmap(
 
     Notes
     -----
-    nav2_costmap_2d, ``InflationLayer::computeCost`` and ``updateCosts``, with exact distances: nav2's search misses the
-    nearest obstacle of one cell in 9,000, which then costs less. Since 2026 nav2 has exact distances, too, rounded to
-    hundredths of a cell.
+    Computed as in nav2_costmap_2d, ``InflationLayer::computeCost`` and ``updateCosts``, but with exact distances: for
+    one cell in 9,000, nav2's search misses the nearest obstacle and the cost is lower. Since 2026 nav2 uses exact
+    distances too, rounded to hundredths of a cell.
     """
     if unknown not in get_args(CostUnknown):
         raise ValueError(f"unknown must be one of {', '.join(get_args(CostUnknown))}, got {unknown!r}")
@@ -69,8 +69,8 @@ def costmap(
         raise ValueError(f"cost_scaling must be 0 or more and finite [1/m], got {cost_scaling}")
     if inflation_radius < inscribed_radius:
         raise ValueError(
-            f"inflation_radius must be at least inscribed_radius, {inscribed_radius} m, got {inflation_radius}: cells "
-            "in which the vehicle collides would cost nothing"
+            f"inflation_radius must be at least inscribed_radius, {inscribed_radius} m, got {inflation_radius}: else "
+            "cells in which the vehicle collides would have no cost"
         )
     state, side = predict_state(evidential_of(grid).mass), grid.spec.resolution
     of_state = np.zeros(3, np.uint8)
@@ -91,12 +91,12 @@ def costmap(
 
 @lru_cache(maxsize=8)
 def cost_table(reach: int, side: float, inscribed_radius: float, cost_scaling: float) -> NDArray[np.uint8]:
-    """Return the cost at each squared distance 0 ... reach² [cells²] of the nearest obstacle, and 0 at the end.
+    """Return the cost at squared distances 0 ... reach² [cells²] from the nearest obstacle, then 0.
 
     Parameters
     ----------
     reach : int
-        [cells]
+        Greatest distance [cells].
     side : float
         Side of a cell [m].
     inscribed_radius, cost_scaling : float
@@ -106,7 +106,7 @@ def cost_table(reach: int, side: float, inscribed_radius: float, cost_scaling: f
     for square in range(reach * reach + 1):
         distance = math.sqrt(square) * side
         inside = distance <= inscribed_radius
-        factor = 1.0 if inside else math.exp(-cost_scaling * (distance - inscribed_radius))  # of C: numpy's differs
+        factor = 1.0 if inside else math.exp(-cost_scaling * (distance - inscribed_radius))  # as in C; numpy's differs
         table[square] = INSCRIBED if inside else int((INSCRIBED - 1) * factor)
     table[0] = LETHAL
     table.flags.writeable = False

@@ -1,4 +1,4 @@
-"""Distances to obstacles, and obstacles grown by the radius of a vehicle."""
+"""Distances to obstacles, and obstacles inflated by the radius of a vehicle."""
 
 import math
 from typing import Literal, get_args
@@ -15,11 +15,11 @@ DistanceUnknown = Literal["obstacle", "free", "only"]
 
 
 def evidential_of(grid: EvidentialGrid | DynamicGrid) -> EvidentialGrid:
-    """Return the masses of free and occupied of a grid; raise TypeError for other objects."""
+    """Return the masses of free and occupied of a grid, or raise TypeError for other objects."""
     if isinstance(grid, DynamicGrid):
         return grid.to_evidential()
     if not isinstance(grid, EvidentialGrid):
-        raise TypeError(f"wanted an EvidentialGrid or a DynamicGrid, got {type(grid).__name__}: a mapper has `.grid`")
+        raise TypeError(f"wanted an EvidentialGrid or a DynamicGrid, got {type(grid).__name__}: give mapper.grid")
     return grid
 
 
@@ -30,7 +30,7 @@ def check_length(name: str, length: float) -> None:
 
 
 def cells_to(obstacle: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the squared distance of each cell to the nearest obstacle [cells²], at least one there must be."""
+    """Return the squared distance of each cell to the nearest obstacle [cells²]; at least one obstacle must exist."""
     squares = np.empty(obstacle.shape, np.int64)
     squared_distances(np.ascontiguousarray(obstacle), squares)
     return squares
@@ -41,15 +41,15 @@ def distance_to_obstacles(
 ) -> NDArray[np.float32]:
     """Return the Euclidean distance of each cell to the nearest obstacle.
 
-    Distances are exact, from centre to centre of cells: an obstacle begins up to 0.71 cells before its centre.
+    Distances are exact, from centre to centre of cells: an obstacle may begin up to 0.71 cells before its centre.
 
     Parameters
     ----------
     grid : EvidentialGrid or DynamicGrid
         Obstacles are the cells that `ogm.state.predict_state` predicts occupied.
     unknown : {"obstacle", "free", "only"}
-        Role of unknown cells. "obstacle": they are obstacles too, as are all places outside of the grid. "free": they
-        count as free. "only": the distance to the nearest unknown cell, or place outside, is returned instead.
+        Role of unknown cells. "obstacle": obstacles, as is everything outside of the grid. "free": free cells. "only":
+        the distance to the nearest unknown cell, or to the outside, is returned instead.
 
     Returns
     -------
@@ -79,10 +79,10 @@ def distance_to_obstacles(
 
 
 def inflated(grid: EvidentialGrid | DynamicGrid, radius: float) -> EvidentialGrid:
-    """Return the grid for a round vehicle that is planned as a point: obstacles are grown by its radius.
+    """Return the grid for a round vehicle that is planned as a point: obstacles are inflated by its radius.
 
-    Each cell has the greatest mass of occupied and the least mass of free of all cells within the radius: what
-    `ogm.planning.collision` has for a disc. Places outside of the grid are unknown.
+    Each cell has the greatest mass of occupied and the least mass of free of all cells within the radius, equal to
+    `ogm.planning.collision` for a disc. Everything outside of the grid is unknown.
 
     Parameters
     ----------
@@ -104,9 +104,9 @@ def inflated(grid: EvidentialGrid | DynamicGrid, radius: float) -> EvidentialGri
     reach = min(math.floor(math.sqrt(squared)), max(nx, ny))
     around = np.zeros((nx + 2 * reach, ny + 2 * reach, 2), np.float32)
     around[reach : reach + nx, reach : reach + ny] = mass
-    around[..., 0] *= -1  # so that both are the greatest
+    around[..., 0] *= -1  # so that both layers take the maximum
     result = np.full((nx, ny, 2), -np.inf, np.float32)
-    widest, half = around[:, reach : reach + ny].copy(), 0  # the greatest of `half` cells to both sides along y
+    widest, half = around[:, reach : reach + ny].copy(), 0  # maximum over `half` cells to both sides along y
     for di in range(reach, -1, -1):
         while (half + 1) ** 2 + di**2 <= squared and half < reach:
             half += 1

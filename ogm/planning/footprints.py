@@ -12,14 +12,14 @@ from ogm.planning.distances import evidential_of
 from ogm.planning.kernels import footprint_extremes
 
 Grid = EvidentialGrid | DynamicGrid
-MAX_PLAUSIBILITY = 0.5  # of occupied in a cell that counts as free: free is then at least as great as the rest
+MAX_PLAUSIBILITY = 0.5  # of occupied in a cell that counts as free: free is at least as great as occupied + unknown
 
 
 class Collision(NamedTuple):
     """Belief in obstacles under a footprint, for each pose of a path.
 
-    Cells of a map are not independent: one beam makes many of them. So the masses under a footprint are not
-    multiplied; each number is the extreme of all cells that the footprint touches.
+    Cells of a map are not independent: one beam affects many of them. So the masses under a footprint are not
+    multiplied; each number is the extreme over all cells that the footprint touches.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Collision(NamedTuple):
     unknown : (K,) float32
         Greatest mass of unknown in a cell, [0, 1]; 1 where the footprint reaches beyond the grid.
     first_doubtful : int or None
-        Number of the first pose whose plausibility exceeds the limit; None if all are below it.
+        Index of the first pose with a plausibility above the limit; None if all are below it.
     """
 
     belief: NDArray[np.float32]
@@ -49,19 +49,19 @@ def collision(
 ) -> Collision:
     """Return the belief in obstacles under a vehicle's footprint along a path.
 
-    Cells count that the footprint touches anywhere. Nothing is checked between poses: space them by less than the
-    vehicle's length.
+    All cells that the footprint touches count. Nothing is checked between poses: space them by less than the vehicle's
+    length.
 
     Parameters
     ----------
     grid : EvidentialGrid, DynamicGrid, or function of seconds
-        With `seconds`, a function that returns the grid at a time, such as `ogm.fusion.DynamicMapper.predicted`.
+        With `seconds`, a function that returns the grid at a time [s], such as `ogm.fusion.DynamicMapper.predicted`.
     footprint : (x_min, x_max, y_min, y_max), or (V, 2) array
         Extent of the vehicle as in `ogm.Mount.ego_footprint`, or corners of any polygon, in the vehicle's frame [m].
     poses : (K, 3) or (K, 4, 4) array
-        Poses of the vehicle in the grid's frame: x, y [m] and yaw [rad], or transforms, whose x, y part counts.
+        Poses of the vehicle in the grid's frame: x, y [m] and yaw [rad], or transforms, of which the x, y part is used.
     seconds : (K,) array, optional
-        Time of each pose [s], from that of the map on. The grid is predicted once for each different time.
+        Time of each pose after the time of the map [s]. The grid is predicted once for each different time.
     max_plausibility : float
         Plausibility of occupied above which a pose is doubtful, [0, 1].
 
@@ -74,8 +74,8 @@ def collision(
     TypeError
         If `grid` holds no masses.
     ValueError
-        If shapes do not fit, a number is not finite or out of its range, or `seconds` come without a function, or the
-        reverse.
+        If shapes do not fit, a number is not finite or out of its range, or only one of `seconds` and a function as
+        `grid` is given.
     """
     _check_limit(max_plausibility)
     xy, x_axis = _places(poses)
@@ -84,8 +84,8 @@ def collision(
     y_axis = np.stack([-x_axis[:, 1], x_axis[:, 0]], axis=-1)
     polygons = xy[:, None] + corners[:, :1] * x_axis[:, None] + corners[:, 1:] * y_axis[:, None]
     if callable(grid) != (seconds is not None):
-        wanted = "`seconds`, the time of each pose" if callable(grid) else "a function as `grid`, mapper.predicted"
-        raise ValueError(f"a grid at the time of each pose needs a function of seconds and `seconds`: give {wanted}")
+        missing = "`seconds`, the time of each pose" if callable(grid) else "a function as `grid`, mapper.predicted"
+        raise ValueError(f"a grid at the time of each pose needs a function of seconds and `seconds`: give {missing}")
     found = np.empty((len(polygons), 3), np.float32)
     if callable(grid):
         times = _finite("seconds", seconds)
@@ -116,7 +116,7 @@ def ray_is_free(
     Returns
     -------
     (...) bool
-        False for a line that leaves the grid.
+        True for free lines; False for a line that leaves the grid.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def _extremes(grid: Grid, polygons: NDArray[np.float64], convex: bool) -> NDArra
     """Return the greatest occupied, the least free and the least known mass under polygons (K, V, 2) [m], (K, 3)."""
     spec: GridSpec = grid.spec
     mass = np.ascontiguousarray(evidential_of(grid).mass).view()
-    mass.flags.writeable = False  # as masses of some grids are: the kernel is compiled for one type
+    mass.flags.writeable = False  # one type for the kernel: some grids have read-only masses
     found = np.empty((len(polygons), 3), np.float32)
     corners = np.ascontiguousarray((polygons - spec.origin) / spec.resolution)
     footprint_extremes(mass, corners, convex, found)
@@ -145,7 +145,7 @@ def _extremes(grid: Grid, polygons: NDArray[np.float64], convex: bool) -> NDArra
 
 
 def _is_convex(corners: NDArray[np.float64]) -> bool:
-    """Return whether a polygon (V, 2) is convex: it turns to one side, and once around."""
+    """Return whether a polygon (V, 2) is convex: it turns to one side only, and once around."""
     x, y = (np.roll(corners, -1, axis=0) - corners).T
     p, q = np.roll(x, -1), np.roll(y, -1)
     turns = np.arctan2(x * q - y * p, x * p + y * q)

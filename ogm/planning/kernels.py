@@ -1,4 +1,4 @@
-"""Kernels of distances to obstacles, and of footprints on a grid."""
+"""Kernels for distances to obstacles, and for footprints on a grid."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,8 @@ from ogm.jit import kernel, vector
 def squared_distances(obstacle: NDArray[np.bool_], out: NDArray[np.int64]) -> None:
     """Fill `out` with the squared distance of each cell to the nearest obstacle [cells²].
 
-    Meijster, Roerdink and Hesselink, "A general algorithm for computing distance transforms in linear time" (2000):
-    distances along x, then along y the lower envelope of one parabola per cell.
+    Algorithm of Meijster, Roerdink and Hesselink, "A general algorithm for computing distance transforms in linear
+    time" (2000): distances along x, then along y the lower envelope of one parabola per cell.
 
     Parameters
     ----------
@@ -62,16 +62,16 @@ def footprint_extremes(
 ) -> None:
     """Fill `out` with extremes of the masses in all cells that polygons touch.
 
-    A polygon touches the cells through which its edges pass, and those whose centre is inside.
+    A polygon touches the cells that its edges pass through, and the cells with their centre inside.
 
     Parameters
     ----------
     mass : (nx, ny, 2) float32
         Masses of free and occupied; beyond the grid both are 0.
     corners : (K, V, 2) float64
-        Corners of each polygon [cells], finite; two are a line.
+        Corners of each polygon [cells], finite; two corners are a line.
     convex : bool
-        Whether the polygons are convex: each row of cells is then read once.
+        Whether the polygons are convex: each row of cells is then read only once.
     out : (K, 3) float32
         Greatest mass of occupied, least mass of free, least sum of both.
     """
@@ -95,9 +95,9 @@ def footprint_extremes(
                 low, high = min(v, q), max(v, q)
                 if u != p:  # the part of the edge in this row of cells
                     slope = (q - v) / (p - u)
-                    one = v + slope * (max(min(u, p), float(i)) - u)
-                    other = v + slope * (min(max(u, p), i + 1.0) - u)
-                    low, high = max(low, min(one, other)), min(high, max(one, other))
+                    v_begin = v + slope * (max(min(u, p), float(i)) - u)
+                    v_end = v + slope * (min(max(u, p), i + 1.0) - u)
+                    low, high = max(low, min(v_begin, v_end)), min(high, max(v_begin, v_end))
                     if (u <= i + 0.5) != (p <= i + 0.5):
                         crossings[crossed] = v + slope * (i + 0.5 - u)
                         crossed += 1
@@ -114,7 +114,7 @@ def footprint_extremes(
 
 @vector
 def _add_cells(mass: NDArray[np.float32], i: int, low: float, high: float, found: NDArray[np.float32]) -> None:
-    """Take the cells of row i from `low` to `high` [cells] into the extremes."""
+    """Update the extremes by the cells of row i from `low` to `high` [cells]."""
     ny = float(mass.shape[1])
     cells = mass[i, int(min(max(low, 0.0), ny)) : int(min(max(high + 1, 0.0), ny))]
     occupied, free, known = found[0], found[1], found[2]

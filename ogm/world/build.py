@@ -1,4 +1,4 @@
-"""World maps built from drives by any number of workers: frames to sub-maps, sub-maps to tiles."""
+"""World maps built from drives by any number of workers: frames become sub-maps, sub-maps become tiles."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,7 +32,7 @@ from ogm.world.world_map import WorldMap
 
 
 class Progress(NamedTuple):
-    """How far a build is.
+    """Progress of a build.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Progress(NamedTuple):
         "sub-maps" or "tiles".
     done, total : int
     skipped : int
-        Frames that were damaged or had no pose, so far.
+        Frames skipped so far, which were damaged or had no pose.
     """
 
     stage: str
@@ -49,7 +49,7 @@ class Progress(NamedTuple):
     skipped: int = 0
 
 
-Tell = Callable[[Progress], object]
+ProgressCallback = Callable[[Progress], object]
 
 
 def build_world(
@@ -60,41 +60,42 @@ def build_world(
     length: float = 50.0,
     workers: int = 1,
     scheduler: str | None = None,
-    progress: Tell = lambda event: None,
+    progress: ProgressCallback = lambda event: None,
 ) -> None:
-    """Build a map from drives, or add drives to one that was built; what is finished already is not made again.
+    """Build a map from drives, or add drives to a built map; finished parts are not built again.
 
-    A drive is cut into sub-maps of consecutive frames. Each is one task, and made by the map's rule; then each tile of
-    the map is one task, which combines the sub-maps in it in a fixed order. So the map is the same to the last bit for
-    any number of workers, and however often building was stopped. Sub-maps are kept, so that `rebuild_world` can move
-    them.
+    A drive is cut into sub-maps of consecutive frames. Each sub-map is a task that fuses its frames by the map's rule.
+    Then each tile of the map is a task that combines its sub-maps in a fixed order. So the map is identical to the last
+    bit for any number of workers and interruptions. Sub-maps are kept, so that `rebuild_world` can move them.
 
     Parameters
     ----------
     world : WorldMap
-        Open for writing; empty, or built before.
+        Map open for writing, empty or built before.
     drives : mapping of str to sequence of Frame
-        By name. For several workers the sequences must be picklable, as data sets of `ogm.datasets` are.
+        Frames by name of the drive. For several workers the sequences must be picklable, as datasets of `ogm.datasets`
+        are.
     ism : callable with `spec`, or mapping of str to these
-        The sensor model; of several sensors one for each `Scan.sensor`. For several workers picklable, as the models of
-        `ogm.models.load_model` are. Its repr, without addresses, is kept as what the drive was made by.
+        Sensor model; for several sensors one for each `Scan.sensor`. For several workers it must be picklable, as the
+        models of `ogm.models.load_model` are. Its repr, without addresses, identifies the model of a drive.
     length : float
-        Of the way along which a sub-map's frames were taken [m].
+        Distance travelled within a sub-map [m].
     workers : int
-        1 works in this process; more start processes of this machine.
+        Number of processes: 1 works in this process; with more, processes are started on this machine.
     scheduler : str, optional
-        Address of a Dask scheduler to use instead, ``"tcp://host:port"``, whose workers reach the map by its URL.
+        Address of a Dask scheduler, ``"tcp://host:port"``, used instead. Its workers open the map by its URL.
     progress : callable
-        Called with each `Progress`.
+        Called with every `Progress`.
 
     Raises
     ------
     OgmError
-        If the map has tiles that no drive made, or a drive of that name was made from other frames or by another model.
+        If the map has tiles that belong to no drive, or a drive of the same name was made from other frames or by
+        another model.
     ValueError
-        If the map is open to read alone, or a drive has no poses.
+        If the map is read-only, or a drive has no poses.
     OSError
-        If workers die again and again, the disk is full, or the scheduler cannot be reached. What is finished stays.
+        If workers die repeatedly, the disk is full, or the scheduler cannot be reached. Finished parts are kept.
     """
     store = _writable(world)
     made_by = re.sub(r" at 0x[0-9a-f]+", "", repr(ism))
@@ -103,10 +104,10 @@ def build_world(
         for number in lost_tiles(store, drive):
             drive.submaps[number] = replace(drive.submaps[number], tiles=None)
     jobs = [
-        SubMapJob(drive.name, k, drives[drive.name][slice(*one.frames)])
+        SubMapJob(drive.name, k, drives[drive.name][slice(*submap.frames)])
         for drive in planned
-        for k, one in enumerate(drive.submaps)
-        if one.tiles is None
+        for k, submap in enumerate(drive.submaps)
+        if submap.tiles is None
     ]
     by_name, skipped = {drive.name: drive for drive in planned}, 0
     with Workers(workers, scheduler) as pool:
@@ -128,28 +129,28 @@ def rebuild_world(
     *,
     workers: int = 1,
     scheduler: str | None = None,
-    progress: Tell = lambda event: None,
+    progress: ProgressCallback = lambda event: None,
 ) -> None:
-    """Move the sub-maps of drives to other poses, as after a loop closure, and make the tiles anew that this changes.
+    """Move the sub-maps of drives to new poses, such as after a loop closure, and rebuild the affected tiles.
 
-    Sub-maps are rigid: each moves with its anchor frame, and is resampled once, from what was measured.
+    Sub-maps are rigid: each moves with its anchor frame, and is resampled once from its original.
 
     Parameters
     ----------
     world : WorldMap
-        Open for writing, built by `build_world`.
+        Map open for writing, built by `build_world`.
     trajectories : mapping of str to Trajectory, to a mapping of int to (4, 4) array, or to a (K, 4, 4) array
-        By name of the drive: poses ``T_map_sensor`` by stamp, by frame number (the last number in a frame's name; where
-        names have none, the place in the drive), or of each frame. Drives that are not named stay. None reads all
-        tiles, and makes those anew that are damaged; missing ones, and those of drives that were removed, are made in
-        any case.
+        Poses ``T_map_sensor`` by name of the drive. A trajectory gives them by stamp, a mapping by frame number, an
+        array for each frame. The frame number is the last number in a frame's name, or the index in the drive if names
+        have no number. Other drives stay. None reads all tiles and rebuilds the damaged ones. Missing tiles, and tiles
+        of removed drives, are rebuilt in all cases.
     workers, scheduler, progress
-        As for `build_world`.
+        See `build_world`.
 
     Raises
     ------
     OgmError, ValueError, OSError
-        As `build_world`; if there is no such drive, or a trajectory does not cover it. Then nothing is changed.
+        As in `build_world`; if a drive does not exist, or a trajectory does not cover it. Then nothing is changed.
     """
     store = _writable(world)
     moved = []
@@ -167,7 +168,7 @@ def rebuild_world(
 def _results(
     pool: Workers, function: Callable[[Any], Any], jobs: Sequence[Any], url: str
 ) -> Iterator[Iterator[tuple[int, Any]]]:
-    """Yield the results of jobs; after an error no worker of this machine writes."""
+    """Yield the results of jobs; after an error, local workers no longer write."""
     try:
         with closing(pool.work_off(function, jobs)) as results, deaths_explained(f"sub-maps and tiles of {url}"):
             yield results
@@ -176,23 +177,23 @@ def _results(
         raise
 
 
-def _render(store: TileStore, pool: Workers, progress: Tell, damaged: Iterable[TileIndex] = ()) -> None:
-    """Make the tiles whose parts have changed, or that are missing or damaged; remove those that have no part."""
+def _render(store: TileStore, pool: Workers, progress: ProgressCallback, damaged: Iterable[TileIndex] = ()) -> None:
+    """Make tiles with changed parts, and missing or damaged tiles; remove tiles without parts."""
     drives = [load_drive(store, name) for name in drive_names(store)]
-    sources = {one.name: one.source for one in drives}
+    sources = {drive.name: drive.source for drive in drives}
     wanted, rendered = parts_of_tiles(store, drives), Rendered(store)
-    there, broken = set(store.tiles()), set(damaged)
-    sound = there - broken
-    for index in sorted((there - wanted.keys()) | broken):  # Zarr reads what it replaces, and would fail
+    existing, broken = set(store.tiles()), set(damaged)
+    sound = existing - broken
+    for index in sorted((existing - wanted.keys()) | broken):  # Zarr reads a tile before replacing it, and would fail
         store.write_tile(index, store.layout.empty_tile())
         rendered.note(index, np.uint64(0))
     marks = {index: fingerprint(parts, sources) for index, parts in wanted.items()}
     jobs = [(index, wanted[index]) for index in wanted if index not in sound or rendered.mark(index) != marks[index]]
     _check_parts(store, drives, [part for _, parts in jobs for part in parts])
-    for index, _ in jobs:  # a tile that is written is that of its number, or has none
+    for index, _ in jobs:  # no mark until the tile is written
         rendered.note(index, np.uint64(0))
     rendered.write()
-    store.make_level(0)  # before several workers would
+    store.make_level(0)  # before the workers start, several of which would make it
     with rendered, _results(pool, partial(make_tile, MapPlace.of(store)), jobs, store.url) as results:
         progress(Progress("tiles", 0, len(jobs)))
         for done, (n, _) in enumerate(results, 1):
@@ -201,44 +202,44 @@ def _render(store: TileStore, pool: Workers, progress: Tell, damaged: Iterable[T
 
 
 def _check_parts(store: TileStore, drives: Iterable[Drive], parts: Iterable[Part]) -> None:
-    """Raise OgmError if tiles of sub-maps are needed that are not there: they would be taken for unseen."""
+    """Raise OgmError if tiles of sub-maps are missing that are needed: they would be treated as unseen."""
     needed = {(part.drive, part.number, index) for part in parts for index in part.tiles}
     for drive in drives:
         lost = lost_tiles(store, drive)
         missing = [(n, index) for n, tiles in lost.items() for index in tiles if (drive.name, n, index) in needed]
         if missing:
             raise OgmError(
-                f"{len(missing)} tiles of sub-maps of drive {drive.name} of {store.url} are lost, such as "
-                f"{submap_key(store, drive.name, *missing[0])}: `ogm world build` with that drive makes them anew"
+                f"{len(missing)} tiles of sub-maps of drive {drive.name} of {store.url} are missing, such as "
+                f"{submap_key(store, drive.name, *missing[0])}: `ogm world build` with that drive makes them again"
             )
 
 
 def _writable(world: WorldMap) -> TileStore:
-    """Return the store of a map that drives can be built into."""
+    """Return the store of a map that can be built from drives."""
     world.check_writable()
     world.flush()
     store = world.store
     if not drive_names(store) and store.tiles():
         raise OgmError(
-            f"{store.url} has tiles that were integrated or merged, and no drives: building would remove them; build "
-            "into another place, then WorldMap.merge"
+            f"{store.url} has tiles that were integrated or merged, and no drives: building would remove them; build a "
+            "second map, then combine them by WorldMap.merge"
         )
     world.forget_tiles()
     return store
 
 
 def _begin(store: TileStore, drive: Drive) -> Drive:
-    """Return a drive as far as it is made; begin it if there is none, or if its description is lost."""
+    """Return a drive in its present state; begin it if it does not exist, or if its description is lost."""
     if not has_drive(store, drive.name):
         begin_drive(store, drive)
         return drive
     found = load_drive(store, drive.name)
     if found.source == drive.source:
         return found
-    if not any(one.tiles is not None for one in found.submaps):
+    if not any(submap.tiles is not None for submap in found.submaps):
         begin_drive(store, drive)
         return drive
     raise OgmError(
-        f"{store.url} has a drive {drive.name} that was made from other frames or poses, by another model or of "
-        "another length of sub-maps: give the new one another name, or remove the old one's folder, or prefix"
+        f"{store.url} has a drive {drive.name} that was made from other frames or poses, by another model or with "
+        "another length of sub-maps: give the new drive another name, or remove the folder or prefix of the old one"
     )

@@ -1,4 +1,4 @@
-"""Tiles in memory, written back when others need their place, and the integration of measurement grids into them."""
+"""Cache of tiles in memory, written back when it is full, and the integration of measurement grids into tiles."""
 
 import math
 from collections import OrderedDict
@@ -17,46 +17,43 @@ from ogm.world.layout import WORLD_RULES, TileIndex, WorldLayout, corners
 
 
 class Tiles(Protocol):
-    """Where tiles come from and go to, such as `ogm.world.tiles.TileStore`."""
+    """Source and destination of tiles, such as `ogm.world.tiles.TileStore`."""
 
     layout: WorldLayout
 
     def read_tile(self, index: TileIndex) -> NDArray[Any]:
-        """Return a tile, zeros where there is none."""
+        """Return a tile, zeros if it does not exist."""
 
     def write_tile(self, index: TileIndex, tile: NDArray[Any]) -> None:
         """Write a tile in one step."""
 
 
 class TileCache:
-    """The tiles of level 0 that a map works on, at most so many bytes of them.
+    """Tiles of level 0 that a map works on, bounded in memory.
 
     Parameters
     ----------
     tiles : Tiles
     memory : float
-        [byte]; at least four tiles are kept.
+        Greatest size in memory [byte]; at least four tiles are kept.
     """
 
     def __init__(self, tiles: Tiles, memory: float) -> None:
         layout = tiles.layout
-        self.tiles, self.most = tiles, max(4.0, memory / layout.empty_tile().nbytes)
+        self.tiles, self.max_tiles = tiles, max(4.0, memory / layout.empty_tile().nbytes)
         self._kept: OrderedDict[TileIndex, NDArray[Any]] = OrderedDict()
         self._changed: set[TileIndex] = set()
 
     def __contains__(self, index: TileIndex) -> bool:
         return index in self._kept
 
-    def __len__(self) -> int:
-        return len(self._kept)
-
     @property
     def changed(self) -> list[TileIndex]:
-        """Tiles that are not written yet, in order."""
+        """Tiles that are not written yet, sorted."""
         return sorted(self._changed)
 
     def get(self, index: TileIndex) -> NDArray[Any]:
-        """Return a tile, (7, tile, tile), from memory or as it is stored; it is kept in memory."""
+        """Return a tile, (7, tile, tile), from memory or from the store, and keep it in memory."""
         if index in self._kept:
             self._kept.move_to_end(index)
             return self._kept[index]
@@ -66,21 +63,21 @@ class TileCache:
         return tile
 
     def mark_changed(self, index: TileIndex) -> None:
-        """Note that a tile of `get` was changed, and must be written."""
+        """Mark a tile of `get` as changed, so that it is written later."""
         self._changed.add(index)
 
     def flush(self) -> None:
-        """Write all tiles that were changed; what is written is not lost, whatever comes."""
+        """Write all changed tiles."""
         for index in self.changed:
             self._write(index)
 
     def clear(self) -> None:
-        """Drop all tiles, also those that were changed."""
+        """Drop all tiles, including changed ones."""
         self._kept.clear()
         self._changed.clear()
 
     def _make_place(self) -> None:
-        while len(self._kept) + 1 > self.most:
+        while len(self._kept) + 1 > self.max_tiles:
             oldest = next(iter(self._kept))
             if oldest in self._changed:
                 self._write(oldest)
@@ -91,7 +88,7 @@ class TileCache:
         self._changed.discard(index)
 
 
-_LATEST = 2**32 - 2  # [s] that the layers of the last stamp can hold
+_LATEST = 2**32 - 2  # [s] greatest stamp that fits in the layers `seen_high` and `seen_low`
 
 
 def integrate_grid(
@@ -110,19 +107,19 @@ def integrate_grid(
     layout.check_box(box)
     base = affine_between(layout.spec(box), grid.spec, T)
     mass, samples = np.ascontiguousarray(grid.mass, np.float32), samples_per_axis(layout.spec(box), grid.spec)
-    rule, most, total = WORLD_RULES[layout.rule], 1 - layout.min_unknown, 0
+    rule, max_known, total = WORLD_RULES[layout.rule], 1 - layout.min_unknown, 0
     for index in layout.tiles_of(box):
         affine, at = base.copy(), layout.box_of(index)
         affine[:, 2] += base[:, :2] @ (at[0] - box[0], at[2] - box[2])
         scan, tile = ScanLookup(mass, affine, samples), cache.get(index)
-        if changed := integrate(tile, scan, reliability, rule, most, when):
+        if changed := integrate(tile, scan, reliability, rule, max_known, when):
             cache.mark_changed(index)
             total += changed
     return total
 
 
 def _second(stamp: float | None) -> int:
-    """Return a stamp as it is stored: its whole second plus 1, 0 if unknown."""
+    """Return a stamp in its stored form: the whole second plus 1, 0 if unknown."""
     if stamp is None:
         return 0
     time = check_stamp(stamp)

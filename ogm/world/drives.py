@@ -1,4 +1,4 @@
-"""Drives of a world map: sub-maps of consecutive frames, kept with the pose of an anchor frame each."""
+"""Drives of a world map: sub-maps of consecutive frames, each with the pose of an anchor frame."""
 
 import hashlib
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.io.poses import frame_numbers
-from ogm.pose import Trajectory, check_pose
+from ogm.pose import Trajectory, check_pose, inverse
 from ogm.scan import Frame
 from ogm.storage.archive import attributes_checksum
 from ogm.storage.files import OgmError
@@ -21,30 +21,30 @@ from ogm.world.stores import children, keys, read_object, reading, writing
 from ogm.world.tiles import TileStore
 
 _GROUP, _FORMAT = "drives", "ogm.drive/1"
-_MEND = "remove its folder, or prefix, and build it again"
+_REPAIR = "remove its folder, or prefix, and build it again"
 
 
 @dataclass(frozen=True, eq=False)
 class SubMap:
-    """Consecutive frames of a drive, as one map in tiles of the world's lattice.
+    """Consecutive frames of a drive as one map, in tiles of the world's lattice.
 
     Parameters
     ----------
     frames : (int, int)
-        Numbers of the first one in the drive, and of the last one + 1.
+        Index of the first frame in the drive, and of the last frame + 1.
     anchor : int
-        Place in the drive of the frame that the sub-map moves with.
+        Index in the drive of the frame with which the sub-map moves.
     stamp : float or None
-        Its time [s].
+        Time of the anchor [s].
     made, pose : (4, 4) float64
-        ``T_map_sensor`` of the anchor when the sub-map was made, and as it is known now.
+        ``T_map_sensor`` of the anchor when the sub-map was made, and its present value.
     tiles : tuple of (int, int), optional
-        What it has cells in; None until it is made.
+        Tiles that contain cells of the sub-map; None until it is made.
     mapped : int
-        Frames that are in it; the others were damaged.
+        Number of fused frames; the others were damaged.
     number : int
-        Frame number of the anchor, the last number in its name (`ogm.io.poses.frame_numbers`); `anchor` where names
-        have none.
+        Frame number of the anchor: the last number in its name (`ogm.io.poses.frame_numbers`), or `anchor` if names
+        have no number.
     """
 
     frames: tuple[int, int]
@@ -58,13 +58,10 @@ class SubMap:
 
     @property
     def correction(self) -> NDArray[np.float64] | None:
-        """What takes its cells to where they belong now, (4, 4); None if they stand there."""
+        """Transform of its cells to their present place, (4, 4); None if they have not moved."""
         if np.array_equal(self.made, self.pose):
             return None
-        inverse = np.eye(4)
-        inverse[:3, :3] = self.made[:3, :3].T
-        inverse[:3, 3] = -self.made[:3, :3].T @ self.made[:3, 3]
-        return self.pose @ inverse
+        return self.pose @ inverse(self.made)
 
 
 @dataclass
@@ -75,7 +72,7 @@ class Drive:
     ----------
     name : str
     source : str
-        SHA-256 of the names, stamps and poses of its frames and of the sensor model.
+        SHA-256 of the sensor model and of the names, stamps and poses of the frames.
     submaps : list of SubMap
     """
 
@@ -83,14 +80,9 @@ class Drive:
     source: str
     submaps: list[SubMap] = field(default_factory=list)
 
-    @property
-    def finished(self) -> bool:
-        """Whether all sub-maps are made."""
-        return all(one.tiles is not None for one in self.submaps)
-
     def moved(self, place: Callable[[SubMap], NDArray[np.float64]]) -> "Drive":
-        """Return the drive with other poses of the anchors."""
-        moved = [replace(one, pose=check_pose(place(one)).copy()) for one in self.submaps]
+        """Return the drive with new poses of the anchors."""
+        moved = [replace(submap, pose=check_pose(place(submap)).copy()) for submap in self.submaps]
         return Drive(self.name, self.source, moved)
 
     def along(self, trajectory: Trajectory) -> "Drive":
@@ -102,59 +94,59 @@ class Drive:
             If an anchor has no stamp, or one outside the trajectory.
         """
 
-        def place(one: SubMap) -> NDArray[np.float64]:
-            if one.stamp is None:
+        def place(submap: SubMap) -> NDArray[np.float64]:
+            if submap.stamp is None:
                 raise ValueError(f"drive {self.name} has no stamps: give poses by frame number")
             try:
-                return trajectory.at(one.stamp)
+                return trajectory.at(submap.stamp)
             except ValueError as error:
-                raise ValueError(f"drive {self.name}, frame {one.anchor}: {error}") from error
+                raise ValueError(f"drive {self.name}, frame {submap.anchor}: {error}") from error
 
         return self.moved(place)
 
     def by_number(self, poses: Mapping[int, NDArray[np.float64]] | Sequence[NDArray[np.float64]]) -> "Drive":
-        """Return the drive with the anchors at poses of the sensor, by frame number, as of pose graphs, or by row.
+        """Return the drive with the anchors at poses of the sensor, by frame number (mapping) or by index (sequence).
 
         Raises
         ------
         ValueError
             If an anchor's frame has no pose.
         """
-        by_row = not isinstance(poses, Mapping)
+        by_index = not isinstance(poses, Mapping)
         found: Mapping[int, Any] = poses if isinstance(poses, Mapping) else dict(enumerate(poses))
 
-        def place(one: SubMap) -> NDArray[np.float64]:
-            number = one.anchor if by_row else one.number
+        def place(submap: SubMap) -> NDArray[np.float64]:
+            number = submap.anchor if by_index else submap.number
             if number not in found:
-                raise ValueError(f"frame {number} of drive {self.name} has no pose, and is an anchor")
+                raise ValueError(f"frame {number} of drive {self.name}, an anchor, has no pose: give its pose too")
             return np.asarray(found[number], np.float64)
 
         return self.moved(place)
 
 
 def split_drive(name: str, frames: Sequence[Frame], model: str, length: float) -> Drive:
-    """Return a drive whose sub-maps are still to be made.
+    """Return a drive with its sub-maps planned, but not yet made.
 
     Parameters
     ----------
     name : str
         Letters, digits, ``-``, ``_`` and ``.``.
     frames : sequence of Frame
-        In order; those without a pose are left out when sub-maps are made. No scan is read.
+        Frames in order. Frames without a pose are left out when sub-maps are made. No scan is read.
     model : str
-        Of the sensor, for `Drive.source`.
+        Description of the sensor model, for `Drive.source`.
     length : float
-        Of the way along which a sub-map's frames were taken [m].
+        Distance travelled within a sub-map [m].
 
     Raises
     ------
     ValueError
         If the name has other characters, or no frame has a pose.
     """
-    if not name or not all(one.isalnum() or one in "-_." for one in name) or name.startswith("."):
-        raise ValueError(f"a drive is named by letters, digits, - and _, got {name!r}")
+    if not name or not all(letter.isalnum() or letter in "-_." for letter in name) or name.startswith("."):
+        raise ValueError(f"the name of a drive must be of letters, digits, - and _, got {name!r}")
     if not length > 0:
-        raise ValueError(f"the length of sub-maps must be above 0 m, got {length}")
+        raise ValueError(f"the length of sub-maps must be greater than 0 m, got {length}")
     sums = hashlib.sha256(f"{model} {length!r}".encode())
     posed: list[tuple[int, float | None, NDArray[np.float64]]] = []
     numbers = frame_numbers([frame.name for frame in frames])
@@ -165,7 +157,7 @@ def split_drive(name: str, frames: Sequence[Frame], model: str, length: float) -
             sums.update(T.tobytes())
             posed.append((k, frame.stamp, T))
     if not posed:
-        raise ValueError(f"none of the {len(frames)} frames of drive {name} has a pose (see ogm.datasets.with_poses)")
+        raise ValueError(f"none of the {len(frames)} frames of drive {name} has a pose: see ogm.datasets.with_poses")
     groups: list[list[int]] = [[]]
     way = 0.0
     for n, (_, _, T) in enumerate(posed):
@@ -185,19 +177,19 @@ def split_drive(name: str, frames: Sequence[Frame], model: str, length: float) -
 
 
 def drive_names(store: TileStore) -> list[str]:
-    """Return the names of the drives of a map, sorted; also of those whose description is lost."""
+    """Return the names of the drives of a map, sorted, including drives without a description."""
     with reading(store.url):
         return [name for name in children(store.store, f"{store.prefix}{_GROUP}") if name != "zarr.json"]
 
 
 def has_drive(store: TileStore, name: str) -> bool:
-    """Return whether there is a drive of a name, with its description."""
+    """Return whether a drive exists, with its description."""
     with reading(store.url):
         return read_object(store.store, f"{store.prefix}{_GROUP}/{name}/zarr.json") is not None
 
 
 def begin_drive(store: TileStore, drive: Drive) -> None:
-    """Make the array of a drive: (sub-maps, layers, cells, cells), a shard per sub-map and tile."""
+    """Make the array of a drive: (sub-maps, layers, cells, cells), with one shard per sub-map and tile."""
     with writing(store.url, f"drive {drive.name} of {store.url}"):
         store.check_writer()
         store.root.require_group(_GROUP).create_array(
@@ -205,12 +197,12 @@ def begin_drive(store: TileStore, drive: Drive) -> None:
             **_array(store, len(drive.submaps)),
             **codecs(),
             attributes=_attributes(drive),
-            overwrite=True,  # a description that is lost left sub-maps
+            overwrite=True,  # sub-maps of a drive without a description
         )
 
 
 def save_drive(store: TileStore, drive: Drive) -> None:
-    """Write what is known of a drive: anchors, and the sub-maps that are made, in one step."""
+    """Write the description of a drive, anchors and finished sub-maps, in one step."""
     with writing(store.url, f"drive {drive.name} of {store.url}"):
         store.check_writer()
         drive_array(store, drive.name).attrs.put(_attributes(drive))
@@ -222,54 +214,54 @@ def load_drive(store: TileStore, name: str) -> Drive:
     Raises
     ------
     OgmError
-        If there is none of that name, or it is damaged.
+        If the drive does not exist or is damaged.
     """
     array = drive_array(store, name)
-    with reading(f"drive {name} of {store.url}", _MEND):  # attributes may be a list
+    with reading(f"drive {name} of {store.url}", _REPAIR):  # attributes may be a list
         attributes = dict(array.attrs)
     if attributes.get("sha256") != attributes_checksum(attributes):
-        raise OgmError(f"the attributes of drive {name} of {store.url} are damaged: {_MEND}")
+        raise OgmError(f"the attributes of drive {name} of {store.url} are damaged: {_REPAIR}")
     try:
         if attributes["format"] != _FORMAT:
-            raise ValueError(f"it has the format {attributes['format']}")
-        drive = Drive(name, str(attributes["source"]), [_submap(one, store) for one in attributes["submaps"]])
+            raise ValueError(f"its format is {attributes['format']}, wanted {_FORMAT}")
+        drive = Drive(name, str(attributes["source"]), [_submap(entry, store) for entry in attributes["submaps"]])
         checked_array(array, **_array(store, len(drive.submaps)))
         return drive
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise OgmError(f"drive {name} of {store.url} makes no sense ({error}): {_MEND}") from error
+        raise OgmError(f"the description of drive {name} of {store.url} is invalid ({error}): {_REPAIR}") from error
 
 
 def drive_array(store: TileStore, name: str) -> Any:
     """Return the Zarr array of a drive."""
-    with reading(f"drive {name} of {store.url}", _MEND):
+    with reading(f"drive {name} of {store.url}", _REPAIR):
         with suppress(KeyError):
             return store.root[f"{_GROUP}/{name}"]
         names = drive_names(store)
         if name in names:
-            raise OgmError(f"drive {name} of {store.url} has lost its zarr.json: {_MEND}")
-        raise OgmError(f"{store.url} has no drive {name!r}; there are: {', '.join(names) or 'none'}")
+            raise OgmError(f"drive {name} of {store.url} has lost its zarr.json: {_REPAIR}")
+        raise OgmError(f"{store.url} has no drive {name!r}; it has: {', '.join(names) or 'none'}")
 
 
 def submap_key(store: TileStore, name: str, number: int, index: TileIndex) -> str:
-    """Return the key of the object that holds a tile of a sub-map."""
-    i, j = (one + TILES // 2 for one in index)
+    """Return the key of the object of a tile of a sub-map."""
+    i, j = (k + TILES // 2 for k in index)
     return f"{store.prefix}{_GROUP}/{name}/c/{number}/0/{i}/{j}"
 
 
 def lost_tiles(store: TileStore, drive: Drive) -> dict[int, list[TileIndex]]:
-    """Return the tiles of finished sub-maps that are not there, by number of the sub-map; the store is listed."""
+    """Return the missing tiles of finished sub-maps by number of the sub-map; the store is listed."""
     with reading(store.url):
-        there = set(keys(store.store, f"{store.prefix}{_GROUP}/{drive.name}/c/"))
+        existing = set(keys(store.store, f"{store.prefix}{_GROUP}/{drive.name}/c/"))
     lost: dict[int, list[TileIndex]] = {}
-    for number, one in enumerate(drive.submaps):
-        for index in one.tiles or ():
-            if submap_key(store, drive.name, number, index) not in there:
+    for number, submap in enumerate(drive.submaps):
+        for index in submap.tiles or ():
+            if submap_key(store, drive.name, number, index) not in existing:
                 lost.setdefault(number, []).append(index)
     return lost
 
 
 def _array(store: TileStore, count: int) -> dict[str, Any]:
-    """Return shape, shards, chunks and type of the array of a drive of so many sub-maps."""
+    """Return shape, shards, chunks and type of the array of a drive with `count` sub-maps."""
     of_level = store.layout.array(0)
     first = {"shape": count, "shards": 1, "chunks": 1}
     return {name: (first[name], *value) if name in first else value for name, value in of_level.items()}
@@ -277,17 +269,8 @@ def _array(store: TileStore, count: int) -> dict[str, Any]:
 
 def _attributes(drive: Drive) -> dict[str, Any]:
     submaps = [
-        {
-            "frames": list(one.frames),
-            "anchor": one.anchor,
-            "stamp": one.stamp,
-            "made": one.made.ravel().tolist(),
-            "pose": one.pose.ravel().tolist(),
-            "tiles": None if one.tiles is None else [list(index) for index in one.tiles],
-            "mapped": one.mapped,
-            "number": one.number,
-        }
-        for one in drive.submaps
+        vars(submap) | {"made": submap.made.ravel().tolist(), "pose": submap.pose.ravel().tolist()}
+        for submap in drive.submaps
     ]
     attributes = {"format": _FORMAT, "source": drive.source, "layers": list(LAYERS), "submaps": submaps}
     return attributes | {"sha256": attributes_checksum(attributes)}
@@ -299,5 +282,5 @@ def _submap(found: Mapping[str, Any], store: TileStore) -> SubMap:
     for index in tiles or ():
         store.layout.check_box(store.layout.box_of(index))
     first, last = found["frames"]
-    number = operator.index(found.get("number", found["anchor"]))  # older maps have positions alone
+    number = operator.index(found.get("number", found["anchor"]))  # older maps have no numbers
     return SubMap((first, last), found["anchor"], found["stamp"], made, now, tiles, found["mapped"], number)

@@ -1,9 +1,9 @@
-"""Numba kernels of map tiles: a measurement grid into a tile, one tile into another, a tile at another pose.
+"""Numba kernels for map tiles: integrating a grid, merging two tiles, resampling a tile at another pose.
 
-A tile is (7, n, n): the layers of `ogm.world.layout.LAYERS`, as uint16 or as float32. In uint16, masses are kept in
-steps of 1 / `MASS_STEPS`, conflict in steps of 1 / `CONFLICT_STEPS`. Nothing is checked here.
+A tile is (7, n, n): the layers of `ogm.world.layout.LAYERS`, as uint16 or as float32. In uint16, masses are stored in
+steps of 1 / `MASS_STEPS`, conflict in steps of 1 / `CONFLICT_STEPS`. The kernels check nothing.
 
-No kernel is a closure over another: numba would compile it anew in every process.
+No kernel is a closure over another: numba would compile it again in every process.
 """
 
 from typing import Any
@@ -16,12 +16,12 @@ from ogm.fusion.kernels import combine_cells
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import vector
 
-MASS_STEPS, CONFLICT_STEPS = 4095, 255  # finer steps are noise of the sensors, and do not pack
+MASS_STEPS, CONFLICT_STEPS = 4095, 255  # finer steps would store noise of the sensors, and compress badly
 COUNT_LIMIT = 65535
 
 
 def _packed(value: Any, steps: Any, row: Any) -> Any:
-    """Return a number in [0, 1] as a row of a tile stores it; what it is, is decided when kernels are compiled."""
+    """Return a number in [0, 1] in the stored form of a tile's row; the choice is made at compile time."""
     return _as_it_is(value, steps, row) if row.dtype == np.float32 else _in_steps(value, steps, row)
 
 
@@ -40,7 +40,7 @@ def _compiled_packed(value: Any, steps: Any, row: Any) -> Any:
 
 @vector
 def _write_pairs(known: Any, pairs: Any, steps: Any, first: Any, second: Any) -> None:
-    """Write pairs to two rows of a tile, where the scan has a belief."""
+    """Write pairs to two rows of a tile, in cells that the scan observes."""
     for k in range(first.size):
         a = _packed(pairs[2 * k], steps, first)
         first[k] = a if known[2 * k] + known[2 * k + 1] > np.float32(0) else first[k]
@@ -51,7 +51,7 @@ def _write_pairs(known: Any, pairs: Any, steps: Any, first: Any, second: Any) ->
 
 @vector
 def _mark_seen(known: Any, stamp: Any, count: Any, high: Any, low: Any) -> int:
-    """Count a scan, and note its stamp, where it has a belief; return how many cells that are."""
+    """Count a scan and note its stamp in cells that it observes; return the number of these cells."""
     seen = 0
     number = count.dtype.type
     high_word, low_word = number(stamp >> np.uint32(16)), number(stamp & np.uint32(0xFFFF))
@@ -100,7 +100,7 @@ def _merge(tile: Any, other: Any, rule: Any, limit: Any, step: Any) -> None:
         _load(tile[2, i], tile[3, i], step[1], c)
         combine_cells(rule, m, c, z, limit)
         for k in range(n):
-            if tile[4, i, k] == 0:  # the other's as it is: combined with nothing it would be rounded again
+            if tile[4, i, k] == 0:  # copied as it is: combining with unknown would round again
                 for layer in range(tile.shape[0]):
                     tile[layer, i, k] = other[layer, i, k]
             elif other[4, i, k] > 0:
@@ -121,43 +121,43 @@ def _load(first: Any, second: Any, scale: Any, out: Any) -> None:
 
 
 def _step(tile: np.ndarray) -> tuple[np.float32, np.float32]:
-    """Return what 1 in a tile stands for: of masses, of conflict."""
+    """Return the values of 1 in a tile: for masses, and for conflict."""
     one = np.float32(1)
     return (one, one) if tile.dtype == np.float32 else (np.float32(1 / MASS_STEPS), np.float32(1 / CONFLICT_STEPS))
 
 
 def integrate(tile: np.ndarray, scan: ScanLookup, reliability: float, rule: int, max_known: float, stamp: int) -> int:
-    """Combine a measurement grid with a tile, in place; return the number of cells that it has a belief about.
+    """Combine a measurement grid with a tile, in place; return the number of cells that it observes.
 
     Parameters
     ----------
     tile : (7, n, n) uint16 or float32
     scan : ScanLookup
-        Of masses; its affine map is from the tile's cells.
+        Masses of the grid; its affine map is from the tile's cells.
     reliability : float
         Shafer's discount of the grid, [0, 1].
     rule : int
         `ogm.fusion.kernels.DEMPSTER`, `CUMULATIVE` or `CAUTIOUS`.
     max_known : float
-        The most that free + occupied may be, [0, 1].
+        Upper bound of free + occupied, [0, 1].
     stamp : int
-        [s] plus 1, below 2**32; 0 if unknown. Cells keep the greatest.
+        Stamp [s] plus 1, below 2**32; 0 if unknown. Cells keep the greatest.
     """
     numbers = np.float32(reliability), rule, np.float32(max_known), np.uint32(stamp)
     return int(_integrate(tile, scan, *numbers, _step(tile)))
 
 
 def merge(tile: np.ndarray, other: np.ndarray, rule: int, max_known: float) -> None:
-    """Combine a tile with another of the same cells, in place; the other's unseen cells change nothing.
+    """Combine a tile with another of the same cells, in place; unseen cells of the other change nothing.
 
-    Masses are combined, conflict is the greatest of either and of that between the two, counts add up, the later stamp
-    stays. Parameters as for `integrate`.
+    Masses are combined by the rule. The conflict is the greatest of both tiles and of the conflict between them. Counts
+    are added, and the later stamp is kept. For the parameters see `integrate`.
     """
     _merge(tile, other, rule, np.float32(max_known), _step(tile))
 
 
 def discount(tile: np.ndarray, reliability: float) -> None:
-    """Discount the masses of a tile by Shafer's rule, in place; they are rounded as they are stored."""
+    """Discount the masses of a tile by Shafer's rule, in place, rounded to stored steps."""
     if reliability < 1:
         masses = tile[:2] * np.float32(reliability)
         tile[:2] = masses if tile.dtype == np.float32 else np.rint(masses)
@@ -165,15 +165,15 @@ def discount(tile: np.ndarray, reliability: float) -> None:
 
 @vector
 def moved(source: np.ndarray, affine: np.ndarray, out: np.ndarray) -> int:
-    """Fill a tile with the layers of the cells that hold its cells' centres; return how many of them were seen.
+    """Fill a tile with the layers of the source cells at its cells' centres; return the number of seen cells.
 
     Parameters
     ----------
     source : (7, a, b) uint16 or float32
     affine : (2, 3) float64
-        From the cells of `out` to those of `source`.
+        Affine map from the cells of `out` to the cells of `source`.
     out : (7, n, n)
-        Of the same type; is 0 where there is no source.
+        Output of the same type; 0 outside of the source.
     """
     _, nx, ny = out.shape
     _, mx, my = source.shape

@@ -1,4 +1,4 @@
-"""How a world map is read: windows, layers, tiles, facts."""
+"""Reading of a world map: windows, layers, tiles, and a description."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ _MASSES = slice(0, 2)
 
 
 class MapReader:
-    """A map of belief masses in tiles, as far as it is read; `WorldMap` adds what changes it.
+    """Read access to a map of belief masses in tiles; `WorldMap` adds write access.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class MapReader:
 
     def __init__(self, tiles: TileStore, memory: float) -> None:
         if not memory > 0:
-            raise ValueError(f"memory must be above 0 bytes, got {memory}")
+            raise ValueError(f"memory must be greater than 0 bytes, got {memory}")
         self.store, self.layout, self.crs, self.url = tiles, tiles.layout, tiles.crs, tiles.url
         self.lock, self._cache = MapLock(), TileCache(tiles, memory)
 
@@ -46,29 +46,28 @@ class MapReader:
         method: ResampleMethod = "nearest",
         level: int = 0,
     ) -> EvidentialGrid:
-        """Return a part of the map as a grid.
+        """Return a window of the map as a grid.
 
         Parameters
         ----------
         spec : GridSpec
-            The cells. Where they are cells of the map they are returned as they are stored, else resampled once.
+            Cells of the window. Cells of the map are returned as stored, other cells are resampled once.
         T_map_window : (4, 4) array, optional
-            Takes the coordinates of `spec` to the map, for example the pose of a vehicle [m]; by default they are the
-            map's.
+            Takes coordinates of `spec` to the map [m], such as the pose of a vehicle; identity by default.
         method : {"nearest", "area", "cautious"}
-            How cells are resampled, see `ogm.fusion.warp`.
+            Resampling method, see `ogm.fusion.warp`.
         level : int
-            Of overviews, whose cells have ``2**level`` times the side.
+            Level of the overviews, with cells of ``2**level`` times the side.
 
         Returns
         -------
         EvidentialGrid
-            Unknown where nothing was seen.
+            The window; unseen cells are unknown.
 
         Raises
         ------
         OgmError
-            If a tile is damaged, or there is no such level.
+            If a tile is damaged, or the level does not exist.
         ValueError
             If the window lies beyond the lattice, or would need more than 2**28 cells of the map.
         """
@@ -82,53 +81,55 @@ class MapReader:
 
     @locked
     def opinion_at(self, points: ArrayLike, method: Sampling = "nearest") -> Opinion | NDArray[np.float32]:
-        """Return the opinion of the map at any points, however far apart; see `EvidentialGrid.opinion_at`.
+        """Return the opinion of the map at any points, see `EvidentialGrid.opinion_at`.
 
-        Only tiles that hold points are read. Places that were never seen are unknown, as are those beyond the lattice.
+        Only tiles that hold points are read. Places that were never seen, or lie beyond the lattice, are unknown.
 
         Raises
         ------
         OgmError
             If a tile is damaged.
         """
-        most, side = self.layout.cells >> 1, self.layout.tile
+        half, side = self.layout.cells >> 1, self.layout.tile
 
         def masses(cell: NDArray[np.float64]) -> NDArray[np.float32]:
             found = np.zeros(cell.shape, np.float32)
-            inside = ((cell >= -most) & (cell < most)).all(axis=-1)
+            inside = ((cell >= -half) & (cell < half)).all(axis=-1)
             tiles = np.floor(cell / side)
             for tile in np.unique(tiles[inside].reshape(-1, 2), axis=0):
-                there = inside & (tiles == tile).all(axis=-1)
-                i, j = cell[there].astype(np.int64).T
+                in_tile = inside & (tiles == tile).all(axis=-1)
+                i, j = cell[in_tile].astype(np.int64).T
                 box = int(i.min()), int(i.max()) + 1, int(j.min()), int(j.max()) + 1
-                found[there] = self._masses(box, 0)[i - box[0], j - box[2]]
+                found[in_tile] = self._masses(box, 0)[i - box[0], j - box[2]]
             return found
 
         return sampled_opinions(points, (0.0, 0.0), self.layout.resolution, masses, method)
 
     @locked
     def layers(self, spec: GridSpec) -> LayeredGrid:
-        """Return what the map keeps beside the masses, for cells of the map.
+        """Return conflict, count and last observation of cells of the map.
 
         Parameters
         ----------
         spec : GridSpec
-            Cells of the map, in its coordinates; see `cells`.
+            Cells of the map, in its coordinates, see `cells`.
 
         Returns
         -------
         LayeredGrid
             ``free_to_occupied`` and ``occupied_to_free``, the greatest conflict [0, 1]; ``count`` of scans;
-            ``last_seen`` [s], a whole second to the precision of float32 (128 s at times of today), NaN where unknown.
+            ``last_seen`` [s], a whole second in float32 (128 s precision for present-day stamps), NaN if unknown.
 
         Raises
         ------
         ValueError
-            If the cells of `spec` are none of the map.
+            If the cells of `spec` are not cells of the map.
         """
         box = self.layout.aligned(spec)
         if box is None:
-            raise ValueError(f"{spec} has other cells than the map ({self.layout.resolution:g} m): see WorldMap.cells")
+            raise ValueError(
+                f"{spec} has other cells than the map ({self.layout.resolution:g} m): take a grid of WorldMap.cells"
+            )
         stored = self._read(box, 0, slice(2, len(LAYERS)))
         step = np.float32(self.layout.steps["conflict"])
         stamp = stored[3].astype(np.float64) * 65536 + stored[4]
@@ -136,49 +137,49 @@ class MapReader:
         return LayeredGrid(spec, layers | {"last_seen": np.where(stamp > 0, stamp - 1, np.nan).astype(np.float32)})
 
     def cells(self, extent: tuple[float, float, float, float] | None = None, level: int = 0) -> GridSpec:
-        """Return the cells of the map that cover an extent, by default all tiles.
+        """Return the cells of the map that cover an extent, by default of all tiles.
 
         Parameters
         ----------
         extent : (x_min, x_max, y_min, y_max), optional
-            [m]
+            Extent in map coordinates [m].
         level : int
 
         Raises
         ------
         ValueError
-            If the map is empty and no extent is given, or there are more than 2**28 cells: take a higher level.
+            If the map is empty and no extent is given, or there are more than 2**28 cells: use a higher level.
         """
         if extent is not None:
             x0, x1, y0, y1 = extent
             return self.layout.spec(self.layout.around(np.array([(x0, y0), (x1, y1)]), level, margin=0), level)
         tiles = self.tiles()
         if not tiles:
-            raise ValueError(f"{self.url} is empty: nothing was integrated, or not flushed")
+            raise ValueError(f"{self.url} is empty: integrate grids into it, then flush it")
         low, high = np.min(tiles, axis=0), np.max(tiles, axis=0) + 1
         n = self.layout.tile
-        i, j = (int(one) * n >> level for one in low)
-        k, m = (-(-int(one) * n >> level) for one in high)
+        i, j = (int(edge) * n >> level for edge in low)
+        k, m = (-(-int(edge) * n >> level) for edge in high)
         return self.layout.spec((i, k, j, m), level)
 
     @locked
     def tiles(self) -> list[TileIndex]:
-        """Return the tiles that hold something, also those that are not written yet, in order; the store is listed."""
+        """Return the tiles with content, including unwritten ones, sorted; the store is listed."""
         return sorted({*self.store.tiles(), *self._cache.changed})
 
     @locked
     def tile(self, index: TileIndex) -> NDArray[Any]:
-        """Return a copy of a tile as it is stored, (7, tile, tile)."""
+        """Return a copy of a tile in its stored form, (7, tile, tile)."""
         return self._cache.get(index).copy() if index in self._cache else self.store.read_tile(index)
 
     @property
     def levels(self) -> int:
-        """Number of levels that there are, 1 without overviews."""
+        """Number of levels, 1 without overviews."""
         return self.store.levels
 
     @locked
     def damage(self) -> list[tuple[TileIndex, OgmError]]:
-        """Return the tiles that cannot be read, with the errors that tell why; all are read."""
+        """Return the unreadable tiles with their errors; all tiles are read."""
         found = []
         for index in self.store.tiles():
             try:
@@ -188,7 +189,7 @@ class MapReader:
         return found
 
     def describe(self) -> dict[str, str]:
-        """Return what the map holds, as names and values to print; all its objects are listed."""
+        """Return a summary of the map as names and values to print; all its objects are listed."""
         tiles, layout = self.tiles(), self.layout
         with reading(self.url):
             stored = size(self.store.store, "")
@@ -208,9 +209,9 @@ class MapReader:
         return mass_of(self._read(box, level, _MASSES), self.layout)
 
     def _read(self, box: Box, level: int, layers: slice) -> NDArray[Any]:
-        """Return layers of some cells, (L, nx, ny), from the tiles in memory and else from the store."""
+        """Return layers of a box of cells, (L, nx, ny), from tiles in memory and from the store."""
         self.layout.check_box(box, level)
-        self.layout.spec(box, level)  # refuses too many cells
+        self.layout.spec(box, level)  # raises for too many cells
         kept = [index for index in self.layout.tiles_of(box) if index in self._cache] if level == 0 else []
         if not kept:
             return self.store.read(box, level, layers)

@@ -1,4 +1,4 @@
-"""A world map for other programs: pictures in tiles for web pages, and an `xarray.Dataset` that Dask reads."""
+"""Export of a world map: tiled pictures for web pages, and an `xarray.Dataset` backed by Dask."""
 
 import json
 import os
@@ -18,35 +18,35 @@ if TYPE_CHECKING:
 
 
 def write_pyramid(world: WorldMap, folder: str | os.PathLike[str]) -> int:
-    """Write a picture per tile of every level, ``z/x/y.png``; return how many.
+    """Write a picture of each tile of every level, ``z/x/y.png``; return the number of pictures.
 
-    Level z = 0 is the coarsest; x counts along the map's x, to the right, and y against its y, downwards, both from the
-    same corner at all levels, which ``tiles.json`` states with the side of a cell. Free and occupied have the colours
-    of `ogm.plot.colours`, and what is unknown is transparent. Tiles in which nothing was seen have no picture.
+    Level z = 0 is the coarsest. x counts along the map's x, to the right, and y against its y, downwards. Both start
+    from the same corner at all levels; ``tiles.json`` states this corner and the sides of the cells. Free and occupied
+    have the colours of `ogm.plot.colours`; unknown is transparent. Unseen tiles have no picture.
 
     Parameters
     ----------
     world : WorldMap
-        With overviews, `WorldMap.build_overviews`.
+        Map with overviews, see `WorldMap.build_overviews`.
     folder : path
         New or empty.
 
     Raises
     ------
     ValueError
-        If the folder holds something, or the map is empty or has no overviews.
+        If the folder contains files, or the map is empty or has no overviews.
     """
     from PIL import Image
 
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"{folder} holds files already; give a new or empty folder")
+        raise ValueError(f"{folder} contains files already: give a new or empty folder")
     levels = world.levels
     if levels < 2:
-        raise ValueError(f"{world.url} has no overviews: WorldMap.build_overviews makes them (`ogm world build` does)")
+        raise ValueError(f"{world.url} has no overviews: make them by WorldMap.build_overviews or `ogm world build`")
     coarsest = world.store.tiles(levels - 1)
     if not coarsest:
-        raise ValueError(f"{world.url} is empty")
+        raise ValueError(f"{world.url} is empty: integrate grids or build drives into it")
     left, top = min(i for i, _ in coarsest), max(j for _, j in coarsest) + 1  # at the coarsest level
     written = 0
     for z in range(levels):
@@ -72,7 +72,7 @@ def write_pyramid(world: WorldMap, folder: str | os.PathLike[str]) -> int:
 
 
 def _colours(mass: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return red, green, blue and opacity of masses (nx, ny, 2), greatest y first."""
+    """Return red, green, blue and opacity for masses (nx, ny, 2), greatest y first."""
     known = mass.sum(axis=-1)
     share = mass / np.maximum(known, 1e-6)[..., None]
     shades = np.concatenate([colours().mix(share), known[..., None]], axis=-1)
@@ -80,7 +80,7 @@ def _colours(mass: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 class _Part:
-    """Some cells of an array of layers: Dask lists all chunks of what it is given, and a map's lattice has 10¹³."""
+    """Part of an array of layers: Dask lists all chunks of an array, and the lattice of a map has 10¹³."""
 
     ndim = 3
 
@@ -89,25 +89,25 @@ class _Part:
 
     def __getitem__(self, index: tuple[slice, slice, slice]) -> Any:
         layers, *axes = index
-        moved = [slice(one.start + low, one.stop + low) for one, low in zip(axes, self._first, strict=True)]
+        moved = [slice(part.start + low, part.stop + low) for part, low in zip(axes, self._first, strict=True)]
         return self._array[layers, *moved]
 
 
 def world_to_xarray(world: WorldMap, level: int = 0) -> "Dataset":
-    """Return all tiles of a map as variables of Dask arrays; nothing is read before it is computed.
+    """Return all tiles of a map as variables of Dask arrays, read when they are computed.
 
     Parameters
     ----------
     world : WorldMap
-        What is not flushed is not in it.
+        The map; unflushed changes are not included.
     level : int
-        Of overviews.
+        Level of the overviews.
 
     Returns
     -------
     xarray.Dataset
-        ``free`` and ``occupied`` of dims (y, x), float32 in [0, 1], in chunks of a tile; at level 0 also ``count``.
-        Coordinates ``x`` and ``y`` of the cells' centres [m], increasing; attributes ``resolution`` [m] and, if known,
+        ``free`` and ``occupied`` with dims (y, x), float32 in [0, 1], in chunks of a tile; at level 0 also ``count``.
+        Coordinates ``x`` and ``y`` of the cells' centres [m], increasing. Attributes ``resolution`` [m] and, if known,
         ``crs``.
 
     Raises
@@ -126,7 +126,7 @@ def world_to_xarray(world: WorldMap, level: int = 0) -> "Dataset":
     box, offset, tile = layout.aligned(spec, level), layout.cells >> (level + 1), layout.tile
     assert box is not None
     part = _Part(world.store.array(level), (box[0] + offset, box[2] + offset), spec.shape)
-    from_array: Any = dask.array.from_array  # without types
+    from_array: Any = dask.array.from_array  # untyped
     cells = from_array(part, chunks=(1, tile, tile), asarray=True)
     step = np.float32(layout.steps["mass"])
     described: dict[str, Any] = {}

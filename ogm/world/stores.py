@@ -1,4 +1,4 @@
-"""Places of world maps: a folder, a zip archive, or an object store such as S3, as Zarr stores."""
+"""Storage of world maps as Zarr stores: a folder, a zip archive, or an object store such as S3."""
 
 import errno
 import os
@@ -16,74 +16,74 @@ Mode = Literal["r", "r+"]
 
 
 def is_zip(url: Url) -> bool:
-    """Return whether a map lies in a zip archive."""
+    """Return whether a URL is a local zip archive."""
     return not is_remote(url) and str(url).lower().endswith(".zip")
 
 
 def local_path(url: Url) -> Path:
-    """Return the path of a map on this machine."""
+    """Return the local path of a map."""
     return Path(str(url).removeprefix("file://"))
 
 
 def open_store(url: Url, mode: Mode, storage: Mapping[str, str] | None = None) -> Any:
-    """Return the Zarr store of a place, whether it exists or not.
+    """Return the Zarr store of a URL, which need not exist.
 
     Parameters
     ----------
     url : str or path
-        A folder, a ``.zip`` archive to read, or ``s3://bucket/prefix``, also ``gs://``, ``az://``.
+        A folder, a ``.zip`` archive (read only), or ``s3://bucket/prefix``, also ``gs://``, ``az://``.
     mode : {"r", "r+"}
     storage : mapping of str to str, optional
-        Configuration of the object store, as obstore has it: ``endpoint``, ``access_key_id``, ``region``, ... What is
-        not given is taken from the environment (``AWS_ENDPOINT_URL``, ``AWS_ACCESS_KEY_ID``, ..., ``AWS_ALLOW_HTTP``).
+        Configuration of the object store for obstore: ``endpoint``, ``access_key_id``, ``region``, ... Other values are
+        taken from the environment (``AWS_ENDPOINT_URL``, ``AWS_ACCESS_KEY_ID``, ..., ``AWS_ALLOW_HTTP``).
 
     Raises
     ------
     ValueError
-        If options are given for a folder, or a zip archive is to be written.
+        If options are given for a folder, or a zip archive is opened for writing.
     ImportError
-        If zarr, or for an object store obstore, is missing.
+        If zarr is missing, or obstore for an object store.
     """
     zarr = import_extra("zarr", "world")
     if is_remote(url):
         with reading(url, "see ogm.world.stores.open_store for the options of object stores"):
             return zarr.storage.ObjectStore(object_store(str(url), storage or {}), read_only=mode == "r")
     if storage:
-        raise ValueError(f"storage options are for object stores (s3://...), got {sorted(storage)} for {url}")
+        raise ValueError(f"storage options are only for object stores (s3://...), got {sorted(storage)} for {url}")
     if is_zip(url):
         if mode != "r":
             raise ValueError(
-                f"{url} is a zip archive, in which nothing can be replaced: make the map in a folder or a bucket, then "
-                "WorldMap.copy_to writes the archive in one go"
+                f"{url} is a zip archive, which cannot be changed: make the map in a folder or a bucket, then write "
+                "the archive by WorldMap.copy_to"
             )
         if not local_path(url).is_file():
-            raise FileNotFoundError(f"there is no archive {url}")
+            raise FileNotFoundError(f"the archive {url} does not exist")
         with reading(url):
             return zarr.storage.ZipStore(local_path(url), mode="r")
     if local_path(url).is_file():
-        raise OgmError(f"{url} is a file; a world map is a folder, a .zip archive or the URL of an object store")
+        raise OgmError(f"{url} is a file, wanted a folder, a .zip archive or the URL of an object store")
     return zarr.storage.LocalStore(local_path(url), read_only=mode == "r")
 
 
 @contextmanager
-def reading(what: object, way: str = "restore it from a copy") -> Iterator[None]:
-    """Give errors of Zarr and of stores on reading the name of what is read; those of the system stay."""
+def reading(subject: object, repair: str = "restore it from a copy") -> Iterator[None]:
+    """Add the subject to errors of Zarr and of stores on reading; system errors stay unchanged."""
     try:
         yield
     except (OgmError, ImportError):
         raise
-    except MemoryError as error:  # a made-up index or size, most likely
-        raise OgmError(f"{what} cannot be read: it states more bytes than there is memory for; {way}") from error
-    except Exception as error:  # Zarr, its codecs, zip archives and obstore have many
-        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # that is a place no file has, in an archive
+    except MemoryError as error:  # most likely from a wrong index or size
+        raise OgmError(f"{subject} cannot be read: it states more bytes than there is memory for; {repair}") from error
+    except Exception as error:  # Zarr, its codecs, zip archives and obstore raise many types
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # EINVAL: an invalid offset in an archive
             raise
         text = " ".join(str(error).split())[:300] or type(error).__name__
-        raise OgmError(f"{what} cannot be read ({text}): {way}") from error
+        raise OgmError(f"{subject} cannot be read ({text}): {repair}") from error
 
 
 @contextmanager
-def writing(url: Url, what: object) -> Iterator[None]:
-    """Give errors of a store on writing the name of what is written; those of the system keep their numbers."""
+def writing(url: Url, subject: object) -> Iterator[None]:
+    """Add the subject to errors of a store on writing; system errors keep their numbers."""
     try:
         with naming(local_path(url)):
             yield
@@ -91,11 +91,11 @@ def writing(url: Url, what: object) -> Iterator[None]:
         raise
     except Exception as error:
         text = " ".join(str(error).split())[:300] or type(error).__name__
-        raise OSError(f"{what} cannot be written ({text})") from error
+        raise OSError(f"{subject} cannot be written ({text})") from error
 
 
 def keys(store: Any, prefix: str) -> list[str]:
-    """Return the keys of a store that begin with a prefix, sorted."""
+    """Return the keys of a store with a prefix, sorted."""
     return sorted(key for key in _listed(store.list_prefix, prefix) if not key.endswith(".partial"))
 
 
@@ -105,7 +105,7 @@ def children(store: Any, prefix: str) -> list[str]:
 
 
 def _listed(listing: Any, prefix: str) -> list[str]:
-    """Return what an asynchronous method of a store lists."""
+    """Return the items of an asynchronous listing of a store."""
 
     async def found() -> list[str]:
         return [key async for key in listing(prefix)]
@@ -114,7 +114,7 @@ def _listed(listing: Any, prefix: str) -> list[str]:
 
 
 def read_object(store: Any, key: str) -> bytes | None:
-    """Return the content of an object; None if there is none."""
+    """Return the content of an object; None if it does not exist."""
     from zarr.core.buffer import default_buffer_prototype
 
     found = _sync(store.get(key, default_buffer_prototype()))
@@ -122,17 +122,17 @@ def read_object(store: Any, key: str) -> bytes | None:
 
 
 def size(store: Any, prefix: str) -> int:
-    """Return the bytes of all objects whose keys begin with a prefix."""
+    """Return the total size of all objects with a prefix [byte]."""
     return int(_sync(store.getsize_prefix(prefix)))
 
 
 def erase(store: Any, key: str) -> None:
-    """Remove an object; nothing happens if there is none."""
+    """Remove an object, if it exists."""
     _sync(store.delete(key))
 
 
 def _sync(coroutine: Any) -> Any:
-    """Return the result of a coroutine of Zarr."""
+    """Return the result of a Zarr coroutine."""
     from zarr.core.sync import sync
 
     return sync(coroutine)

@@ -1,4 +1,4 @@
-"""Tasks of workers that build a world map: a sub-map from frames, and the tiles that the sub-maps of drives give."""
+"""Tasks of workers that build a world map: sub-maps from frames, and tiles from the sub-maps of drives."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,21 +19,21 @@ from ogm.world.layout import LAYERS, WORLD_RULES, TileIndex, checked_layers, cor
 from ogm.world.stores import reading, writing
 from ogm.world.tiles import TileStore
 
-_COMPARED = 64  # tiles in which drives are compared
+_COMPARED = 64  # greatest number of tiles in which drives are compared
 
 
 class Part(NamedTuple):
-    """A sub-map that may have cells in a tile.
+    """Sub-map that may have cells in a tile.
 
     Attributes
     ----------
     drive : str
     number : int
-        Of the sub-map in the drive.
+        Index of the sub-map in the drive.
     tiles : tuple of (int, int)
         Tiles of the sub-map that the tile may need.
     correction : (4, 4) float64 or None
-        What takes the sub-map's cells to where they belong; None if they stand there.
+        Transform of the sub-map's cells to their present place; None if they have not moved.
     """
 
     drive: str
@@ -43,9 +43,9 @@ class Part(NamedTuple):
 
 
 def parts_of_tiles(store: TileStore, drives: Iterable[Drive]) -> dict[TileIndex, list[Part]]:
-    """Return the parts of every tile, in the order in which they are combined: by drive, then by sub-map.
+    """Return the parts of every tile in the order of their combination: by drive, then by sub-map.
 
-    The order, and so the map to the last bit, does not depend on the order in which drives are built, nor on workers.
+    So the map, to the last bit, depends neither on the order in which drives are built nor on the workers.
 
     Raises
     ------
@@ -53,11 +53,11 @@ def parts_of_tiles(store: TileStore, drives: Iterable[Drive]) -> dict[TileIndex,
         If a sub-map is moved beyond the map.
     """
     found: dict[TileIndex, list[Part]] = {}
-    for drive in sorted(drives, key=lambda one: one.name):
-        for number, one in enumerate(drive.submaps):
-            correction = one.correction
+    for drive in sorted(drives, key=lambda drive: drive.name):
+        for number, submap in enumerate(drive.submaps):
+            correction = submap.correction
             needed: dict[TileIndex, list[TileIndex]] = {}
-            for tile in one.tiles or ():
+            for tile in submap.tiles or ():
                 for target in [tile] if correction is None else _targets(store, tile, correction):
                     needed.setdefault(target, []).append(tile)
             for target, tiles in needed.items():
@@ -66,28 +66,28 @@ def parts_of_tiles(store: TileStore, drives: Iterable[Drive]) -> dict[TileIndex,
 
 
 def _targets(store: TileStore, tile: TileIndex, correction: NDArray[np.float64]) -> list[TileIndex]:
-    """Return the tiles that a moved tile may have cells in."""
+    """Return the tiles in which a moved tile may have cells."""
     layout = store.layout
     box = layout.around(corners(layout.spec(layout.box_of(tile)), correction))
-    with error_context(f"a sub-map of a drive of {store.url} is moved too far"):
+    with error_context(f"a sub-map of a drive of {store.url} is moved beyond the map"):
         layout.check_box(box)
     return layout.tiles_of(box)
 
 
 def fingerprint(parts: Iterable[Part], sources: Mapping[str, str]) -> np.uint64:
-    """Return 64 bits of what a tile is made from, never 0: another drive, model or pose gives another one."""
+    """Return 64 bits that identify the parts of a tile, never 0; they depend on drives, models and poses."""
     sums = hashlib.sha256()
-    for one in parts:
-        sums.update(f"{one.drive} {sources[one.drive]} {one.number} {one.tiles}".encode())
-        sums.update(b"" if one.correction is None else one.correction.tobytes())
+    for part in parts:
+        sums.update(f"{part.drive} {sources[part.drive]} {part.number} {part.tiles}".encode())
+        sums.update(b"" if part.correction is None else part.correction.tobytes())
     return np.uint64(int.from_bytes(sums.digest()[:8], "big") | 1)
 
 
 def render_tile(store: TileStore, index: TileIndex, parts: Iterable[Part]) -> NDArray[Any]:
     """Return a tile, (7, tile, tile), combined from its parts by the rule of the map.
 
-    The sub-maps of a drive are combined first; what they give is discounted, and combined with the other drives.
-    Sub-maps that were moved are resampled once, by nearest cells.
+    The sub-maps of a drive are combined first. The result is discounted and combined with the other drives. Moved
+    sub-maps are resampled once, by nearest cells.
     """
     layout = store.layout
     tile = layout.empty_tile()
@@ -98,20 +98,20 @@ def render_tile(store: TileStore, index: TileIndex, parts: Iterable[Part]) -> ND
 
 
 def _tiles_of_drives(store: TileStore, index: TileIndex, parts: Iterable[Part]) -> Iterator[NDArray[Any]]:
-    """Yield what each drive has in a tile: its sub-maps, combined."""
+    """Yield the content of each drive in a tile: its combined sub-maps."""
     layout, drives = store.layout, _Drives(store)
-    for _, of_drive in groupby(parts, lambda one: one.drive):
+    for _, of_drive in groupby(parts, lambda part: part.drive):
         drive = layout.empty_tile()
-        for one in of_drive:
-            part = drives.read(one, index) if one.correction is None else _moved_tile(drives, index, one)
-            merge(drive, part, WORLD_RULES[layout.rule], 1 - layout.min_unknown)
+        for part in of_drive:
+            tile = drives.read(part, index) if part.correction is None else _moved_tile(drives, index, part)
+            merge(drive, tile, WORLD_RULES[layout.rule], 1 - layout.min_unknown)
         yield drive
 
 
 def contradictions(store: TileStore, drives: Iterable[Drive]) -> tuple[int, int]:
-    """Return in how many cells drives contradict each other, and how many two drives or more know.
+    """Return the number of cells in which drives contradict each other, and of cells that at least two drives know.
 
-    A drive knows a cell where its mass of free or of occupied exceeds 1/2. Of large maps, `_COMPARED` tiles are read.
+    A drive knows a cell if its mass of free or of occupied exceeds 1/2. In large maps only `_COMPARED` tiles are read.
     """
     of_tiles = parts_of_tiles(store, drives).items()
     shared = [(index, parts) for index, parts in of_tiles if len({part.drive for part in parts}) > 1]
@@ -126,7 +126,7 @@ def contradictions(store: TileStore, drives: Iterable[Drive]) -> tuple[int, int]
 
 
 def _moved_tile(drives: "_Drives", index: TileIndex, part: Part) -> NDArray[Any]:
-    """Return what a sub-map that was moved has in a tile."""
+    """Return the cells of a moved sub-map in a tile."""
     assert part.correction is not None
     layout = drives.layout
     rows, columns = zip(*part.tiles, strict=True)
@@ -142,7 +142,7 @@ def _moved_tile(drives: "_Drives", index: TileIndex, part: Part) -> NDArray[Any]
 
 
 class _Drives:
-    """The arrays of the drives that a tile needs."""
+    """Cache of the arrays of drives that a tile needs."""
 
     def __init__(self, store: TileStore) -> None:
         self.layout, self._store, self._arrays = store.layout, store, dict[str, Any]()
@@ -152,9 +152,9 @@ class _Drives:
         store = self._store
         i, k, j, m = store.layout.box_of(index)
         offset = store.layout.cells // 2
-        what = f"tile {index} of sub-map {part.number} of drive {part.drive} of {store.url}"
+        subject = f"tile {index} of sub-map {part.number} of drive {part.drive} of {store.url}"
         key = submap_key(store, part.drive, part.number, index)
-        with reading(what, f"remove {key}, and `ogm world build` with that drive makes it anew"):
+        with reading(subject, f"remove {key}, then `ogm world build` with that drive makes it again"):
             if part.drive not in self._arrays:
                 self._arrays[part.drive] = drive_array(store, part.drive)
             rows, columns = slice(i + offset, k + offset), slice(j + offset, m + offset)
@@ -162,7 +162,7 @@ class _Drives:
 
 
 class MapPlace(NamedTuple):
-    """Where workers find the map, and the token of its writer."""
+    """Address of a map for workers, and the token of its writer."""
 
     url: str
     storage: Mapping[str, str]
@@ -170,16 +170,16 @@ class MapPlace(NamedTuple):
 
     @classmethod
     def of(cls, store: TileStore) -> "MapPlace":
-        """Return the place of a map that is open here."""
+        """Return the address of an open map."""
         return cls(store.url, store.storage, store.writer)
 
     def open(self) -> TileStore:
-        """Open the map in a worker."""
+        """Return the store of the map, opened in a worker."""
         return TileStore.open(self.url, "r+", self.storage, self.writer)
 
 
 class SubMapJob(NamedTuple):
-    """A sub-map to be made."""
+    """Sub-map to be made."""
 
     drive: str
     number: int
@@ -187,7 +187,7 @@ class SubMapJob(NamedTuple):
 
 
 class MadeSubMap(NamedTuple):
-    """A sub-map that is on disk."""
+    """Sub-map that is on disk: its tiles, and the number of fused frames."""
 
     tiles: tuple[TileIndex, ...]
     mapped: int
@@ -197,7 +197,7 @@ def make_submap(place: MapPlace, ism: SensorModels, job: SubMapJob) -> MadeSubMa
     """Make a sub-map."""
     submap = SubMapTiles(place.open(), job.drive, job.number)
     cache, mapped = TileCache(submap, float("inf")), 0
-    for frame, grid in map_scans([one for one in job.frames if one.T_map_sensor is not None], ism):
+    for frame, grid in map_scans([frame for frame in job.frames if frame.T_map_sensor is not None], ism):
         integrate_grid(cache, grid, grid_pose(frame), stamp=frame.stamp)
         mapped += 1
     tiles = tuple(cache.changed)
@@ -206,14 +206,14 @@ def make_submap(place: MapPlace, ism: SensorModels, job: SubMapJob) -> MadeSubMa
 
 
 class SubMapTiles:
-    """The tiles of a sub-map that is made, for a `TileCache`."""
+    """Tiles of a sub-map in the making, for a `TileCache`."""
 
     def __init__(self, store: TileStore, drive: str, number: int) -> None:
         self.layout, self._store, self._number = store.layout, store, number
         self._array, self._name = drive_array(store, drive), drive
 
     def read_tile(self, index: TileIndex) -> np.ndarray:
-        """Return an empty tile: a sub-map is always made from its first frame on."""
+        """Return an empty tile: a sub-map is always made from its first frame."""
         return self.layout.empty_tile()
 
     def write_tile(self, index: TileIndex, tile: np.ndarray) -> None:

@@ -1,6 +1,6 @@
 """Tiles of a world map on disk or in an object store: one Zarr array per level, one shard per tile.
 
-Levels of half the resolution each show a city on one screen, in which walls and poles stay visible.
+Levels of half the resolution each are overviews, down to a city on one screen, in which walls and poles stay visible.
 """
 
 from collections.abc import Mapping
@@ -20,14 +20,14 @@ from ogm.world.stores import Mode, Url, erase, keys, local_path, open_store, rea
 from ogm.world.writer import WRITER, check_writer
 
 FORMAT = "ogm.world/1"
-_MEND = "`ogm world rebuild` makes it anew if the map is built from drives; else restore it from a copy"
+_REPAIR = "`ogm world rebuild` makes it again if the map is built from drives; else restore it from a copy"
 
 
 class TileStore:
-    """The arrays of a world map.
+    """Arrays of a world map.
 
-    Open one with `TileStore.open` or `TileStore.create`. A tile is one object of the store, written in one step: a
-    reader, also one that comes after a crash, finds the old tile or the new one.
+    Open one by `TileStore.open` or `TileStore.create`. A tile is one object of the store, written in one step: a reader
+    finds the old tile or the new one, even after a crash.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class TileStore:
     layout : WorldLayout
     crs : str or None
     writer : str
-        Token of `ogm.world.writer.one_writer` that writing needs to be current; "" for no check.
+        Token of `ogm.world.writer.one_writer`, which must be current for writing; "" for no check.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class TileStore:
     ) -> None:
         self.storage, self.writer = dict(storage or {}), ""
         self.url, self.root, self.store = str(url), root, root.store
-        self.layout = WorldLayout(**{one.name: attributes[one.name] for one in fields(WorldLayout)})
+        self.layout = WorldLayout(**{field.name: attributes[field.name] for field in fields(WorldLayout)})
         self.crs = attributes["crs"]
         self._arrays: dict[str, Any] = {}
 
@@ -51,12 +51,12 @@ class TileStore:
     def create(
         cls, url: Url, layout: WorldLayout, crs: str | None, storage: Mapping[str, str] | None = None
     ) -> "TileStore":
-        """Begin an empty map in a new or empty place; errors as those of `WorldMap.create`."""
+        """Begin an empty map at a new or empty URL; for errors see `WorldMap.create`."""
         zarr, place = import_extra("zarr", "world"), open_store(url, "r+", storage)
         with reading(url):
             if set(keys(place, "")) - {WRITER}:
-                kind = "objects already; give another prefix" if is_remote(url) else "files already; give a new folder"
-                raise OgmError(f"{url} holds {kind}, or WorldMap.open it")
+                kind = "objects already: give another prefix" if is_remote(url) else "files already: give a new folder"
+                raise OgmError(f"{url} contains {kind}, or open the map by WorldMap.open")
         attributes: dict[str, Any] = {
             "format": FORMAT,
             **asdict(layout),
@@ -67,39 +67,39 @@ class TileStore:
         }
         attributes["sha256"] = attributes_checksum(attributes)
         with writing(url, url):
-            root = zarr.create_group(place, zarr_format=3, attributes=attributes)  # one object: a map, or none
+            root = zarr.create_group(place, zarr_format=3, attributes=attributes)  # one object, so never a partial map
             return cls(url, root, attributes, storage)
 
     @classmethod
     def open(cls, url: Url, mode: Mode, storage: Mapping[str, str] | None = None, writer: str = "") -> "TileStore":
-        """Open a map; errors as those of `WorldMap.open`."""
+        """Open a map; for errors see `WorldMap.open`."""
         zarr, place = import_extra("zarr", "world"), open_store(url, mode, storage)
         if not (is_remote(url) or local_path(url).exists()):
-            raise FileNotFoundError(f"there is no world map {url}; WorldMap.create or `ogm world build` make one")
+            raise FileNotFoundError(f"there is no world map {url}: make it by WorldMap.create or `ogm world build`")
         try:
             with reading(url):
                 root = zarr.open_group(place, mode=mode)
         except FileNotFoundError as error:
-            raise FileNotFoundError(f"there is no world map at {url}: it has no group of Zarr ({error})") from error
+            raise FileNotFoundError(f"there is no world map at {url}: it has no Zarr group ({error})") from error
         attributes = dict(root.attrs)
         found = attributes.get("format")
         if found != FORMAT:
             raise OgmError(
                 f"{url} has the format {found}, this version of ogm reads {FORMAT}"
-                + (update_hint(found, FORMAT) or ": it is no world map")
+                + (update_hint(found, FORMAT) or ": it is not a world map")
             )
         if attributes.get("sha256") != attributes_checksum(attributes):
-            raise OgmError(f"the attributes of {url} are damaged (their SHA-256 differs): restore zarr.json")
+            raise OgmError(f"the attributes of {url} are damaged (SHA-256 differs): restore zarr.json from a copy")
         try:
             opened = cls(url, root, attributes, storage)
             opened.writer = writer
             return opened
         except (ValueError, TypeError, KeyError) as error:
-            raise OgmError(f"the attributes of {url} make no sense ({error}): restore zarr.json") from error
+            raise OgmError(f"the attributes of {url} are invalid ({error}): restore zarr.json from a copy") from error
 
     @property
     def levels(self) -> int:
-        """Number of levels that there are, 1 without overviews."""
+        """Number of levels, 1 without overviews."""
         with reading(self.url):
             count = 1
             while str(count) in self.root:
@@ -107,7 +107,7 @@ class TileStore:
             return count
 
     def array(self, level: int) -> Any:
-        """Return the Zarr array of a level; of a map that is open for writing, level 0 is made if it is not there."""
+        """Return the Zarr array of a level; a missing level 0 is made if the map is open for writing."""
         name = str(level)
         if name not in self._arrays:
             with reading(f"level {level} of {self.url}", "restore its zarr.json from a copy"):
@@ -116,26 +116,26 @@ class TileStore:
                 if name in self.root:
                     self._arrays[name] = checked_array(self.root[name], **self.layout.array(level))
                 elif level == 0:
-                    raise OgmError(f"{self.url} has no tiles, and not their array: open it for writing once")
+                    raise OgmError(f"{self.url} has no array of tiles: open it once for writing, which makes the array")
                 else:
                     raise OgmError(
-                        f"{self.url} has no level {level}: WorldMap.build_overviews makes levels, it has {self.levels}"
+                        f"{self.url} has {self.levels} levels, no level {level}: WorldMap.build_overviews makes levels"
                     )
         return self._arrays[name]
 
     def make_level(self, level: int) -> None:
-        """Make the Zarr array of a level, if it is not there."""
+        """Make the Zarr array of a level, unless it exists."""
         name = str(level)
         if name not in self._arrays and name not in self.root:
             with writing(self.url, f"level {level} of {self.url}"):
                 try:
                     self._arrays[name] = self.root.create_array(name, **self.layout.array(level), **codecs())
                 except ValueError:
-                    if name not in self.root:  # else another worker was faster, and `array` reads it
+                    if name not in self.root:  # else another worker has made it
                         raise
 
     def remove_level(self, level: int) -> None:
-        """Remove a level of overviews, with its tiles."""
+        """Remove a level of overviews with its tiles."""
         self._arrays.pop(str(level), None)
         with writing(self.url, f"level {level} of {self.url}"):
             self.check_writer()
@@ -148,18 +148,18 @@ class TileStore:
             check_writer(self.url, self.store, self.writer)
 
     def read(self, box: Box, level: int = 0, layers: slice = slice(None)) -> NDArray[Any]:
-        """Return the layers of some cells as they are stored, (L, nx, ny)."""
+        """Return the layers of a box of cells in stored form, (L, nx, ny)."""
         array, offset = self.array(level), self.layout.cells >> (level + 1)
-        with reading(self._place(box, level), _MEND if level == 0 else "WorldMap.build_overviews makes it anew"):
+        with reading(self._place(box, level), _REPAIR if level == 0 else "WorldMap.build_overviews makes it again"):
             found = array[layers, box[0] + offset : box[1] + offset, box[2] + offset : box[3] + offset]
             return checked_layers(np.asarray(found), layers)
 
     def read_tile(self, index: TileIndex, level: int = 0) -> NDArray[Any]:
-        """Return a tile as it is stored, (L, tile, tile); zeros where there is none."""
+        """Return a tile in stored form, (L, tile, tile); zeros if it does not exist."""
         return self.read(self.layout.box_of(index), level)
 
     def write_tile(self, index: TileIndex, tile: NDArray[Any], level: int = 0) -> None:
-        """Write a tile in one step; one in which nothing was seen is removed."""
+        """Write a tile in one step; a tile without seen cells is removed."""
         array, offset = self.array(level), self.layout.cells >> (level + 1)
         i, k, j, n = self.layout.box_of(index)
         with writing(self.url, self._place((i, k, j, n), level)):
@@ -170,7 +170,7 @@ class TileStore:
                 erase(self.store, self.key(index, level))
 
     def tiles(self, level: int = 0) -> list[TileIndex]:
-        """Return the tiles that there are, in order; the store is listed."""
+        """Return the existing tiles, sorted; the store is listed."""
         half = TILES >> (level + 1)
         prefix = f"{self.prefix}{level}/c/0/"
         with reading(self.url):
@@ -184,7 +184,7 @@ class TileStore:
 
     @property
     def prefix(self) -> str:
-        """What the keys of all its objects begin with."""
+        """Prefix of the keys of all its objects."""
         return f"{self.root.path}/" if self.root.path else ""
 
     def _place(self, box: Box, level: int) -> str:
@@ -195,20 +195,20 @@ class TileStore:
 
 
 def make_overviews(store: TileStore) -> int:
-    """Make all levels above 0 anew, tile by tile, until four tiles hold all; return the number of levels."""
+    """Make levels above 0, tile by tile, until one has at most 2 x 2 tiles; return the number of levels."""
     layout, level, tiles = store.layout, 0, store.tiles()
     n = layout.tile
     for above in reversed(range(1, store.levels)):
         store.remove_level(above)
     while level == 0 or (tiles and np.ptp(tiles, axis=0).max() > 1):
         level += 1
-        there, tiles = set(tiles), sorted({(i >> 1, j >> 1) for i, j in tiles})
+        existing, tiles = set(tiles), sorted({(i >> 1, j >> 1) for i, j in tiles})
         store.make_level(level)
         for index in tiles:
             made = layout.empty_tile(2)
             for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1)):
                 below = 2 * index[0] + di, 2 * index[1] + dj
-                if below in there:
+                if below in existing:
                     stored = store.read(layout.box_of(below), level - 1, slice(0, 2))
                     rows, columns = slice(di * n // 2, (di + 1) * n // 2), slice(dj * n // 2, (dj + 1) * n // 2)
                     made[:, rows, columns] = _halved(stored, layout)
@@ -217,7 +217,7 @@ def make_overviews(store: TileStore) -> int:
 
 
 def _halved(stored: NDArray[Any], layout: WorldLayout) -> NDArray[Any]:
-    """Return stored masses (2, n, n) at half the resolution, stored again."""
+    """Return stored masses (2, n, n) at half the resolution, in stored form."""
     blocks = mass_of(stored, layout).reshape(stored.shape[1] // 2, 2, stored.shape[2] // 2, 2, 2)
     half: NDArray[Any] = blocks.mean(axis=(1, 3))
     half[..., 1] = blocks[..., 1].max(axis=(1, 3))

@@ -20,43 +20,43 @@ from ogm.world.stores import Mode, Url, is_zip, keys, local_path, open_store, re
 from ogm.world.tiles import TileStore, make_overviews
 from ogm.world.writer import WRITER, one_writer
 
-MEMORY = 512e6  # [byte] of tiles that a map keeps
+MEMORY = 512e6  # [byte] default size of the tiles that a map keeps in memory
 
 
 class WorldMap(MapReader):
-    """A map of belief masses in tiles, of any extent.
+    """Map of belief masses in tiles, of any extent.
 
-    Make one by `WorldMap.create`, open one by `WorldMap.open`; both work in ``with``, at whose end it is closed. A map
-    that is open for writing keeps the tiles used last in memory, and writes them when others need the place, on `flush`
-    and on `close`. What was not written when a process is killed is lost; each tile on disk is whole.
+    Make a map by `WorldMap.create`, open it by `WorldMap.open`. In a ``with`` block it is closed at the end. A map that
+    is open for writing keeps recently used tiles in memory. It writes them when memory is full, on `flush` and on
+    `close`. When a process is killed, unwritten changes are lost; each tile on disk is complete.
 
-    Per cell it keeps the masses of free and occupied, the greatest conflict (free, then occupied, and the reverse),
-    the number of scans that had a belief about it, and the whole second of the last of them.
+    It stores for each cell the masses of free and occupied, the greatest conflict (free -> occupied, and the reverse),
+    the number of scans that observed the cell, and the whole second of the last of them.
 
     Attributes
     ----------
     url : str
     layout : WorldLayout
-        Resolution [m], cells along a side of a tile, type, rule, least unknown.
+        Resolution [m], cells along a side of a tile, type, rule, least unknown, reliability of drives.
     crs : str or None
         Coordinate reference system of the map's axes.
     store : TileStore
-        Its arrays.
+        Arrays of the map.
     mode : {"r", "r+"}
 
     Notes
     -----
-    In uint16, masses are rounded to the nearest n / 4095 after every scan, so each scan adds an error of at most
-    1 / 8190, and evidence weaker than that is lost; conflict is kept in steps of 1 / 255. Nothing is ever forgotten:
-    forgetting depends on the order of scans. One writer at a time (`ogm.world.writer`).
-    One thread may change the map while others read it.
+    In uint16, masses are rounded to the nearest n / 4095 after every scan: each scan adds an error of at most 1 / 8190,
+    and weaker evidence is lost. Conflict is stored in steps of 1 / 255. The map never forgets, since forgetting depends
+    on the order of scans. It has one writer at a time (`ogm.world.writer`). One thread may change the map while other
+    threads read it.
     """
 
     def __init__(self, tiles: TileStore, mode: Mode, memory: float, held: ExitStack | None = None) -> None:
         super().__init__(tiles, memory)
         self.mode = mode
-        self._built: bool | None = None  # from drives; found out when it matters
-        self._held = held or ExitStack()  # the right to write
+        self._built: bool | None = None  # whether it is built from drives; None if not yet known
+        self._held = held or ExitStack()  # right to write
 
     @classmethod
     def create(
@@ -86,17 +86,17 @@ class WorldMap(MapReader):
         crs : str, optional
             Coordinate reference system, such as ``"EPSG:25832"``, projected, in metres.
         rule : {"cautious", "dempster", "cumulative"}
-            By which scans and maps are combined.
+            Rule for combining scans and maps.
         dtype : {"uint16", "float32"}
-            Of what is stored.
+            Type of the stored layers.
         min_unknown : float
             Lower bound of unknown, [1 / 4095, 1), in float32 [1e-4, 1).
         drive_reliability : float
-            Shafer's discount of the map of each drive that `build_world` combines with those of others, (0, 1].
+            Shafer's discount of the map of a drive before `build_world` combines it with other drives, (0, 1].
         memory : float
-            Of tiles in memory [byte].
+            Greatest size of tiles in memory [byte].
         storage : mapping of str to str, optional
-            Of the object store: endpoint, keys, region; see `ogm.world.stores.open_store`.
+            Configuration of the object store: endpoint, keys, region; see `ogm.world.stores.open_store`.
 
         Raises
         ------
@@ -115,25 +115,25 @@ class WorldMap(MapReader):
     def open(
         cls, url: Url, mode: Mode = "r", *, memory: float = MEMORY, storage: Mapping[str, str] | None = None
     ) -> "WorldMap":
-        """Open a map: to read, or with the mode ``"r+"`` to read and change it.
+        """Open a map: for reading, or with the mode ``"r+"`` for reading and writing.
 
         Parameters
         ----------
         url : str or path
-            A folder, a ``.zip`` archive (to read), or ``s3://bucket/prefix``.
+            A folder, a ``.zip`` archive (read only), or ``s3://bucket/prefix``.
         mode : {"r", "r+"}
         memory, storage
-            As for `create`.
+            See `create`.
 
         Raises
         ------
         FileNotFoundError
-            If there is none.
+            If the map does not exist.
         OgmError
-            If it is damaged, of another kind or version.
+            If it is damaged, or has another format or version.
         BlockingIOError
-            If another process has the map open for writing. In an object store it takes a few seconds to find out
-            whether it lives, and half a minute after it was killed.
+            If another process has the map open for writing. For an object store this check takes a few seconds, or half
+            a minute after that process was killed.
         """
         if mode not in ("r", "r+"):
             raise ValueError(f"mode must be r or r+, got {mode!r}")
@@ -142,7 +142,7 @@ class WorldMap(MapReader):
 
     @classmethod
     def _writing(cls, url: Url, place: Any, memory: float, tiles: Callable[[], TileStore]) -> "WorldMap":
-        """Return a map that is open for writing, by this process alone."""
+        """Return a map that is open for writing, by this process only."""
         with ExitStack() as held:
             writer = held.enter_context(one_writer(url, place))
             opened = tiles()
@@ -157,8 +157,11 @@ class WorldMap(MapReader):
         self.close()
 
     def __repr__(self) -> str:
-        one = self.layout
-        return f"WorldMap({self.url!r}: cells of {one.resolution:g} m, tiles of {one.tile}, {one.rule}, {one.dtype})"
+        layout = self.layout
+        return (
+            f"WorldMap({self.url!r}: cells of {layout.resolution:g} m, tiles of {layout.tile}, {layout.rule}, "
+            f"{layout.dtype})"
+        )
 
     @locked
     def integrate(
@@ -174,25 +177,25 @@ class WorldMap(MapReader):
         Parameters
         ----------
         grid : EvidentialGrid
-            In the frame that the next argument takes to the map. Cells of the map take the masses at their centre, or,
-            if the grid's cells are finer, the mean over the cell, as in `ogm.fusion.EvidentialMapper.update`.
+            Measurement grid. Cells of the map take the masses at their centre, or the mean over the cell if the grid's
+            cells are finer, as in `ogm.fusion.EvidentialMapper.update`.
         T_map_sensor : (4, 4) array
             Takes the grid's frame to the map [m].
         stamp : float, optional
-            When it was measured [s], 0 to 2**32 - 2.
+            Time of the measurement [s], 0 to 2**32 - 2.
         reliability : float
-            [0, 1]: the masses are discounted by it.
+            Reliability, [0, 1], by which masses are discounted.
 
         Returns
         -------
         int
-            Number of the map's cells that the grid has a belief about.
+            Number of cells of the map that the grid observes.
 
         Raises
         ------
         ValueError
-            If the map is open to read alone, a pose is not rigid or leans by more than 45 degrees, the stamp is out of
-            its range, or the grid lies beyond the lattice.
+            If the map is read-only, a pose is not rigid or tilted by more than 45 degrees, the stamp is out of its
+            range, or the grid lies beyond the lattice.
         """
         self._check_plain()
         return integrate_grid(self._cache, grid, T_map_sensor, stamp=stamp, reliability=reliability)
@@ -204,22 +207,22 @@ class WorldMap(MapReader):
         Parameters
         ----------
         other : WorldMap
-            Of the same resolution, tiles and type, in the same coordinates.
+            Map with the same resolution, tiles and type, in the same coordinates.
         rule : {"cautious", "dempster", "cumulative"}, optional
-            By default this map's. All are associative and commutative, up to rounding.
+            Rule, by default this map's. All are associative and commutative, up to rounding.
 
         Raises
         ------
         ValueError
-            If the maps have other cells, or this one is open to read alone.
+            If the maps have different cells, or this one is read-only.
         """
         self._check_plain()
         ours, theirs = self.layout, other.layout
         if (ours.resolution, ours.tile, ours.dtype) != (theirs.resolution, theirs.tile, theirs.dtype):
-            raise ValueError(f"{other} has other cells than {self}: give both one resolution, tile and dtype")
+            raise ValueError(f"{other} has other cells than {self}: merge maps of equal resolution, tile and dtype")
         if self.crs != other.crs:
-            raise ValueError(f"{other.url} has the crs {other.crs}, {self.url} has {self.crs}: they are two places")
-        chosen = WorldLayout(rule=rule or ours.rule).rule  # refuses what is none
+            raise ValueError(f"{other.url} has the crs {other.crs}, {self.url} has {self.crs}: merge maps of equal crs")
+        chosen = WorldLayout(rule=rule or ours.rule).rule  # raises for an unknown rule
         found = other.tiles()
         for index in found:
             merge(self._cache.get(index), other.tile(index), WORLD_RULES[chosen], 1 - ours.min_unknown)
@@ -228,10 +231,10 @@ class WorldMap(MapReader):
 
     @locked
     def build_overviews(self) -> int:
-        """Make the levels of half the resolution each, anew, until four tiles hold all; return their number.
+        """Make all overviews, levels of half the resolution each; return the number of levels.
 
-        A cell of a level has the greatest occupied of its four cells, and the mean of free as far as the sum allows:
-        walls and poles stay visible. Overviews do not follow later changes.
+        The top level has at most 2 x 2 tiles. A cell of a level has the greatest occupied of its four cells, and the
+        mean of free bounded by 1 - occupied, so walls and poles stay visible. Overviews do not follow later changes.
         """
         self.check_writable()
         self.flush()
@@ -239,11 +242,11 @@ class WorldMap(MapReader):
 
     @locked
     def flush(self) -> None:
-        """Write all tiles that were changed."""
+        """Write all changed tiles."""
         self._cache.flush()
 
     def close(self) -> None:
-        """Write all tiles that were changed, and let others change the map."""
+        """Write all changed tiles, and allow other processes to change the map."""
         try:
             if self.mode == "r+":
                 self.flush()
@@ -253,7 +256,7 @@ class WorldMap(MapReader):
             self.mode = "r"
 
     def copy_to(self, url: str | os.PathLike[str]) -> None:
-        """Write all that is on disk, overviews too, to a new ``.zip`` archive in one step.
+        """Write the whole map on disk, with overviews, to a new ``.zip`` archive in one step.
 
         Raises
         ------
@@ -261,33 +264,33 @@ class WorldMap(MapReader):
             If the name does not end in ``.zip``.
         """
         if not is_zip(url):
-            raise ValueError(f"a copy is one .zip archive, got {url}: other tools copy folders and buckets")
+            raise ValueError(f"a copy must be a .zip archive, got {url}: copy folders and buckets by other tools")
         if self.mode == "r+":
             self.flush()
         place = self.store.store
         with atomic_write(local_path(url)) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
             for key in keys(place, ""):
                 with reading(key):
-                    if key != WRITER and (content := read_object(place, key)) is not None:  # else removed meanwhile
+                    if key != WRITER and (content := read_object(place, key)) is not None:  # None: removed meanwhile
                         archive.writestr(key, content)
 
     def check_writable(self) -> None:
-        """Raise ValueError if the map is open to read alone."""
+        """Raise ValueError if the map is read-only or closed."""
         if self.mode != "r+":
-            raise ValueError(f"{self.url} is open to read alone, or closed: open it with the mode r+")
+            raise ValueError(f"{self.url} is read-only or closed: open it with mode='r+'")
 
     def _check_plain(self) -> None:
-        """Raise where scans cannot be combined with the map."""
+        """Raise an error if scans cannot be combined with the map."""
         self.check_writable()
         if self._built is None:
             self._built = bool(drive_names(self.store))
         if self._built:
             raise OgmError(
-                f"{self.url} is built from drives, and its tiles are made from them: add drives by build_world, or "
-                "merge it into another map"
+                f"{self.url} is built from drives, which determine its tiles: add drives by build_world, or merge it "
+                "into another map"
             )
 
     def forget_tiles(self) -> None:
-        """Drop the tiles in memory, which another writer changes; changed ones must have been flushed."""
+        """Drop the tiles in memory, which another writer changes; changed tiles must be flushed before."""
         self._cache.clear()
         self._built = None

@@ -1,12 +1,12 @@
-"""One writer of a map at a time: a lock of the folder, or a lease in the object store.
+"""Exclusive writing to a map: a lock of the folder, or a lease in the object store.
 
-A folder is locked by the system (`ogm.storage.locks`), which frees the lock when a process ends, however it ends.
-Object stores have no locks: there the object ``writer.json`` is a lease, written on the condition that no other has
-written it, and renewed every `RENEWED` seconds. A lease that has not changed for `DEAD` seconds, by the clock of the
-waiting process, belongs to a killed process and is taken over.
+A folder is locked by the operating system (`ogm.storage.locks`), which releases the lock however the process ends.
+Object stores have no locks. There the object ``writer.json`` is a lease: it is written only if no other process has
+written it, and renewed every `RENEWAL_INTERVAL` seconds. A lease that has not changed for `LEASE_TIMEOUT` seconds, by
+the clock of the waiting process, belongs to a killed process and is taken over.
 
-In both, the object holds a token of the writer. Workers compare it before they write, so that those of a client that
-was killed do not write into what the next one makes. What a worker has begun to write at that moment is written.
+In both cases the object contains a token of the writer. Workers check it before they write, so that workers of a killed
+client do not write into the map of the next one. A write that has begun at that moment is completed.
 """
 
 import errno
@@ -28,19 +28,19 @@ from ogm.storage.remote import is_remote
 from ogm.world.stores import Url, local_path, read_object, reading, writing
 
 WRITER = "writer.json"  # key of the object
-RENEWED, DEAD = 5.0, 30.0  # [s] between renewals; without one after which a writer counts as dead
+RENEWAL_INTERVAL, LEASE_TIMEOUT = 5.0, 30.0  # [s] between renewals; without renewal until a lease is taken over
 _log = logging.getLogger("ogm.world")
 
 
 @contextmanager
 def one_writer(url: Url, place: Any) -> Iterator[str]:
-    """Keep other writers out of a map for the time of the ``with`` block; yield the token of this one.
+    """Keep other writers out of a map during a ``with`` block; yield the token of this writer.
 
     Parameters
     ----------
     url : str or path
     place : Zarr store
-        Of the map, see `ogm.world.stores.open_store`.
+        Store of the map, see `ogm.world.stores.open_store`.
 
     Raises
     ------
@@ -59,13 +59,13 @@ def check_writer(url: str, place: Any, token: str) -> None:
     with reading(url):
         found = read_object(place, WRITER)
     if found is None or _Lease.of(found).token != token:
-        raise BlockingIOError(errno.EWOULDBLOCK, "another process has begun to write to this map", url)
+        raise BlockingIOError(errno.EWOULDBLOCK, "another process has become the writer of this map", url)
 
 
 class _Lease(NamedTuple):
-    """What ``writer.json`` holds, and the version of the object that it was read from."""
+    """Content of ``writer.json``, and the version of the object from which it was read."""
 
-    token: str  # empty: it is free
+    token: str  # empty if the lease is free
     who: str = ""
     version: dict[str, str] | None = None
 
@@ -74,7 +74,7 @@ class _Lease(NamedTuple):
         try:
             found = json.loads(content)
             return cls(str(found["token"]), str(found["who"]), version)
-        except (ValueError, TypeError, KeyError):  # not ours, and not renewed
+        except (ValueError, TypeError, KeyError):  # of an unknown program, and not renewed
             return cls("unknown", "unknown", version)
 
 
@@ -89,7 +89,7 @@ def _in_folder(folder: Path, token: str) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         mark = folder / WRITER
-        if mark.exists():  # the last writer was killed
+        if mark.exists():  # left by a killed writer
             _sweep(folder)
         try:
             with writing(folder, folder):
@@ -98,11 +98,11 @@ def _in_folder(folder: Path, token: str) -> Iterator[None]:
         finally:
             finish_zarr()
             mark.unlink(missing_ok=True)
-            _sweep(folder)  # of an interrupt, or of a worker that was killed
+            _sweep(folder)  # after an interrupt, or a killed worker
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what Zarr had begun to write below a folder; no one must write there."""
+    """Remove unfinished Zarr writes below a folder; no process may write there."""
     for parent, _, names in os.walk(folder):
         for name in names:
             if name.endswith(".partial"):
@@ -114,7 +114,7 @@ def _in_store(url: Url, store: Any, token: str) -> Iterator[None]:
     with writing(url, url):
         version = _take(url, store, token)
     if version is None:
-        _log.warning("%s takes no conditional writes: start one writer at a time", url)
+        _log.warning("%s has no conditional writes: start only one writer at a time", url)
         yield
         return
     ended, held = threading.Event(), [version]
@@ -125,22 +125,22 @@ def _in_store(url: Url, store: Any, token: str) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
-        with suppress(Exception):  # taken over, or out of reach: then it is taken over in `DEAD` seconds
+        with suppress(Exception):  # if it was taken over or is out of reach, the lease expires
             _put(store, _content(""), held[0])
 
 
 def _take(url: Url, store: Any, token: str) -> dict[str, str] | None:
-    """Take the lease, at once or when it has not changed for long; None where there are no conditional writes."""
+    """Take the lease, at once or when it has expired; None if the store has no conditional writes."""
     first: dict[str, str] | None = None
     since = 0.0
     while True:
         found = _found(store)
-        if found.token == token:  # the answer to a write was lost
+        if found.token == token:  # the reply to a write was lost
             return found.version
         free = not found.token
         if not free and first is not None and found.version != first:
             raise BlockingIOError(errno.EWOULDBLOCK, f"another process is writing to this map: {found.who}", str(url))
-        if free or (first is not None and time.monotonic() - since > DEAD):
+        if free or (first is not None and time.monotonic() - since > LEASE_TIMEOUT):
             try:
                 return _put(store, _content(token), found.version)
             except Exception as error:
@@ -148,18 +148,18 @@ def _take(url: Url, store: Any, token: str) -> dict[str, str] | None:
                     return None
                 if type(error).__name__ not in ("AlreadyExistsError", "PreconditionError"):
                     raise
-                first = None  # another one was faster
+                first = None  # another process has taken it
                 continue
         if first is None:
-            _log.info("%s was being written by %s: waiting for a sign of life", url, found.who)
+            _log.info("%s was last written by %s: waiting for a renewal of the lease", url, found.who)
             first, since = found.version, time.monotonic()
-        time.sleep(min(0.5, RENEWED / 4))
+        time.sleep(min(0.5, RENEWAL_INTERVAL / 4))
 
 
 def _renew(store: Any, token: str, held: list[dict[str, str]], ended: threading.Event) -> None:
-    """Renew a lease until it has ended, or was taken over."""
+    """Renew a lease until it ends or is taken over."""
     count = 0
-    while not ended.wait(RENEWED):
+    while not ended.wait(RENEWAL_INTERVAL):
         count += 1
         try:
             held[0] = _put(store, _content(token, count), held[0])
@@ -168,12 +168,12 @@ def _renew(store: Any, token: str, held: list[dict[str, str]], ended: threading.
                 with suppress(Exception):
                     found = _found(store)
                     if found.token != token:
-                        return  # `check_writer` tells who writes
+                        return  # `check_writer` raises at the next write
                     held[0] = found.version or held[0]
 
 
 def _found(store: Any) -> _Lease:
-    """Return what the object holds; a free lease if there is none."""
+    """Return the lease in the object, or a free lease if there is no object."""
     import obstore
 
     with suppress(FileNotFoundError):
@@ -183,7 +183,7 @@ def _found(store: Any) -> _Lease:
 
 
 def _put(store: Any, content: bytes, version: dict[str, str] | None) -> dict[str, str]:
-    """Write the lease if it is still of a version, or if there is none; return its version."""
+    """Write the lease if the object still has a version, or does not exist if None; return the new version."""
     import obstore
 
     mode: Any = version or "create"  # TypedDict of obstore

@@ -1,5 +1,8 @@
 """The dynamic map against its slow reference in numpy, step by step on random scenes."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,11 +10,13 @@ from hypothesis import strategies as st
 
 from ogm.fusion import DynamicMapper
 from ogm.fusion.dynamic.hashed_noise import scan_key
-from ogm.fusion.dynamic.reference import MeasuredGroups, NumpyFilter
 from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.dynamic.velocity_evidence import group_velocities
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from _dynamic_reference import MeasuredGroups, NumpyFilter
 
 SPEC = GridSpec.centered(length=6.4, width=4.8, resolution=0.2)
 GROUPS = MeasuredGroups(

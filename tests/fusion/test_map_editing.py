@@ -147,7 +147,7 @@ def test_a_cut_keeps_all_of_its_cells(tmp_path: Path) -> None:
     np.testing.assert_array_equal(part.layers["slope"], placed.layers["slope"][21:37, 24:])
     assert crop(street(), street().spec.extent).grid == street()
     for empty in ((1.0, 1.0, 0.0, 1.0), (50.0, 60.0, 0.0, 1.0)):
-        refused("has no cell of the map", crop, placed, empty)
+        refused("touches no cell of the map", crop, placed, empty)
 
 
 def test_other_cells_have_the_greatest_conflict_and_the_value_at_their_centre() -> None:

@@ -44,17 +44,22 @@ def test_a_refused_scan_changes_nothing(mapper):
         ("T_map_sensor", np.eye(3), ValueError, "T_map_sensor must be a 4x4 transform, got shape"),
         ("T_map_sensor", np.diag([1.0, -1.0, 1.0, 1.0]), ValueError, "must be rigid"),
         ("T_map_sensor", 1.1 * np.eye(4), ValueError, "the last row of T_map_sensor"),
-        ("T_map_sensor", pose(1.0, 2.0, roll=-math.pi / 2), PoseJump, "jumps by 0 m and 90 degrees since"),
-        ("T_map_sensor", pose(31.0, 2.0), PoseJump, "jumps by 30 m and 0 degrees since"),
+        ("T_map_sensor", pose(1.0, 2.0, roll=-math.pi / 2), PoseJump, "jumps by 0 m and 90 degrees from"),
+        ("T_map_sensor", pose(31.0, 2.0), PoseJump, "jumps by 30 m and 0 degrees from"),
         ("T_vehicle_sensor", NAN_POSE, ValueError, "T_vehicle_sensor holds NaN or inf"),
         ("stamp", math.nan, ValueError, "stamp must be finite"),
         ("stamp", None, ValueError, "stamp is missing"),
         ("stamp", 9.0, ValueError, "1 s older than the map"),
-        ("stamp", 1.1e11, ValueError, "are the stamps in seconds|divide nanoseconds"),
+        ("stamp", 1.1e11, ValueError, "give stamps in seconds|divide nanoseconds"),
         ("reliability", 1.5, ValueError, r"reliability must be a number in \[0, 1\], got 1.5"),
         ("reliability", math.nan, ValueError, "reliability must be"),
         ("grid", np.zeros((32, 24, 2)), TypeError, "updated with an EvidentialGrid, got ndarray"),
-        ("grid", far, ValueError, "has no cell in the map's window; is T_map_sensor the pose of the grid's own frame"),
+        (
+            "grid",
+            far,
+            ValueError,
+            "has no cell in the map's window: give T_map_sensor as the pose of the grid's own frame",
+        ),
     ):
         given = {"grid": uniform(SPEC), "T_map_sensor": pose(1.05, 2.0), "stamp": 10.1} | {name: value}
         refused(words, mapper.update, error=error, **given)
@@ -64,7 +69,7 @@ def test_a_refused_scan_changes_nothing(mapper):
 
 
 def test_a_pose_in_camera_axes_is_refused():
-    message = "a pose leans by 90 degrees.*poses of a camera"
+    message = "a pose is tilted by 90 degrees.*poses of a camera"
     refused(message, EvidentialMapper(SPEC).update, uniform(SPEC), pose(roll=math.pi / 2), stamp=0)
 
 
@@ -85,7 +90,7 @@ def test_a_closed_loop_is_refused_until_reset_which_begins_a_new_map(name):
 
 def test_a_jump_stays_a_jump_however_often_it_is_offered(mapper):
     """20 m within a tenth of a second: not 70 m/s because two scans were refused in between."""
-    message = "jumps by 20 m and 0 degrees since the last scan"
+    message = "jumps by 20 m and 0 degrees from the last accepted scan"
     for k in range(1, 8):
         refused(message, mapper.update, uniform(SPEC), pose(21.0, 2.0), stamp=10.0 + 0.1 * k, error=PoseJump)
     mapper.update(uniform(SPEC), pose(1.5, 2.0), stamp=10.8)  # the glitch is over

@@ -122,7 +122,7 @@ def test_skipped_frames_leave_the_map_as_it_was() -> None:
     assert [step.frame.name for step in steps] == [f"frame {k}" for k in range(6)]
     assert [str(step.error)[:14] for step in steps if step.error] == [
         "the file is cu",
-        "it has no pose",
+        "the frame has ",
         "the pose jumps",
     ]
     list(fuse([frames[k] for k in (0, 3, 5)], Marks(), without))
@@ -279,7 +279,7 @@ def test_a_sensor_without_a_model_or_a_reliability_is_named() -> None:
     refused(message, update_map, mapper, lidar(frames[0].scan), frames[0], reliability={"front": 1.0})
     steps = list(fuse(frames, {"lidar": lidar}, EvidentialMapper(SPEC), on_error=lambda *_: None))
     assert [step.error is None for step in steps] == [True, False] * 4
-    refused("poses are of one sensor", next, fuse(frames, MODELS, EvidentialMapper(SPEC), deskew=True))
+    refused("poses of one sensor", next, fuse(frames, MODELS, EvidentialMapper(SPEC), deskew=True))
 
 
 def test_update_map_begins_anew_at_a_jump_and_returns_the_map_before() -> None:
@@ -370,4 +370,4 @@ def test_a_rolling_window_holds_the_view_at_any_yaw_and_a_covering_one_the_whole
         x, y, _ = transform_points(T, corners).T
         assert covering.contains(x, y).all()
     refused("give `window=rolling`", covering_window, SPEC, np.array([pose(), pose(1e5, 1e5)]))
-    refused("has no area", covering_window, SPEC, turned[:0])
+    refused("the extent of a fixed window is unknown", covering_window, SPEC, turned[:0])

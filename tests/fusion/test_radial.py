@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan
 from ogm.fusion import BinaryBayesMapper, DynamicMapper, EvidentialMapper, update_map
 from ogm.fusion.dynamic.measured_velocities import MeasuredVelocities
-from ogm.fusion.dynamic.radial import LEAST_DEVIATION, TURN_RATE, _solved, radial_evidence, with_radial_velocities
+from ogm.fusion.dynamic.radial import MIN_DEVIATION, TURN_RATE, _solved, radial_evidence, with_radial_velocities
 from ogm.fusion.dynamic.velocity_evidence import group_velocities
 from ogm.geometric import RadarISM
 from ogm.geometric.doppler import RadialVelocities, radial_velocities
@@ -69,7 +69,7 @@ def by_integration(radial: RadialVelocities) -> tuple[np.ndarray, np.ndarray, fl
     Integrated over velocities and turn rates: the prior times the likelihood of each detection on a body that turns
     about its middle.
     """
-    s = np.maximum(radial.deviation, LEAST_DEVIATION)
+    s = np.maximum(radial.deviation, MIN_DEVIATION)
     middle = np.average(radial.xy, axis=0, weights=s**-2)
     ux, uy = middle / np.hypot(*middle)
     along, across = np.arange(-600, 601)[:, None, None] * 0.05, np.arange(-40, 41)[:, None] * 1.0
@@ -297,7 +297,7 @@ def test_doppler_of_a_dense_scan_joins_the_matched_velocity():
         matched.update(block(k), np.eye(4), stamp=0.1 * k)
     assert len(matched._groups.rows) == len(mapper._groups.rows) == 2
     more = information[0] - matched._groups.rows[1, 2:5]
-    np.testing.assert_allclose(more, [LEAST_DEVIATION**-2, 0, 0], atol=2.0)
+    np.testing.assert_allclose(more, [MIN_DEVIATION**-2, 0, 0], atol=2.0)
     assert matched._groups.rows[1, 0] < mapper._groups.rows[1, 0] < 4.4
 
 

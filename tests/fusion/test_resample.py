@@ -179,4 +179,4 @@ def test_bad_arguments_are_named():
     grid, same = noise(), np.eye(4)
     refused("method must be one of area, nearest, cautious, worst, got 'bilinear'", warp, grid, SPEC, same, "bilinear")
     refused("T_to_from must be rigid", warp, grid, SPEC, np.diag([2.0, 2.0, 2.0, 1.0]))
-    refused("leans by 90 degrees", warp, grid, SPEC, pose(roll=math.pi / 2))
+    refused("is tilted by 90 degrees", warp, grid, SPEC, pose(roll=math.pi / 2))

@@ -66,7 +66,7 @@ def test_tiles_of_the_page_are_the_cells_of_the_map(town: WorldMap) -> None:
         cells, levels = halve_mass(cells), levels + 1
         np.testing.assert_array_equal(level_of(page, levels - 1), cells)
     for place in ((levels, 0, 0), (0, 1000, 0), (0, 0, 1000)):
-        refused("no tile", page.tile, *place)
+        refused("does not exist", page.tile, *place)
     with WorldMap.create(Path(town.url).parent / "empty", 0.5, 16) as empty:
         refused("empty", WorldPage, empty)
 

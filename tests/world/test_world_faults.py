@@ -63,7 +63,7 @@ def test_a_lost_sub_map_is_made_anew_or_named(town: Path, copy: Path) -> None:
         part = next(one for one in (copy / "drives" / "a" / "c").rglob(f"{index[0] + 2**21}/{index[1] + 2**21}"))
         part.unlink()
         os.unlink(copy / world.store.key(index))  # so that the sub-map is needed
-        message = r"tiles of sub-maps of drive a .* are lost, such as drives/a/c/"
+        message = r"tiles of sub-maps of drive a .* are missing, such as drives/a/c/"
         refused(message, rebuild_world, world, error=OgmError)
         assert sum(map(len, lost_tiles(world.store, load_drive(world.store, "a")).values())) == 1
         events = build(world)
@@ -80,7 +80,7 @@ def test_a_damaged_tile_is_named_and_made_anew(town: Path, copy: Path) -> None:
         for at in range(len(data)):
             data[at] ^= 4 * (at % 40 == 0)  # some byte of every layer
         path.write_bytes(data)
-        message = rf"tile \({index[0]}, {index[1]}\).*`ogm world rebuild` makes it anew"
+        message = rf"tile \({index[0]}, {index[1]}\).*`ogm world rebuild` makes it again"
         refused(message, world.window, world.layout.spec(world.layout.box_of(index)), error=OgmError)
         events: list[Progress] = []
         rebuild_world(world, progress=events.append)
@@ -165,8 +165,8 @@ def test_a_map_whose_making_was_stopped_is_begun_or_goes_on(tmp_path: Path, town
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let leases be renewed, and end, within moments."""
-    monkeypatch.setattr(writer, "RENEWED", 0.2)
-    monkeypatch.setattr(writer, "DEAD", 3.0)
+    monkeypatch.setattr(writer, "RENEWAL_INTERVAL", 0.2)
+    monkeypatch.setattr(writer, "LEASE_TIMEOUT", 3.0)
 
 
 def test_a_bucket_has_one_writer(s3: dict[str, str], quick: None, make_grid: Callable) -> None:
@@ -194,7 +194,7 @@ def test_the_lease_of_a_killed_writer_is_taken_over_and_it_writes_no_more(
         killed = WorldMap.create(**where, **OPTIONS)
     killed.integrate(make_grid(), np.eye(4))
     with WorldMap.open(**where, mode="r+") as world:
-        with pytest.raises(BlockingIOError, match="another process has begun to write"):
+        with pytest.raises(BlockingIOError, match="another process has become the writer"):
             killed.flush()
         assert world.tiles() == []
         killed.forget_tiles()

@@ -1,4 +1,4 @@
-"""What is read from a dynamic map: masses, mean velocity and covariance of every cell, in the map's axes or others."""
+"""Masses, mean velocity and covariance of the cells of a dynamic map, in the map's axes or the vehicle's."""
 
 import math
 from typing import Any, NamedTuple
@@ -21,9 +21,9 @@ class Beliefs(NamedTuple):
     Attributes
     ----------
     mass : (nx, ny, 3) float32
-        Of free, static and dynamic.
+        Masses of free, static and dynamic.
     velocity, covariance : (nx, ny, 2), (nx, ny, 2, 2) float32
-        Of what is dynamic [m/s], [m²/s²].
+        Mean and covariance of the velocity of dynamic mass [m/s], [m²/s²].
     """
 
     mass: NDArray[np.float32]
@@ -32,9 +32,9 @@ class Beliefs(NamedTuple):
 
 
 def empty_beliefs(shape: tuple[int, int]) -> Beliefs:
-    """Return beliefs to be filled.
+    """Return uninitialised beliefs.
 
-    All in one array, for which numpy asks for huge pages: page faults would take longer than the computation.
+    They share one array, for which numpy requests huge pages: page faults would take longer than the computation.
     """
     cells = math.prod(shape)
     parts = np.split(np.empty(9 * cells, np.float32), [3 * cells, 5 * cells])
@@ -50,9 +50,9 @@ def masses(cells: DynamicCells) -> NDArray[np.float32]:
 
 
 def beliefs(cells: DynamicCells, moments: Moments, groups: GroupVelocities, still: float = np.nan) -> Beliefs:
-    """Return the beliefs of all cells; velocities are those of the mixture of surviving particles and births.
+    """Return the beliefs of all cells; velocities are of the mixture of surviving particles and births.
 
-    Where nothing is dynamic, velocities and covariances are `still`.
+    In cells without dynamic mass, velocities and covariances are `still`.
     """
     mean, (xx, yx, yy) = groups.rows[:, 5:7], groups.rows[:, 7:10].T
     births = np.column_stack([mean, xx * xx, xx * yx, yx * yx + yy * yy])
@@ -63,7 +63,7 @@ def beliefs(cells: DynamicCells, moments: Moments, groups: GroupVelocities, stil
 
 @kernel
 def _mix(cells: Any, moments: Any, label: Any, births: Any, still: Any, out: Any) -> None:
-    """Fill beliefs; rows of `births` are mean and covariance (xx, xy, yy) of the velocity of births in each group."""
+    """Fill beliefs; a row of `births` is the mean and covariance (xx, xy, yy) of the velocity of births in a group."""
     nx, ny = label.shape
     zero, one, least = np.float32(0), np.float32(1), np.float32(1e-30)
     for i in range(nx):
@@ -76,7 +76,7 @@ def _mix(cells: Any, moments: Any, label: Any, births: Any, still: Any, out: Any
                 v[:] = still
                 cov[:] = still
                 continue
-            x = y = xx = xy = yy = zero  # of particles, if there are any
+            x = y = xx = xy = yy = zero  # moments of the particles, if any
             if cells.surviving[i, j] > zero:
                 x, y = moments.mean[i, j, 0], moments.mean[i, j, 1]
                 c = moments.covariance[i, j]
@@ -91,9 +91,9 @@ def _mix(cells: Any, moments: Any, label: Any, births: Any, still: Any, out: Any
 
 
 def seen_from(belief: Beliefs, source: GridSpec, spec: GridSpec, T_map_vehicle: ArrayLike) -> DynamicGrid:
-    """Return the beliefs of a map's cells in the vehicle's axes, by nearest cells; see `view_layers`.
+    """Return the beliefs of a map in the vehicle's axes, by nearest cells; see `view_layers`.
 
-    Velocities and covariances must be 0 where nothing is dynamic.
+    Velocities and covariances must be 0 in cells without dynamic mass.
     """
     pairs = belief.mass[..., :2], belief.mass[..., 1:], belief.velocity, *np.moveaxis(belief.covariance, 2, 0)
     known, occupied, v, along, across = (view_layers(pair, source, spec, T_map_vehicle) for pair in pairs)

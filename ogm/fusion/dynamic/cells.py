@@ -1,6 +1,6 @@
-"""Kernels of the cells of a dynamic map: the update of free, static and dynamic, and the particles that each gets.
+"""Kernels for cells of a dynamic map: the update of free, static and dynamic, and the number of particles per cell.
 
-Layers are float32 (nx, ny) in the order of the window. Nothing is checked here.
+Layers are float32 (nx, ny) in the order of the window. The kernels check nothing.
 """
 
 import math
@@ -14,29 +14,29 @@ from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import kernel, vector
 
 _dempster = RULES["dempster"].cell
-LEAST = np.float32(1e-12)  # mass of occupied that is taken for none
-FRACTION_BITS = 32  # of the fixed-point numbers in which particles are divided
+NEGLIGIBLE = np.float32(1e-12)  # mass of occupied that is treated as 0
+FRACTION_BITS = 32  # of fixed-point numbers of particles
 
 
 class Rates(NamedTuple):
-    """What happens to beliefs between two scans.
+    """Changes of beliefs between two scans.
 
     Attributes
     ----------
     keep_free, keep_static, keep_conflict : float32
-        Shares that are left of the masses, and of the conflict layers, [0, 1].
+        Remaining shares of the masses and of the conflict layers, [0, 1].
     birth : float32
         Probability that something appears in a cell, [0, 1].
     static_share : float32
-        Share of what appears that is taken to be static, [0, 1].
+        Share of new occupied mass that is static, [0, 1].
     to_dynamic : float32
         Share of static that becomes dynamic, [0, 1].
     max_known : float32
-        The most that free + static + dynamic may be, [0, 1].
+        Upper bound of free + static + dynamic, [0, 1].
     reliability : float32
         Shafer's discount of the scan, [0, 1].
     particle : float32
-        What is left of the mass of a particle.
+        Remaining mass of a particle.
     """
 
     keep_free: np.float32
@@ -57,9 +57,9 @@ class DynamicCells(NamedTuple):
     ----------
     free, static : mass
     surviving, born : mass
-        Of dynamic: what particles predicted and the scan confirmed, and what is new.
+        Parts of dynamic: predicted by particles and confirmed by the scan; newly appeared.
     to_occupied, to_free : conflict
-        Where the map was free and a scan occupied of late, and the reverse, [0, 1].
+        Recent conflict, [0, 1]: the map was free and a scan occupied, and the reverse.
     """
 
     free: NDArray[np.float32]
@@ -71,15 +71,15 @@ class DynamicCells(NamedTuple):
 
 
 class CellOutput(NamedTuple):
-    """What `update_cells` fills.
+    """Output of `update_cells`.
 
     Attributes
     ----------
     cells : DynamicCells
     measured : (nx, 2 ny) float32
-        The scan's masses (free, occupied) on the cells of the window.
+        Masses (free, occupied) of the scan at the cells of the window.
     dynamic : (nx,) float64
-        Sums of the new masses of dynamic: by row, so that they do not depend on the number of threads.
+        Sums of the new dynamic masses by row, so that they do not depend on the number of threads.
     """
 
     cells: DynamicCells
@@ -102,32 +102,32 @@ def update_cells(
     rows: tuple[int, int],
     out: CellOutput,
 ) -> None:
-    """Predict rows of cells, fuse a scan into them, and divide what is occupied into static and dynamic.
+    """Predict rows of cells, fuse a scan into them, and divide occupied into static and dynamic.
 
-    With what is left of static s and the predicted dynamic d, o = s + d: the posterior mass O of occupied holds a part
-    b = O p (1 - o) / (o + p (1 - o)) that appeared, p the probability of birth (Nuss et al. 2018, equation 67), and the
-    rest is divided as s to d.
+    With the remaining static s and the predicted dynamic d, o = s + d: the posterior mass O of occupied contains a new
+    part b = O p (1 - o) / (o + p (1 - o)), with the probability of birth p (Nuss et al. 2018, equation 67). The rest is
+    divided in the ratio of s to d.
 
     Parameters
     ----------
     old : DynamicCells
-        As of the last scan.
+        State after the last scan.
     shift : (int, int)
-        By how many cells the window has moved since.
+        Shift of the window since the last scan [cells].
     start : (nx * ny + 1,) int32
-        Where each cell's predicted particles begin.
+        First predicted particle of each cell.
     scan : ScanLookup
-        Of masses.
+        Masses of the scan.
     rates : Rates
     rows : (int, int)
         The rows [rows[0], rows[1]).
     out : CellOutput
-        These rows are filled.
+        Output, of which these rows are filled.
     """
     new = out.cells
     nx, ny = new.free.shape
     zero, one = np.float32(0), np.float32(1)
-    half = np.float32(0.5) * rates.max_known  # of total conflict
+    half = np.float32(0.5) * rates.max_known  # each mass after total conflict
     past = np.zeros((4, ny), np.float32)
     first, last = min(max(0, -shift[1]), ny), max(min(ny, ny - shift[1]), 0)
     for i in range(rows[0], rows[1]):
@@ -153,9 +153,9 @@ def update_cells(
             free = half if whole == zero else free * scale
             occupied = half if whole == zero else occupied * scale
             appears = rates.birth * (one - o)
-            nothing = o <= LEAST  # occupied / o would overflow; at the time of the last scan nothing appears
-            born = occupied if nothing else occupied * appears / (o + appears)
-            share = zero if nothing else (occupied - born) / o
+            no_prior = o <= NEGLIGIBLE  # occupied / o would overflow; at the time of the last scan `appears` is 0
+            born = occupied if no_prior else occupied * appears / (o + appears)
+            share = zero if no_prior else (occupied - born) / o
             static = share * s + rates.static_share * born
             new.free[i, j], new.static[i, j] = free, (one - rates.to_dynamic) * static
             new.surviving[i, j] = share * d
@@ -163,23 +163,23 @@ def update_cells(
             new.to_occupied[i, j] = max(rates.keep_conflict * past[2, j], f * zo)
             new.to_free[i, j] = max(rates.keep_conflict * past[3, j], o * zf)
         total = 0.0
-        for j in range(ny):  # apart, so that the loop above runs on vector units
+        for j in range(ny):  # a separate loop, so that the loop above runs on vector units
             total += new.surviving[i, j] + new.born[i, j]
         out.dynamic[i] = total
 
 
 @kernel
 def forget_hidden_free(cells: DynamicCells, measured: np.ndarray, reach: float) -> None:
-    """Bound free by what the scan measures, near dynamic cells that it measures as occupied.
+    """Limit free near measured dynamic cells to the mass that the scan measures.
 
     Parameters
     ----------
     cells : DynamicCells
-        After the update by the scan. Free is changed.
+        Cells after the update by the scan. Free is changed in place.
     measured : (nx, 2 ny) float32
-        The scan's masses (free, occupied).
+        Masses (free, occupied) of the scan.
     reach : float
-        Greatest distance of the middles of two cells [cells].
+        Greatest distance between cell centres [cells].
     """
     nx, ny = cells.free.shape
     half = np.float32(0.5)
@@ -199,7 +199,7 @@ def share_particles(
     masses: tuple[np.ndarray, np.ndarray],
     mass: float,
     offset: float,
-    most: int,
+    capacity: int,
     survivors: np.ndarray,
     start: np.ndarray,
 ) -> None:
@@ -208,22 +208,22 @@ def share_particles(
     Parameters
     ----------
     masses : two of (cells,) float32
-        Of dynamic: surviving and born.
+        Surviving and born parts of dynamic.
     mass : float
-        Of one particle.
+        Mass of a particle.
     offset : float
-        Of the rounding, [0, 1).
-    most : int
-        Particles that there is space for, whatever the masses are.
+        Offset of the rounding, [0, 1).
+    capacity : int
+        Upper bound of the number of particles.
     survivors : (cells,) int32
-        Is filled with the number of particles that a cell draws from its old ones.
+        Output: number of particles that a cell draws from its old ones.
     start : (cells + 1,) int32
-        Is filled with the places of each cell's new particles.
+        Output: first new particle of each cell.
     """
     surviving, born = masses
     scale = 2.0**FRACTION_BITS / mass
-    summed = np.int64(offset * 2.0**FRACTION_BITS)  # whole numbers: sums are exact
-    at, space = np.int64(0), np.int64(most)
+    summed = np.int64(offset * 2.0**FRACTION_BITS)  # integers: sums are exact
+    at, space = np.int64(0), np.int64(capacity)
     for c in range(len(survivors)):
         start[c] = at
         survivors[c] = 0

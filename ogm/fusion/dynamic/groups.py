@@ -1,4 +1,4 @@
-"""Groups of occupied cells that are near each other, and the capped distance to the nearest occupied cell."""
+"""Groups of neighbouring occupied cells, and the capped distance to the nearest occupied cell."""
 
 from typing import NamedTuple
 
@@ -14,11 +14,11 @@ class Groups(NamedTuple):
     Attributes
     ----------
     label : (nx, ny) int32
-        Number of a cell's group from 1 on, 0 for none.
+        Number of a cell's group, from 1; 0 for none.
     x, y : (cells,) int32
-        Cells, group by group.
+        Indices of the cells, sorted by group.
     start : (G + 1,) int32
-        Cells start[g] to start[g + 1] are those of group g + 1.
+        Group g + 1 has the cells start[g] to start[g + 1].
     """
 
     label: np.ndarray
@@ -28,39 +28,40 @@ class Groups(NamedTuple):
 
 
 @inline
-def _root(parent: NDArray[np.int32], run: int) -> int:
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
+def find_root(parent: NDArray[np.integer], k: int) -> int:
+    """Return the root of element k of a union-find forest, and shorten its path."""
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
 
 
 @kernel
 def find_groups(occupied: NDArray[np.uint8], candidates: NDArray[np.uint8], link: int, min_cells: int) -> Groups:
-    """Find the groups of occupied cells that hold a candidate.
+    """Find the groups of occupied cells that contain a candidate.
 
-    Cells belong together if neither their rows nor their columns are more than `link` apart.
+    Two cells are in one group if neither their rows nor their columns are more than `link` apart.
 
     Parameters
     ----------
     occupied, candidates : (nx, ny) uint8
         0 or 1.
     link, min_cells : int
-        [cells]; smaller groups are left out.
+        Greatest gap, and least size of a group [cells].
 
     Returns
     -------
     Groups
-        In the order of their first cells, row by row.
+        Groups in the order of their first cells, row by row.
     """
     nx, ny = occupied.shape
-    most = nx * (ny // (link + 1) + 1)
-    first, last = np.empty(most, np.int32), np.empty(most, np.int32)  # columns of a run's ends
-    count, parent = np.empty(most, np.int32), np.empty(most, np.int32)
-    chosen = np.zeros(most, np.uint8)
+    max_runs = nx * (ny // (link + 1) + 1)
+    first, last = np.empty(max_runs, np.int32), np.empty(max_runs, np.int32)  # columns of a run's ends
+    count, parent = np.empty(max_runs, np.int32), np.empty(max_runs, np.int32)
+    chosen = np.zeros(max_runs, np.uint8)
     row_start = np.zeros(nx + 1, np.int32)
     runs = 0
-    for i in range(nx):  # cells of a row with gaps of at most link are a run
+    for i in range(nx):  # cells of a row with gaps of at most `link` are a run
         begin = runs
         for j in range(ny):
             if occupied[i, j]:
@@ -78,12 +79,12 @@ def find_groups(occupied: NDArray[np.uint8], candidates: NDArray[np.uint8], link
                     other += 1
                 at = other
                 while at < end and first[at] <= last[run] + link:
-                    a, b = _root(parent, at), _root(parent, run)
+                    a, b = find_root(parent, at), find_root(parent, run)
                     parent[max(a, b)] = min(a, b)
                     at += 1
     size = np.zeros(runs, np.int32)
     for run in range(runs):
-        root = _root(parent, run)
+        root = find_root(parent, run)
         size[root] += count[run]
         chosen[root] |= chosen[run]
     number = np.zeros(runs, np.int32)
@@ -108,7 +109,7 @@ def _collect(occupied: NDArray[np.uint8], runs: tuple[NDArray[np.int32], ...], s
     filled = start.copy()
     for i in range(occupied.shape[0]):
         for run in range(row_start[i], row_start[i + 1]):
-            group = number[_root(parent, run)]
+            group = number[find_root(parent, run)]
             if group == 0:
                 continue
             for j in range(first[run], last[run] + 1):
@@ -119,24 +120,24 @@ def _collect(occupied: NDArray[np.uint8], runs: tuple[NDArray[np.int32], ...], s
     return Groups(label, x, y, start)
 
 
-LEVELS = 100  # steps in which a distance between 0 and the cap is kept
-MAX_CAP = 11  # [cells] so that sums of two squares fit 8 bits
+LEVELS = 100  # steps between distance 0 and the cap
+MAX_CAP = 11  # [cells] so that the sum of two squares fits in 8 bits
 
 
 @vector
 def capped_distance(mask: NDArray[np.uint8], cap: float, out: NDArray[np.uint8]) -> None:
     """Fill `out` (nx, ny) uint8 with the distance to the nearest occupied cell, in steps of cap / `LEVELS`.
 
-    The exact Euclidean transform, by Meijster's two passes: squares of distances along rows, then the least of them
-    plus the square of the distance between rows. What is further than the cap needs no value, so both passes look at
-    few neighbours, in 8 bits.
+    Exact Euclidean transform by Meijster's two passes: squared distances along rows, then the minimum over rows of
+    these plus the squared row distance. Distances beyond the cap need no value, so both passes visit few neighbours, in
+    8 bits.
 
     Parameters
     ----------
     mask : (nx, ny) uint8
         0 or 1.
     cap : float
-        [cells], at most `MAX_CAP`.
+        Greatest distance [cells], at most `MAX_CAP`.
     """
     nx, ny = mask.shape
     reach = int(np.ceil(cap))

@@ -1,6 +1,6 @@
-"""Random numbers without a generator: a hash of two numbers chooses from a table of normal quantiles.
+"""Random numbers without a generator: a hash of two numbers selects from a table of normal quantiles.
 
-They are the same from run to run, for any order in which they are computed, and so for any number of threads.
+They are reproducible and do not depend on the order of computation, so neither on the number of threads.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ import numpy as np
 
 from ogm.jit import inline
 
-_BITS = 12  # of a hash that choose one number
+_BITS = 12  # bits of a hash that select one number
 _SIZE = 1 << _BITS
 _QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / _SIZE) for k in range(_SIZE)])
 NORMALS = (_QUANTILES / _QUANTILES.std()).astype(np.float32)  # mean 0, standard deviation 1
@@ -24,7 +24,7 @@ _SHIFTS = np.uint64(0), np.uint64(_BITS), np.uint64(2 * _BITS), np.uint64(3 * _B
 
 
 def _hashed(number: Any, key: Any) -> Any:
-    """Return 64 random bits of a number (uint64) and a key."""
+    """Return 64 random bits for a number (uint64) and a key."""
     z = (number + key) * _GOLDEN
     z = (z ^ (z >> _S30)) * _FIRST
     z = (z ^ (z >> _S27)) * _SECOND
@@ -32,7 +32,7 @@ def _hashed(number: Any, key: Any) -> Any:
 
 
 def _index(h: Any, k: int) -> Any:
-    """Return one of five indices of `NORMALS`, k from 0 to 4, that a hash holds."""
+    """Return the k-th of the five indices of `NORMALS` in a hash, k from 0 to 4."""
     return (h >> _SHIFTS[k]) & _LAST
 
 
@@ -41,6 +41,6 @@ index: Callable[..., Any] = inline(_index)
 
 
 def scan_key(seed: int, scan: int) -> np.uint64:
-    """Return the key of a scan's random numbers."""
+    """Return the key for the random numbers of a scan."""
     words = np.array([seed % 2**64, scan], np.uint64)
     return np.uint64(_hashed(words[1:], _hashed(words[:1], np.uint64(0)))[0])

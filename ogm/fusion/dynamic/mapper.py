@@ -1,11 +1,12 @@
 """The dynamic map: belief masses of free, static and dynamic, and velocities, from scans of a moving vehicle.
 
-Static occupancy is a mass of the cell, as in `EvidentialMapper`; what is dynamic is carried by particles; both compete
-in one Dempster update. A static cell is predicted exactly by its own mass, and only roughly by particles, whose copies
-leave it and die where scans measure free. Where something moves on, static is measured free and its particles survive.
+Static occupancy is a mass of the cell, as in `EvidentialMapper`. Dynamic occupancy is carried by particles. Both
+compete in one Dempster update. A static cell is predicted exactly by its own mass, but only roughly by particles, whose
+copies leave it and die in cells that scans measure as free. When an object moves on, its cell is measured as free:
+static is lost, the particles have moved and survive.
 
-Sources: Nuss et al., "A random finite set approach for dynamic occupancy grid maps with real-time application" (2018);
-static mass beside particles: Nègre, Rummelhard and Laugier, "Hybrid sampling Bayesian occupancy filter" (2014);
+Sources: Nuss et al., "A random finite set approach for dynamic occupancy grid maps with real-time application" (2018).
+Static mass in addition to particles: Nègre, Rummelhard and Laugier, "Hybrid sampling Bayesian occupancy filter" (2014);
 Tanzmeister and Wollherr, "Evidential grid-based tracking and mapping" (2017).
 """
 
@@ -52,50 +53,51 @@ _log = logging.getLogger(__name__)
 DynamicFilter = Literal["hybrid", "nuss"]
 MAX_PARTICLES = 2**25  # 1.2 GB
 
-_BORDER = 1.0  # [cells] inside the border of a measurement grid from which on cells are wholly measured
+_BORDER = 1.0  # [cells] from the border of a measurement grid within which cells are only partly measured
 
 
 class DynamicMapper(Mapper):
-    """A map of free, static and dynamic belief masses with velocities, which fuses scan after scan.
+    """Map of free, static and dynamic masses with velocities, which fuses scan after scan.
 
     Parameters
     ----------
     spec : GridSpec
         The window: relative to the vehicle if it rolls, in map coordinates if it is fixed.
     particles : int
-        How many carry the belief in dynamic, from 1 to 2**25.
+        Number of particles that carry the belief in dynamic, 1 to 2**25.
     filter : {"hybrid", "nuss"}
-        "nuss": all that is occupied is carried by particles, as Nuss et al. do, and static is 0.
+        "nuss": all occupied mass is carried by particles, as in Nuss et al., and static is 0.
     matching : bool, optional
-        Whether velocities of groups of occupied cells are measured, by matching them with earlier scans. By default
-        the hybrid filter does.
+        Whether velocities of groups of occupied cells are measured by matching them with earlier scans. By default only
+        in the hybrid filter.
     window, max_speed, max_delay
-        As for `EvidentialMapper`.
+        See `EvidentialMapper`.
     seed : int
-        Of the random numbers. Results are identical for one seed, with any number of threads.
+        Seed of the random numbers. Results are identical for one seed, with any number of threads.
     threads : int
-        That an update uses.
+        Number of threads of an update.
     settings : DynamicSettings, optional
-        The numbers of the model.
+        Parameters of the model.
 
     Raises
     ------
     ValueError
-        If a number is out of its range, or a name is none of the choices.
+        If a number is out of its range, or a name is not one of the choices.
 
     Notes
     -----
-    Stamps, poses, jumps and threads that read are treated as `EvidentialMapper` does; every scan needs a stamp. A scan
-    of the same moment ages and moves nothing. A late scan moves and makes no particles: it counts as much as ageing
-    would have left of it, in cells that hold more free or static than dynamic. After an error the map is as it was.
+    Stamps, poses, jumps and reading threads are treated as in `EvidentialMapper`; every scan needs a stamp. A scan of
+    the same moment ages and moves nothing. A late scan moves and creates no particles: it is first aged to the map's
+    time, and changes cells with more free or static than dynamic. After an error the map is unchanged.
 
-    Planes. A cell has one mass of free: a laser that is free in its plane alone (`EvidentialGrid.in_plane`) would clear
-    what other sensors see above and below. So it counts in maps of planar lasers alone. At the first scan of another
-    sensor it is forgotten, and from then on planar scans only mark, with a warning; `EvidentialMapper` keeps both.
+    Planes. A cell has one mass of free. A laser that is free only in its plane (`EvidentialGrid.in_plane`) would clear
+    obstacles that other sensors see above and below it. So its free cells count in maps of planar lasers only. At the
+    first scan of another sensor they are forgotten. From then on planar scans add occupied cells only, with a warning;
+    `EvidentialMapper` keeps both.
 
-    Radial velocities (`update`) are measurements of one component of the velocity of the cells that they lie in. A scan
-    that comes with them, also with none that moves, is taken for a radar's: it is not matched with earlier scans, nor
-    later ones with it, unless it is `RadialVelocities.dense`.
+    Radial velocities (`update`) measure one velocity component of the cells in which they lie. A scan with radial
+    velocities, even without moving ones, is treated as a radar scan: it is not matched with other scans, unless
+    `RadialVelocities.dense` is set.
     """
 
     particles: int
@@ -121,8 +123,8 @@ class DynamicMapper(Mapper):
     ) -> None:
         if not 1 <= particles <= MAX_PARTICLES or particles != int(particles):
             raise ValueError(
-                f"particles must be a whole number from 1 to {MAX_PARTICLES} (1.2 GB), got {particles}; a map without "
-                "particles, and so without anything dynamic, is EvidentialMapper"
+                f"particles must be a whole number from 1 to {MAX_PARTICLES} (1.2 GB), got {particles}; for a map "
+                "without dynamic cells use EvidentialMapper"
             )
         if not threads >= 1 or threads != int(threads):
             raise ValueError(f"threads must be a whole number of at least 1, got {threads}")
@@ -149,9 +151,9 @@ class DynamicMapper(Mapper):
         )
         self._groups = group_velocities(*self._no_velocities, 0.0, 0.0)
         self._history = ScanHistory(0.6, 0.04)
-        self._tracker: ObjectTracker | None = None  # from the first time on that objects are asked for
+        self._tracker: ObjectTracker | None = None  # made by the first call of `objects`
         self._objects: Objects | None = None
-        self._beyond_plane = False  # whether a scan was fused that is not free in a plane alone
+        self._beyond_plane = False  # whether a scan was fused that is not in-plane
         self._warned = False  # whether the warning about planar scans was logged
 
     def __repr__(self) -> str:
@@ -169,7 +171,7 @@ class DynamicMapper(Mapper):
     @property
     @locked
     def grid(self) -> EvidentialGrid:
-        """The masses of free and of occupied, static or dynamic (a copy), in map coordinates, as of the last scan."""
+        """Masses of free and of occupied, static or dynamic, after the last scan (a copy), in map coordinates."""
         cells = self._cells
         occupied = cells.static + (cells.surviving + cells.born)
         return EvidentialGrid.trusted(self.spec, np.stack([cells.free, occupied], axis=-1))
@@ -177,27 +179,27 @@ class DynamicMapper(Mapper):
     @property
     @locked
     def dynamic_grid(self) -> DynamicGrid:
-        """The map (a copy), in map coordinates, as of the last scan."""
+        """The map after the last scan (a copy), in map coordinates."""
         return DynamicGrid.trusted(self.spec, *beliefs(self._cells, self._moments, self._groups))
 
     @locked
     def dynamic_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> DynamicGrid:
-        """Return the map, with its velocities, in the vehicle's axes, by nearest cells. Arguments as for `view`."""
+        """Return the map with velocities in the vehicle's axes, by nearest cells. For the arguments see `view`."""
         cells, T = self._around(spec, T_map_vehicle)
         belief = beliefs(self._cells, self._moments, self._groups, still=0.0)
         return seen_from(belief, self.spec, cells, T)
 
     @locked
     def objects(self) -> Objects:
-        """Return the moving objects, in map coordinates, as of the last scan.
+        """Return the moving objects after the last scan, in map coordinates.
 
-        They are followed from the first call on: `Objects.boxes.track` numbers those that were found in three of their
-        last five scans, and `Objects.confirmed` are these. An update takes 2 to 3 ms longer then.
+        They are tracked from the first call on: `Objects.boxes.track` numbers objects that were found in three of their
+        last five scans, and `Objects.confirmed` selects these. Updates then take 2 to 3 ms longer.
 
         Raises
         ------
         ImportError
-            If filterpy is absent, which follows them.
+            If filterpy, which the tracker needs, is missing.
         """
         if self._tracker is None:
             self._tracker = ObjectTracker()
@@ -206,21 +208,21 @@ class DynamicMapper(Mapper):
 
     @locked
     def predicted(self, seconds: float) -> DynamicGrid:
-        """Return the map some time after the last scan, if nothing is measured in the meantime; see `predict_dynamic`.
+        """Return the map predicted some time after the last scan, without further measurements; see `predict_dynamic`.
 
-        Objects turn at the rates at which they turned of late if they are followed, see `objects`.
+        Objects turn at their recent turn rates if they are tracked, see `objects`.
 
         Parameters
         ----------
         seconds : float
-            [s], 0 or more. Honest to about 0.5 s: see docs/dynamic.md.
+            Time after the last scan [s], 0 or more. Reliable to about 0.5 s: see docs/dynamic.md.
         """
         if self._objects is None or not 0 < seconds < math.inf:
             return predict_dynamic(self.dynamic_grid, self._particles, seconds, self._objects)
         return move_on(self.spec, masses(self._cells), self._particles, self._objects, seconds)
 
     def _update_objects(self, stamp: float | None) -> None:
-        """Let the tracker take in the objects of the map."""
+        """Update the tracker, if there is one, with the objects of the map."""
         if self._tracker is not None and stamp is not None:
             self._objects = self._tracker.update(find_objects(self.dynamic_grid), stamp)
 
@@ -238,12 +240,12 @@ class DynamicMapper(Mapper):
             self._count(step, threads)
             rows, start = spans(nx, self.threads), self._predicted.start
 
-            def sort_and_update(k: int) -> None:  # neither needs the other
+            def sort_and_update(k: int) -> None:  # the two are independent
                 self._sort(step, k)
                 update_cells(self._cells, shift, start, lookup, rates, rows[k], new)
 
             threads.run(sort_and_update)
-            self._begin_anew_beyond_border(scan, new)
+            self._restart_beyond_border(scan, new)
             states = scan_states(self._measured) if self.matching and _shows_shapes(scan) else None
             groups = self._measured_velocities(scan, states, new.cells)
             if len(groups.rows) > 1:
@@ -252,7 +254,7 @@ class DynamicMapper(Mapper):
                 threads.run(lambda k: renew_particles(new.cells, self._predicted, groups, threshold, rows[k]))
             if self.settings.hiding_width and _shows_shapes(scan):
                 forget_hidden_free(new.cells, new.measured, self.settings.hiding_width / self._window.spec0.resolution)
-            # From here on nothing can fail: until now the map is as it was.
+            # The map has not changed so far; the following steps cannot fail.
             self._particle_mass = float(new.dynamic.sum()) / self.particles
             self._draw(new.cells, groups, step, threads)
         self._groups = groups
@@ -265,25 +267,25 @@ class DynamicMapper(Mapper):
         self._update_objects(scan.stamp)
 
     def _usable(self, grid: EvidentialGrid) -> NDArray[np.float32]:
-        """Return the masses of a scan, and forget free of planes at the first one of another sensor."""
+        """Return the masses of a scan; forget free of planes at the first scan of another sensor."""
         if grid.in_plane and self._beyond_plane:
             if not self._warned:
                 self._warned = True
                 _log.warning(
-                    "a dynamic map of a planar laser and other sensors: the laser marks, but its free cells are left "
-                    "out, as they would clear what others see above and below its plane; evidential rules keep both"
+                    "a dynamic map gets scans of a planar laser and of other sensors: the free cells of the laser are "
+                    "ignored, as they would clear obstacles above and below its plane; evidential rules keep both"
                 )
             return grid.mass * np.array([0, 1], np.float32)
         if not (grid.in_plane or self._beyond_plane):
-            self._cells.free[:] = 0  # by a plane alone, if there is any
+            self._cells.free[:] = 0  # so far from planar scans only
             self._beyond_plane = True
         return np.ascontiguousarray(grid.mass)
 
-    def _begin_anew_beyond_border(self, scan: CheckedScan, new: CellOutput) -> None:
-        """Divide what is occupied in cells that no earlier scan reached as if it had appeared there.
+    def _restart_beyond_border(self, scan: CheckedScan, new: CellOutput) -> None:
+        """Treat occupied mass as newly appeared in cells that no earlier scan reached.
 
-        What continues past the border of a measurement grid seems to end there, and the end moves with the vehicle:
-        particles of its speed would find their cells occupied in every scan.
+        An object that continues past the border of a measurement grid seems to end there, and this end moves with the
+        vehicle. Particles of the vehicle's speed would be confirmed by every scan.
         """
         cells, moved = new.cells, np.nonzero(new.cells.surviving)
         reached = self._history.reached(scan.corner, np.stack(moved), _BORDER)
@@ -296,19 +298,19 @@ class DynamicMapper(Mapper):
         new.dynamic[changed] = (cells.surviving[changed] + cells.born[changed]).sum(axis=1, dtype=np.float64)
 
     def _count(self, step: Step, threads: Threads) -> None:
-        """Move the particles on and count them in their new cells: each thread its part of them."""
+        """Move the particles and count them in their new cells, with all threads."""
         p, cell_of, count = self._particles, self._cell_of, self._count_of
         parts = spans(int(p.start[-1]), self.threads)
         threads.run(lambda k: count_in_cells(p, parts[k], step, NORMALS, cell_of, count[k]))
         cell_starts(count, self._predicted.start)
 
     def _sort(self, step: Step, k: int) -> None:
-        """Sort the particles of a thread's part by their new cells."""
+        """Sort the particles of a thread by their new cells."""
         p, part = self._particles, spans(int(self._particles.start[-1]), self.threads)[k]
         sort_into_cells(p, part, step, NORMALS, self._cell_of, self._count_of[k], self._predicted)
 
     def _draw(self, cells: DynamicCells, groups: GroupVelocities, step: Step, threads: Threads) -> None:
-        """Draw the particles of every cell anew, and compute its mean velocity and covariance."""
+        """Draw the new particles of every cell, and compute its mean velocity and covariance."""
         old, new, survivors = self._predicted, self._particles, self._survivors
         offset = float(step.key >> np.uint64(11)) * 2.0**-53
         masses = cells.surviving.reshape(-1), cells.born.reshape(-1)
@@ -320,7 +322,7 @@ class DynamicMapper(Mapper):
     def _measured_velocities(
         self, scan: CheckedScan, states: NDArray[np.uint8] | None, cells: DynamicCells
     ) -> GroupVelocities:
-        """Return the velocities that are measured of groups of cells: the slot for matching, Doppler and others."""
+        """Return the measured velocities of groups of cells, from matching and from Doppler."""
         settings, resolution = self.settings, self._window.spec0.resolution
         found = self._no_velocities
         if states is not None and scan.stamp is not None:
@@ -366,5 +368,5 @@ class DynamicMapper(Mapper):
 
 
 def _shows_shapes(scan: CheckedScan) -> bool:
-    """Return whether a scan is matched with others: those of a radar hold single detections, no shapes."""
+    """Return whether a scan is matched with others: radar scans hold single detections without shapes."""
     return scan.radial is None or scan.radial.dense

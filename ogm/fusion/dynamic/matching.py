@@ -1,7 +1,7 @@
-"""Velocities of moving objects, from groups of occupied cells matched with the occupied cells of earlier scans.
+"""Velocities of moving objects, by matching groups of occupied cells with occupied cells of earlier scans.
 
-The velocity of a group is that which takes its cells back to where cells were occupied before. Unlike the motion of
-single cells it sees the shape: the sides of a vehicle slide along themselves, its corners do not.
+The velocity of a group takes its cells back to cells that were occupied before. In contrast to the motion of single
+cells it uses the shape: the sides of a vehicle slide along themselves, its corners do not.
 """
 
 import math
@@ -19,45 +19,46 @@ from ogm.fusion.dynamic.scan_history import ScanCells
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """Numbers of `match_velocities`.
+    """Parameters of `match_velocities`.
 
     Parameters
     ----------
     max_speed : float
-        Greatest speed that is searched [m/s].
+        Greatest speed in the search [m/s].
     link : float
         Cells belong to one group if neither their rows nor their columns are further apart than this [m].
     cap : float
-        Greatest distance to the nearest earlier cell that counts [m]: bounds the weight of cells that were not seen
-        before. Beyond 11 cells, 11 cells.
+        Upper bound of the distance to the nearest earlier cell [m], which limits the weight of cells that were not
+        seen before. At most 11 cells.
     speed_cost : float
-        Distance added per speed [s], so that of two equal matches the slower is taken.
+        Distance added per speed [s], so that the slower of two equal matches is taken.
     min_cells : int
-        Smaller groups are not matched.
+        Least number of cells of a group that is matched.
     max_cells : int
-        Of a greater group as many cells are matched, evenly chosen; at most 655.
+        Greatest number of cells that are matched in a group, evenly chosen; at most 655.
     min_gain : float
-        How much less the mean distance must be than that of standing still [m]; a group rests if standing still itself
-        costs no more.
+        Least decrease of the mean distance relative to speed 0 that makes a match [m]. A group rests if its mean
+        distance at speed 0 is no greater than this.
     max_residual : float
-        Greatest mean distance of a match [m]; for a group of fewer than `sure_cells` cells it is less, by
-        sqrt(cells / sure_cells): few cells find something similar by chance.
+        Greatest mean distance of a match [m]. For a group of fewer than `sure_cells` cells it is reduced by
+        sqrt(cells / sure_cells), since a few cells match by chance.
     sure_cells : int
         See `max_residual`.
     max_sigma, relative_sigma : float
-        Greatest standard deviation of a match [m/s]; where the cells that were measured lie at most `min_gain` from
-        earlier ones, also share of the speed, if two deviations keep it below `max_speed`. Others are ambiguous.
+        Greatest standard deviation of a match [m/s], and as a share of the speed. The share applies if the measured
+        cells lie at most `min_gain` from earlier ones and two deviations keep the speed below `max_speed`. Other
+        matches are ambiguous.
     margin : float
-        Earlier cells at most this far from a cell that is occupied now, and not by the group itself, are no match [m]:
-        what moves leaves its place.
+        Earlier cells within this distance [m] of a cell that is occupied now by another group do not match: a moving
+        object leaves its place.
     spread : float
-        Scale of the covariance [m]: a velocity that costs spread / sqrt(cells) more than the least is less likely by a
-        factor of e.
+        Scale of the covariance [m]: a velocity that costs spread / sqrt(cells) more than the minimum is less likely by
+        a factor of e.
     sigma : float
-        Standard deviation of a match without any ambiguity [m/s].
+        Standard deviation of an unambiguous match [m/s].
     gate, prior_scatter : float
-        A match lies within `gate` of the mean velocity that `prior` gives to a group, if those of its cells differ from
-        it by at most `prior_scatter` in the root mean square [m/s].
+        A match must lie within `gate` [m/s] of the mean velocity that `prior` gives to its group. This applies if the
+        velocities of the group's cells differ from the mean by at most `prior_scatter` (root mean square) [m/s].
 
     Raises
     ------
@@ -102,20 +103,20 @@ class Matches(NamedTuple):
     Attributes
     ----------
     label : (nx, ny) int32
-        Number of the group that a cell belongs to, from 1 on; 0 for none. Group n is row n - 1 of the others.
+        Number of a cell's group, from 1; 0 for none. Group n is row n - 1 of the other arrays.
     velocity : (G, 2) float64
-        Over ground, along the grid's x and y [m/s].
+        Velocity over ground, along the grid's x and y [m/s].
     covariance : (G, 2, 2) float64
-        Of the velocity [m²/s²]: great along a direction in which the shape looks the same when moved.
+        Covariance of the velocity [m²/s²], large along a direction in which the shape does not change when moved.
     valid : (G,) bool
-        Whether the match is accepted; velocities of others mean nothing.
+        Whether the match is accepted; other velocities have no meaning.
     residual : (G,) float64
         Mean distance of the cells, moved back, to earlier ones [m].
     gain : (G,) float64
-        How much greater that distance is for standing still [m].
+        Decrease of this distance relative to speed 0 [m].
     resting : (G,) bool
-        Whether the group is measured to rest: no velocity explains its cells better than 0, and 0 explains those that
-        the earlier scans measured, which are half of them or more.
+        Whether the group rests: no velocity fits its cells better than 0, and speed 0 fits the cells that the earlier
+        scans measured, at least half of all.
     """
 
     label: NDArray[np.int32]
@@ -125,11 +126,6 @@ class Matches(NamedTuple):
     residual: NDArray[np.float64]
     gain: NDArray[np.float64]
     resting: NDArray[np.bool_]
-
-    @property
-    def sigma(self) -> NDArray[np.float64]:
-        """Standard deviation of the velocity, (G,): root mean square over directions [m/s]."""
-        return _sigma(self.covariance)
 
 
 def match_velocities(
@@ -146,25 +142,24 @@ def match_velocities(
 
         mean over cells p and earlier scans of min(distance of p - v age to occupied cells, cap) + speed_cost |v|
 
-    at all displacements by whole cells since the oldest scan. Distances are interpolated between cells. They are the
-    cap where others are still occupied now, and half the cap in cells that the earlier scan did not measure: what comes
-    out of a shadow may have been there or not. The result is the mean over the velocities near the least, see the
-    notes.
+    at all displacements by whole cells since the oldest scan. Distances are interpolated between cells. The distance is
+    the cap at cells that other groups still occupy, and half the cap at cells that the earlier scan did not measure:
+    the group may have been there or not. The result is the mean over the velocities near the minimum, see the notes.
 
     Parameters
     ----------
     now : ScanCells
-        Its occupied cells make the groups.
+        Present scan; its occupied cells are grouped.
     candidates : (nx, ny) bool
-        Cells that may have moved: with belief in dynamic, or free before and occupied now. Groups without any are left
-        out.
+        Cells that may have moved: cells with dynamic mass, or free before and occupied now. Groups without a candidate
+        are left out.
     earlier : sequence of ScanCells
-        On the same lattice in map coordinates, with ages above 0 s. Those without an occupied cell do not count.
+        Scans on the same lattice in map coordinates, with ages above 0 s. Scans without occupied cells are ignored.
     resolution : float
         Side of a cell [m].
     settings : MatchSettings, optional
     prior : (nx, ny, 2) float array, optional
-        Velocity that is already known of a cell [m/s]; NaN where none or doubtful.
+        Known velocity of each cell [m/s]; NaN if unknown or doubtful.
 
     Returns
     -------
@@ -177,10 +172,10 @@ def match_velocities(
 
     Notes
     -----
-    Velocities are weighted by exp(-sqrt(cells) (cost - least cost) / spread). The result is the mean of those whose
-    displacement since the oldest scan differs from the best by at most two cells along x and y. The covariance is the
-    second moment about it of all velocities within `max_speed`, plus sigma² in every direction: large where two matches
-    are equally good, and along a wall.
+    Velocities are weighted by exp(-sqrt(cells) (cost - minimum cost) / spread). The result is the mean of velocities
+    whose displacement since the oldest scan differs from the best by at most two cells along x and y. The covariance is
+    the second moment about it of all velocities within `max_speed`, plus sigma² in every direction: it is large for two
+    equally good matches, and along a wall.
     """
     settings = settings or MatchSettings()
     scans = _checked(now, candidates, earlier, resolution)
@@ -217,27 +212,22 @@ def match_velocities(
     residual, still = cost.T * resolution
     apart, contradicted = (cost - unseen * (UNSEEN / LEVELS * cap)).T * resolution  # of measured cells
     gain = still - residual
-    most = settings.max_residual * np.sqrt(np.minimum(size / settings.sure_cells, 1))
-    sigma = _sigma(covariance)
+    max_residual = settings.max_residual * np.sqrt(np.minimum(size / settings.sure_cells, 1))
+    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)  # root mean square over directions
     sure = sigma <= settings.max_sigma
     speed = np.hypot(*velocity.T)
     fast = (sigma <= settings.relative_sigma * speed) & (speed + 2 * sigma <= settings.max_speed)
     fast &= apart <= settings.min_gain
-    valid = (sure | fast) & (gain >= settings.min_gain) & (residual <= most)
+    valid = (sure | fast) & (gain >= settings.min_gain) & (residual <= max_residual)
     resting = sure & (gain < settings.min_gain) & (unseen[:, 1] <= 0.5)
     resting &= contradicted <= settings.min_gain * (1 - unseen[:, 1])
     return Matches(groups.label, velocity, covariance, valid, residual, gain, resting)
 
 
-def _sigma(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    sigma: NDArray[np.float64] = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
-    return sigma
-
-
 def _checked(
     now: ScanCells, candidates: NDArray[np.bool_], earlier: Sequence[ScanCells], resolution: float
 ) -> list[ScanCells]:
-    """Refuse what does not fit together; return the earlier scans that have an occupied cell."""
+    """Check shapes, types and ages; return the earlier scans with occupied cells."""
     if not resolution > 0:
         raise ValueError(f"resolution must be greater than 0 m, got {resolution}")
     named = [("occupied", now.occupied), ("hidden", now.hidden), ("candidates", candidates)]
@@ -252,7 +242,7 @@ def _checked(
 
 
 def _expected(groups: Groups, prior: NDArray[np.floating] | None, settings: MatchSettings) -> NDArray[np.float64]:
-    """Return the mean velocity that is known of each group, (G, 2); NaN where few cells have one, or it scatters."""
+    """Return the known mean velocity of each group, (G, 2); NaN if too few cells have one, or if it scatters."""
     size = np.diff(groups.start)
     count = len(size)
     if prior is None:

@@ -1,8 +1,8 @@
 """Kernels that match groups of occupied cells with the occupied cells of earlier scans.
 
-The cost of a displacement is a sum over the cells of a group. A sum of values that are interpolated between cells is
-the interpolation of the sums at whole cells, so each group needs one table of sums per earlier scan, and the cost of
-any velocity is then read from the tables. The sums are of whole numbers: their order does not matter.
+The cost of a displacement is a sum over the cells of a group. A sum of interpolated values equals the interpolated sum,
+so each group needs one table of sums per earlier scan, from which the cost of any velocity is interpolated. The sums
+are of integers, so their order does not matter.
 """
 
 from typing import Any, NamedTuple
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from ogm.fusion.dynamic.groups import LEVELS, Groups
 from ogm.jit import kernel, vector
 
-MAX_CELLS = 655  # of one group, so that sums of levels fit 16 bits
+MAX_CELLS = 655  # of one group, so that sums of levels fit in 16 bits
 UNSEEN = LEVELS // 2  # level of cells that were not measured: the group may have been there or not
-NEAR = 2  # nodes around the best that make the mean
-FAR = np.float32(12.0)  # exponent beyond which a velocity has no share in the moments
+NEAR = 2  # [nodes] from the best that enter the mean
+FAR = np.float32(12.0)  # exponent beyond which a velocity is left out of the moments
 
 
 class MatchNumbers(NamedTuple):
-    """Numbers of a search, in cells and seconds.
+    """Parameters of a search, in cells and seconds.
 
     Attributes
     ----------
@@ -29,17 +29,17 @@ class MatchNumbers(NamedTuple):
     step : float
         Speed of one cell since the oldest scan [m/s].
     cap : float
-        Greatest distance that counts [cells].
+        Upper bound of the distance [cells].
     speed_cost : float
-        Added per speed [cells / (m/s)].
+        Distance added per speed [cells / (m/s)].
     spread : float
-        A velocity that costs spread / sqrt(cells) more than the least is e times less likely [cells].
+        A velocity that costs spread / sqrt(cells) more than the minimum is e times less likely [cells].
     gate : float
         Greatest difference from the expected velocity [m/s].
     margin : int
-        Cells that are still occupied by others now, and those within this of them, are no match [cells].
+        Cells within this distance of cells that others still occupy do not match [cells].
     max_cells : int
-        Of a greater group as many cells are matched.
+        Greatest number of cells that are matched in a group.
     """
 
     reach: int
@@ -65,12 +65,12 @@ def _sum_levels(
             line[b] = 0
         start = (a - reach) * width - reach
         for k in range(0, fours, 4):
-            # Unsigned, so that no code for negative indices slows the loop down.
+            # Unsigned: code for negative indices would slow the loop down.
             p, q = np.uint64(start + x[k] * width + y[k]), np.uint64(start + x[k + 1] * width + y[k + 1])
             r, s = np.uint64(start + x[k + 2] * width + y[k + 2]), np.uint64(start + x[k + 3] * width + y[k + 3])
             for b in range(np.uint64(side)):
-                two, others = np.uint16(flat[p + b]) + np.uint16(flat[q + b]), np.uint16(flat[r + b])
-                line[b] += two + others + np.uint16(flat[s + b])
+                first, third = np.uint16(flat[p + b]) + np.uint16(flat[q + b]), np.uint16(flat[r + b])
+                line[b] += first + third + np.uint16(flat[s + b])
         for k in range(fours, x.size):
             p = np.uint64(start + x[k] * width + y[k])
             for b in range(np.uint64(side)):
@@ -79,7 +79,7 @@ def _sum_levels(
 
 @vector
 def _add_interpolated(sums: NDArray[np.uint16], ratio: float, weight: np.float32, total: NDArray[np.float32]) -> None:
-    """Add the sums of a scan, at displacements of `ratio` times those of the oldest, to the cost of velocities."""
+    """Add the sums of a scan to the cost of velocities, at `ratio` times the displacements of the oldest scan."""
     side, inner = len(total), len(sums) // 2
     low, share = np.empty(side, np.int32), np.empty(side, np.float32)
     for j in range(side):
@@ -117,15 +117,15 @@ def match_groups(
     Parameters
     ----------
     occupied : (nx, ny) uint8
-        0 or 1, now.
+        Occupied cells now, 0 or 1.
     groups : Groups
-        Of these cells.
+        Groups of these cells.
     fields : (K, nx, ny) uint8
-        From `capped_distance`, for each earlier scan.
+        Output of `capped_distance` for each earlier scan.
     ratios : (K,) float64
-        Age of each scan over that of the oldest.
+        Age of each scan over the age of the oldest.
     expected : (G, 2) float64
-        Velocity around which to search [m/s]; NaN where none.
+        Centre of the search [m/s]; NaN for none.
     numbers : MatchNumbers
 
     Returns
@@ -133,11 +133,11 @@ def match_groups(
     velocity : (G, 2) float64
         [m/s]
     covariance : (G, 2, 2) float64
-        Second moments about it [m²/s²].
+        Second moments about the velocity [m²/s²].
     cost : (G, 2) float64
-        Mean distance at this velocity and at 0 [cells], without the cost of speed.
+        Mean distance at the velocity and at 0 [cells], without the speed cost.
     unseen : (G, 2) float64
-        Share of the cells, over all earlier scans, that at these velocities were not measured.
+        Share of the cells, over all earlier scans, that were not measured at these velocities.
     """
     count, R, step = len(groups.start) - 1, numbers.reach, numbers.step
     side = 2 * R + 1
@@ -153,7 +153,7 @@ def match_groups(
             for j in range(ny):
                 left[k, i + R, j + R] = fields[k, i, j]
     now_x, now_y = np.nonzero(occupied)
-    _block_near(left, now_x, now_y, numbers.margin, R)  # what is still there has not moved
+    _block_near(left, now_x, now_y, numbers.margin, R)  # objects that are still there have not moved
     velocity, covariance = np.zeros((count, 2)), np.zeros((count, 2, 2))
     cost, unseen = np.empty((count, 2)), np.empty((count, 2))
     for g in range(count):
@@ -173,7 +173,10 @@ def match_groups(
             cost[g, n] = total[i, j]
         _block_near(left, x, y, numbers.margin, R)
         mean = _moments(total, surcharge, (p, q), np.sqrt(len(x)) / numbers.spread, covariance[g])
-        velocity[g, 0], velocity[g, 1] = -step * (p - R + mean[0]), -step * (q - R + mean[1])  # back in time
+        velocity[g, 0], velocity[g, 1] = (
+            -step * (p - R + mean[0]),
+            -step * (q - R + mean[1]),
+        )  # displacements are backward
         for i in range(2):
             for j in range(2):
                 covariance[g, i, j] *= step * step
@@ -188,7 +191,7 @@ def _unseen(
     ratios: NDArray[np.float64],
     shift: tuple[int, int],
 ) -> int:
-    """Count the cells, over all scans, that were not measured where they were by a displacement since the oldest."""
+    """Return the number of unmeasured cells over all scans, at a displacement since the oldest scan."""
     count = 0
     for k in range(len(left)):
         a, b = int(np.rint(shift[0] * ratios[k])), int(np.rint(shift[1] * ratios[k]))
@@ -199,7 +202,7 @@ def _unseen(
 
 @kernel
 def _block_near(left: NDArray[np.uint8], x: NDArray[Any], y: NDArray[Any], margin: int, border: int) -> None:
-    """Set the cap at cells, and at those within `margin` of them."""
+    """Set cells, and all cells within `margin` of them, to the cap."""
     nx, ny = left.shape[1] - 2 * border, left.shape[2] - 2 * border
     for k in range(len(left)):
         for n in range(len(x)):
@@ -217,7 +220,7 @@ def _restore_near(
     margin: int,
     border: int,
 ) -> None:
-    """Set the distances again at cells, and at those within `margin` of them."""
+    """Restore the distances of cells, and of all cells within `margin` of them."""
     nx, ny = fields.shape[1:]
     for k in range(len(left)):
         for n in range(len(x)):
@@ -227,9 +230,9 @@ def _restore_near(
 
 
 @kernel
-def _some(values: NDArray[np.int32], most: int, shift: int) -> NDArray[np.int64]:
-    """Return at most `most` of the values, evenly chosen, plus `shift`."""
-    some = np.empty(min(len(values), most), np.int64)
+def _some(values: NDArray[np.int32], max_count: int, shift: int) -> NDArray[np.int64]:
+    """Return at most `max_count` of the values, evenly chosen, plus `shift`."""
+    some = np.empty(min(len(values), max_count), np.int64)
     for n in range(len(some)):
         some[n] = values[n * len(values) // len(some)] + shift
     return some
@@ -239,7 +242,7 @@ def _some(values: NDArray[np.int32], most: int, shift: int) -> NDArray[np.int64]
 def _least(
     total: NDArray[np.float32], surcharge: NDArray[np.float32], expected: NDArray[np.float64], numbers: MatchNumbers
 ) -> tuple[int, int]:
-    """Return the node of least cost, within `gate` of the expected velocity if there is one."""
+    """Return the node of least cost, within `gate` of the expected velocity if this is finite."""
     R, step = numbers.reach, numbers.step
     gated = np.isfinite(expected[0]) and np.isfinite(expected[1])
     least, p, q = np.inf, R, R
@@ -263,7 +266,7 @@ def _moments(
 ) -> tuple[float, float]:
     """Return the weighted mean near the best node, relative to it; fill `out` (2, 2) with the moments about the mean.
 
-    Weights are exp(-sharpness excess). Of the mean nodes within `NEAR` count, of the moments [nodes²] all.
+    Weights are exp(-sharpness excess). The mean is over nodes within `NEAR`, the moments [nodes²] over all nodes.
     """
     side = len(total)
     p, q = best

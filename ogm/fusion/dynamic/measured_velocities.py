@@ -1,4 +1,4 @@
-"""The measurement of velocities that the dynamic map makes itself: groups of cells matched with earlier scans."""
+"""Velocities that the dynamic map measures itself: groups of cells matched with earlier scans."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,9 +12,9 @@ from ogm.fusion.dynamic.particles import Particles
 from ogm.fusion.dynamic.resampling import mean_velocities
 from ogm.fusion.dynamic.scan_history import ScanCells
 
-SCAN_AGES = 0.1, 0.2, 0.3  # [s] of the earlier scans with which cells are matched
-NEW_REACH = 0.4  # [m] from a cell that is new to others of the same person
-MIN_CONFLICT = 0.2  # of free -> occupied, at which a cell may hold something that moves
+SCAN_AGES = 0.1, 0.2, 0.3  # [s] ages of the scans with which cells are matched
+NEW_REACH = 0.4  # [m] from a new cell to other cells of the same person
+MIN_CONFLICT = 0.2  # of free -> occupied, from which a cell may hold a moving object
 
 
 class MeasuredVelocities(NamedTuple):
@@ -27,7 +27,7 @@ class MeasuredVelocities(NamedTuple):
     velocity : (G, 2) float64
         [m/s]
     information : (G, 2, 2) float64
-        Inverse covariance of the velocity [s²/m²], positive semi-definite; 0 where nothing is measured.
+        Inverse covariance of the velocity [s²/m²], positive semi-definite; 0 without a measurement.
     resting : (G,) bool
         Whether the measurement may be evidence of rest.
     """
@@ -41,16 +41,16 @@ class MeasuredVelocities(NamedTuple):
 def matched_velocities(
     now: ScanCells, cells: DynamicCells, particles: Particles, earlier: Sequence[ScanCells], resolution: float
 ) -> MeasuredVelocities:
-    """Return the velocities of groups of cells that match earlier scans.
+    """Return the velocities of groups of cells, measured by matching with earlier scans.
 
     Parameters
     ----------
     now : ScanCells
     cells : DynamicCells
-        After the update by the scan. Only groups are matched with a cell that holds more dynamic than static, or that
-        was free and became occupied.
+        Cells after the update by the scan. Only groups are matched that contain a cell with more dynamic than static
+        mass, or a cell that was free and became occupied.
     particles : Particles
-        Predicted: a match must agree with the particles of its group, where these agree with each other.
+        Predicted particles. If the particles of a group agree, its match must agree with them.
     earlier : sequence of ScanCells
     resolution : float
         Side of a cell [m].
@@ -70,10 +70,10 @@ def matched_velocities(
 def _without_new_cells(
     label: NDArray[np.int32], resting: NDArray[np.bool_], earlier: Sequence[ScanCells], reach: int
 ) -> NDArray[np.int32]:
-    """Leave out cells of groups at rest that may be new: a person who walks along a wall is in its group.
+    """Remove cells that may be new from groups at rest: the group of a wall includes a person who walks along it.
 
-    New are cells that an earlier scan measured as clear, or that the newest of them did not measure, and those within
-    `reach` of such a cell [cells].
+    A cell is new if an earlier scan measured it as clear, or if the newest of them did not measure it. Cells within
+    `reach` [cells] of a new cell are removed too.
     """
     x, y = np.nonzero(label)
     at_rest = resting[label[x, y] - 1]

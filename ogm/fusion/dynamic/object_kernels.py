@@ -1,10 +1,11 @@
-"""Kernels that find the moving cells of a grid, and join them to groups. Nothing is checked here."""
+"""Kernels that find the moving cells of a grid and join them to groups. They check nothing."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.fusion.dynamic.groups import find_root
 from ogm.jit import kernel
 
 
@@ -32,22 +33,22 @@ def moving_cells(
 def join_cells(
     cells: NDArray[Any], velocity: NDArray[Any], place: NDArray[Any], reach: int, gate: tuple[float, float]
 ) -> NDArray[Any]:
-    """Return the number of the group of each cell, (K,) int64, in the order of their first cells.
+    """Return the group number of each cell, (K,) int64, in the order of their first cells.
 
-    Sets are joined by union and find: the root of a set is its first cell.
+    Groups are joined by union-find: the root of a group is its first cell.
 
     Parameters
     ----------
     cells : (K, 2) int64
         Sorted row by row.
     velocity : (nx, ny, 2) float32
-        [m/s], finite in the cells.
+        Velocity [m/s], finite in the cells.
     place : (nx, ny) int32
-        Zeros; holds 1 + the place in `cells` afterwards.
+        Zeros; set to 1 + index in `cells`.
     reach : int
         Distance along each axis up to which cells are neighbours [cells].
     gate : (float, float)
-        Greatest difference of the velocities of neighbours [m/s], plus its growth with the greater speed.
+        Greatest difference between velocities of neighbours [m/s], and its growth with the greater of their speeds.
     """
     count = len(cells)
     root = np.arange(count)
@@ -64,23 +65,15 @@ def join_cells(
                 limit = gate[0] + gate[1] * np.sqrt(max(vx * vx + vy * vy, ux * ux + uy * uy))
                 if (vx - ux) ** 2 + (vy - uy) ** 2 > limit * limit:
                     continue
-                p, q = _root(root, k), _root(root, other)
+                p, q = find_root(root, k), find_root(root, other)
                 root[max(p, q)] = min(p, q)
     number = np.empty(count, np.int64)
     groups = 0
     for k in range(count):
-        first = _root(root, k)
+        first = find_root(root, k)
         if first == k:
             number[k] = groups
             groups += 1
         else:
             number[k] = number[first]
     return number
-
-
-@kernel
-def _root(root: NDArray[Any], k: int) -> int:
-    while root[k] != k:
-        root[k] = root[root[k]]
-        k = root[k]
-    return k

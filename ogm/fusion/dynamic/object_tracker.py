@@ -1,4 +1,4 @@
-"""Stable numbers, velocities and turn rates of objects over time: one Kalman filter per object."""
+"""Object tracking: stable numbers, velocities and turn rates over time, by one Kalman filter per object."""
 
 import math
 from collections import deque
@@ -12,34 +12,35 @@ from numpy.typing import NDArray
 from ogm.extras import import_extra
 from ogm.fusion.dynamic.objects import Objects
 
-_TOLERANCE = 1e-3  # [s] by which a stamp may lie before the last one; it then counts as equal
-_MAX_TRACKS = 1000  # beyond it the lightest new objects get no track
+_TOLERANCE = 1e-3  # [s] by which a stamp may precede the last one; both then count as equal
+_MAX_TRACKS = 1000  # beyond this, the new objects with least mass get no track
 
 
 class TrackerSettings(NamedTuple):
-    """How objects of successive scans are associated and filtered.
+    """Parameters for the association and filtering of objects in successive scans.
 
     Attributes
     ----------
     position_deviation, relative_deviation : float
-        Of the centre of an object's visible cells [m]: the first plus the second times the length of its box.
+        Standard deviation of the centre of an object's visible cells [m]: the first plus the second times the length of
+        its box.
     correlation : float
-        Factor on the standard deviation of measured velocities, since those of successive scans depend on each other.
+        Factor on the standard deviation of measured velocities, since velocities of successive scans are correlated.
     acceleration : float
-        By how much a velocity changes within a second, 1 sigma along each axis [m/s²]; the change grows with the root
+        Standard deviation of the change of velocity within one second, along each axis [m/s²]; it grows with the root
         of time.
     turn_deviation, turn_acceleration : float
-        Of turn rates before a measurement [rad/s], and by how much they change within a second [rad/s²].
+        Standard deviation of turn rates before a measurement [rad/s], and of their change within one second [rad/s²].
     max_turn : float
         Bound of turn rates [rad/s].
     gate : float
         Greatest squared Mahalanobis distance of position and velocity from the prediction.
     confirm : (int, int)
-        A track is confirmed once it was found in M of its last N scans.
+        M and N: a track is confirmed when it was found in M of its last N scans.
     min_speed, min_significance : float
-        Of the filtered velocity of an object that is being confirmed [m/s], and its Mahalanobis distance from 0.
+        Least filtered speed of an object for confirmation [m/s], and least Mahalanobis distance of its velocity from 0.
     max_missed : int
-        A track ends when it was missed in more scans in a row.
+        Greatest number of successive scans that miss a track before it ends.
     """
 
     position_deviation: float = 0.3
@@ -57,11 +58,11 @@ class TrackerSettings(NamedTuple):
 
 
 class ObjectTracker:
-    """Follows moving objects from scan to scan.
+    """Tracker of moving objects from scan to scan.
 
-    The velocity of an object is constant, or turns at a constant rate. Position and velocity are filtered together, the
-    direction of the velocity and its rate by a second filter (filterpy). Objects are associated with tracks by the
-    least sum of Mahalanobis distances. Nothing is random: the same objects give the same numbers.
+    The velocity of an object is constant, or turns at a constant rate. Position and velocity share one filter; the
+    direction of the velocity and its rate have a second filter (filterpy). Objects are associated with tracks by the
+    least sum of Mahalanobis distances. The result is deterministic.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ class ObjectTracker:
     Raises
     ------
     ImportError
-        If filterpy is not there.
+        If filterpy is missing.
     """
 
     settings: TrackerSettings
@@ -85,9 +86,6 @@ class ObjectTracker:
         confirmed = sum(bool(track.number) for track in self._tracks)
         return f"ObjectTracker({confirmed} confirmed of {len(self._tracks)} tracks)"
 
-    def __len__(self) -> int:
-        return len(self._tracks)
-
     def reset(self) -> None:
         """End all tracks; numbers start again at 1."""
         self._tracks: list[_Track] = []
@@ -95,29 +93,29 @@ class ObjectTracker:
         self.stamp: float | None = None
 
     def update(self, objects: Objects, stamp: float) -> Objects:
-        """Take in the objects of a scan, and return them with track numbers, turn rates and filtered velocities.
+        """Update the tracks by the objects of a scan; return these with track numbers, turn rates, filtered velocities.
 
         Parameters
         ----------
         objects : Objects
             In map coordinates.
         stamp : float
-            Of the scan [s], not before the last one.
+            Time of the scan [s], not before the last stamp.
 
         Returns
         -------
         Objects
-            The same, in the same order. `boxes.track` is the number of a confirmed track, "" of others. The velocity of
-            a box, its covariance and the turn rate are those of the track. Tracks that were missed are not among them.
+            The same objects in the same order. `boxes.track` is the number of a confirmed track, else "". Velocity,
+            covariance and turn rate are filtered. Tracks without an object in this scan are left out.
 
         Raises
         ------
         ValueError
-            If the stamp is not finite, or before the last one.
+            If the stamp is not finite, or before the last stamp.
         """
         elapsed = 0.0 if self.stamp is None else stamp - self.stamp
         if not -_TOLERANCE <= elapsed < math.inf:
-            raise ValueError(f"stamp must be finite and not before the last one, {self.stamp} s, got {stamp} s")
+            raise ValueError(f"stamp must be finite and not before the last stamp, {self.stamp} s, got {stamp} s")
         elapsed, self.stamp = max(elapsed, 0.0), stamp
         for track in self._tracks:
             track.predict(elapsed)
@@ -134,9 +132,9 @@ class ObjectTracker:
             if found[k] is None and len(self._tracks) < _MAX_TRACKS:
                 found[k] = _Track(self._kalman, z[k], R[k], self.settings)
                 self._tracks.append(found[k])
-        for one in found:
-            if one is not None and one.confirms():
-                one.number, self._next = str(self._next), self._next + 1
+        for new_track in found:
+            if new_track is not None and new_track.confirms():
+                new_track.number, self._next = str(self._next), self._next + 1
         return _with_tracks(objects, found)
 
     def _measured(self, objects: Objects) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -149,7 +147,7 @@ class ObjectTracker:
         return np.concatenate([boxes.center[:, :2], objects.velocity], axis=1), R
 
     def _associated(self, z: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the place of the track of each object, (B,); -1 where none is inside the gate.
+        """Return the index of the track of each object, (B,); -1 if no track is inside the gate.
 
         The cost of a pair is twice its negative log-likelihood, without constants.
         """
@@ -163,15 +161,15 @@ class ObjectTracker:
         inside = distance <= self.settings.gate
         size = np.linalg.slogdet(S)[1]
         size -= size.min()
-        none = self.settings.gate + size.max()  # the cost of no pair, which no pair inside the gate exceeds
-        tracks, objects = self._assignment(np.where(inside, distance + size, none))
+        no_pair = self.settings.gate + size.max()  # cost that no pair inside the gate exceeds
+        tracks, objects = self._assignment(np.where(inside, distance + size, no_pair))
         good = inside[tracks, objects]
         of_object[objects[good]] = tracks[good]
         return of_object
 
 
 class _Track:
-    """One object over time."""
+    """Track of one object over time."""
 
     def __init__(self, kalman: Any, z: NDArray[np.float64], R: NDArray[np.float64], settings: TrackerSettings) -> None:
         self.settings = settings
@@ -179,7 +177,7 @@ class _Track:
         self.found = deque([True], maxlen=max(settings.confirm[1], settings.max_missed + 1))
         self.motion = kalman.KalmanFilter(4, 4)  # x, y, and their velocities
         self.motion.x, self.motion.P, self.motion.H = z.copy(), R.copy(), np.eye(4)
-        self.turn = kalman.KalmanFilter(2, 1)  # direction of the velocity, which goes on beyond pi, and its rate
+        self.turn = kalman.KalmanFilter(2, 1)  # direction of the velocity, not wrapped at pi, and its rate
         heading, variance = _heading(z[2:], R[2:, 2:])
         self.turn.x, self.turn.H = np.array([heading, 0.0]), np.array([[1.0, 0.0]])
         self.turn.P = np.diag([variance, settings.turn_deviation**2])
@@ -191,7 +189,7 @@ class _Track:
 
     @property
     def turn_rate(self) -> float:
-        """Of the velocity's direction [rad/s]."""
+        """Turn rate of the velocity's direction [rad/s]."""
         return float(np.clip(self.turn.x[1], -self.settings.max_turn, self.settings.max_turn))
 
     def confirms(self) -> bool:
@@ -203,7 +201,7 @@ class _Track:
         return far and math.hypot(*v) >= self.settings.min_speed
 
     def predict(self, dt: float) -> None:
-        """Move on by `dt` [s]: along an arc at the present turn rate."""
+        """Predict the track by `dt` [s], along an arc at the present turn rate."""
         settings, turn = self.settings, self.turn_rate
         F = np.eye(4)
         F[:2, 2:], F[2:, 2:] = arc(turn, dt)
@@ -212,15 +210,15 @@ class _Track:
         self.turn.predict(F=F, Q=settings.turn_acceleration**2 * integrated_noise(dt))
 
     def update(self, z: NDArray[np.float64], R: NDArray[np.float64]) -> None:
-        """Take in a position and a velocity."""
+        """Update the track by a measured position and velocity."""
         self.motion.update(z, R)
         heading, variance = _heading(z[2:], R[2:, 2:])
-        heading -= 2 * math.pi * round((heading - self.turn.x[0]) / (2 * math.pi))  # of all equivalent, the nearest
+        heading -= 2 * math.pi * round((heading - self.turn.x[0]) / (2 * math.pi))  # the nearest equivalent angle
         self.turn.update(heading, variance)
 
 
 def _heading(velocity: NDArray[np.float64], covariance: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the direction of a velocity [rad] and its variance: to first order, that across over the squared speed."""
+    """Return the direction of a velocity [rad] and its variance to first order: across / squared speed."""
     vx, vy = velocity
     squared = max(vx * vx + vy * vy, 1e-6)
     across = np.array([-vy, vx]) / math.sqrt(squared)
@@ -239,7 +237,7 @@ def _with_tracks(objects: Objects, tracks: Sequence[_Track | None]) -> Objects:
 
 
 def arc(turn_rate: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what takes a velocity to the shift within `dt` [s] at constant turn rate [rad/s], and to its end; (2, 2).
+    """Return matrices (2, 2) from a velocity to the shift within `dt` [s] at a turn rate [rad/s], and to its end value.
 
     The chord of an arc of length l and turn a is ``l sin(a / 2) / (a / 2)``, in the direction half-way.
     """
@@ -254,5 +252,5 @@ def _rotation(angle: float) -> NDArray[np.float64]:
 
 
 def integrated_noise(dt: float) -> NDArray[np.float64]:
-    """Return the covariance, (2, 2), of a white noise integrated twice and once (Bar-Shalom et al. 2001, 6.2.2-12)."""
+    """Return the covariance (2, 2) of white noise integrated twice and once (Bar-Shalom et al. 2001, 6.2.2-12)."""
     return np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])

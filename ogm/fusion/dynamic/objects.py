@@ -10,11 +10,11 @@ from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion.dynamic.object_kernels import join_cells, moving_cells
 from ogm.scan import Boxes
 
-_ANGLES = np.radians(np.arange(0, 90, 5))  # tried for the box of an object without a heading
+_ANGLES = np.radians(np.arange(0, 90, 5))  # candidates for the yaw of a box without a heading
 
 
 class ObjectSettings(NamedTuple):
-    """What counts as a moving cell, and which of them belong to one object.
+    """Criteria for moving cells, and for cells of the same object.
 
     Attributes
     ----------
@@ -23,24 +23,23 @@ class ObjectSettings(NamedTuple):
     min_share : float
         Least share of dynamic in its occupied mass, [0, 1].
     min_speed : float
-        Of a moving cell, and of an object [m/s].
+        Least speed of a moving cell, and of an object [m/s].
     reach : float
-        Cells whose centres are at most this far apart along x and along y may be neighbours [m]; never less than one
-        cell.
+        Greatest distance of the centres of neighbouring cells along x and along y [m]; at least one cell.
     max_difference, relative_difference : float
-        Neighbours belong together if their velocities differ by at most the first [m/s] plus the second times the
+        Neighbours belong to one object if their velocities differ by at most the first [m/s] plus the second times the
         greater of their speeds.
     min_cells : int
-        Of an object.
+        Least number of cells of an object.
     correlated_cells : float
         Number of cells whose velocities count as one measurement, at least 1.
     min_deviation, max_deviation : float
-        Least standard deviation of an object's velocity, and greatest [m/s], the root mean square over directions: a
-        group of cells whose velocity is less certain is no object.
+        Least and greatest standard deviation of an object's velocity [m/s], the root mean square over directions. A
+        group of cells with a less certain velocity is not an object.
     heading_speed : float
-        From which speed on a box is aligned with the velocity [m/s]; below it has the least area.
+        Speed from which a box is aligned with the velocity [m/s]; slower boxes have the least area.
     height : float
-        Given to every box [m], since a grid has none; boxes stand on z = 0.
+        Nominal height of every box [m], since a grid has none; boxes stand on z = 0.
     """
 
     min_dynamic: float = 0.2
@@ -64,16 +63,16 @@ class Objects:
     Parameters
     ----------
     boxes : Boxes
-        Around the cells, in the grid's frame, with `velocity` over ground [m/s]. Length along the velocity. The height
-        is nominal. `track` numbers the objects once a tracker has confirmed them.
+        Boxes around the cells, in the grid's frame, with `velocity` over ground [m/s]. The length is along the
+        velocity, the height nominal. `track` is the number of an object once a tracker has confirmed it.
     covariance : (B, 2, 2) float64
-        Of the velocities [m²/s²].
+        Covariance of the velocities [m²/s²].
     turn_rate : (B,) float64
-        Of the velocities' directions, counter-clockwise [rad/s]; 0 where unknown.
+        Turn rates of the velocities' directions, counter-clockwise [rad/s]; 0 if unknown.
     mass : (B,) float64
         Sum of the dynamic masses of the cells: the expected number of dynamic cells.
     label : (nx, ny) int32
-        k + 1 in the cells of object k, 0 in others.
+        k + 1 in the cells of object k, 0 in all other cells.
 
     Raises
     ------
@@ -105,17 +104,17 @@ class Objects:
 
     @property
     def velocity(self) -> NDArray[np.float64]:
-        """Of the boxes, (B, 2) [m/s]."""
+        """Velocities of the boxes, (B, 2) [m/s]."""
         assert self.boxes.velocity is not None
         return self.boxes.velocity
 
     @property
     def confirmed(self) -> "Objects":
-        """Those with a track number."""
+        """The objects with a track number."""
         return self.select([bool(name) for name in self.boxes.track])
 
     def select(self, keep: ArrayLike) -> "Objects":
-        """Return some of the objects; cells of the others become 0 in `label`.
+        """Return a selection of the objects; cells of other objects become 0 in `label`.
 
         Parameters
         ----------
@@ -137,8 +136,8 @@ class Objects:
 def find_objects(grid: DynamicGrid, settings: ObjectSettings | None = None) -> Objects:
     """Return the groups of moving cells of a grid as objects.
 
-    Moving cells are joined to one object where they are neighbours and their velocities agree. Its velocity is the mean
-    of those of its cells, weighted by their dynamic mass. Objects are in the order of their first cells.
+    Moving cells are joined to one object if they are neighbours and their velocities agree. The velocity of an object
+    is the mean over its cells, weighted by dynamic mass. Objects are in the order of their first cells.
 
     Parameters
     ----------
@@ -148,7 +147,7 @@ def find_objects(grid: DynamicGrid, settings: ObjectSettings | None = None) -> O
     Returns
     -------
     Objects
-        Without turn rates and track numbers: these take an `ObjectTracker`.
+        Objects without turn rates and track numbers, which an `ObjectTracker` adds.
     """
     chosen = ObjectSettings() if settings is None else settings
     mass, velocity = np.ascontiguousarray(grid.mass), np.ascontiguousarray(grid.velocity)
@@ -167,7 +166,7 @@ def find_objects(grid: DynamicGrid, settings: ObjectSettings | None = None) -> O
     enough &= np.hypot(*mean.T) >= chosen.min_speed
     enough &= np.trace(covariance, axis1=1, axis2=2) <= 2 * chosen.max_deviation**2
 
-    number = np.cumsum(enough) * enough  # of the kept groups, from 1 on; 0 for others
+    number = np.cumsum(enough) * enough  # of the kept groups, from 1; 0 for other groups
     label[cells[:, 0], cells[:, 1]] = number[group]
     kept = enough[group]
     xy = (cells[kept] + 0.5) * grid.spec.resolution + grid.spec.origin
@@ -180,8 +179,8 @@ def _covariance_of_mean(
 ) -> NDArray[np.float64]:
     """Return the covariance of each object's mean velocity, (B, 2, 2) [m²/s²].
 
-    That of one cell is the mean of the cells' own covariances plus the covariance between the cells; the mean of n
-    cells has it divided by the number of independent ones among them.
+    The covariance of one cell is the mean of the cells' own covariances plus the covariance between the cells. For the
+    mean of n cells it is divided by the number of independent cells among them.
     """
     spread = np.nan_to_num(cells.astype(np.float64)) + away[:, :, None] * away[:, None, :]
     count = int(group.max(initial=-1)) + 1
@@ -195,7 +194,7 @@ def _covariance_of_mean(
 def _boxes(
     xy: NDArray[Any], group: NDArray[Any], velocity: NDArray[Any], resolution: float, settings: ObjectSettings
 ) -> Boxes:
-    """Return the boxes around the cells at `xy` (K, 2), which belong to the objects `group` (K,)."""
+    """Return the boxes around cells at `xy` (K, 2) that belong to the objects `group` (K,)."""
     count = len(velocity)
     if not count:
         return Boxes(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty((0, 2)))
@@ -218,7 +217,7 @@ def _boxes(
 def _extent(
     xy: NDArray[Any], group: NDArray[Any], first: NDArray[Any], yaw: NDArray[Any], resolution: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the centres and the sizes (B, 2) [m] of the boxes of given yaws; `xy` is sorted by group."""
+    """Return the centres and sizes (B, 2) [m] of the boxes at given yaws; `xy` is sorted by group."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
     c, s = cosine[group], sine[group]
     along = np.stack([c * xy[:, 0] + s * xy[:, 1], c * xy[:, 1] - s * xy[:, 0]], axis=-1)

@@ -1,7 +1,7 @@
-"""Particles that all have the same weight, and the kernels that predict them and sort them into cells.
+"""Particles of equal weight, and the kernels that predict them and sort them into cells.
 
-Particles lie in map coordinates, relative to the corner of the window [m], so that float32 suffices however far the
-vehicle drives. Cells are numbered ``ix * ny + iy`` in the order of the window. Nothing is checked here.
+Positions are in map coordinates, relative to the corner of the window [m], so that float32 suffices at any distance
+from the origin. Cells are numbered ``ix * ny + iy`` in the order of the window. The kernels check nothing.
 """
 
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from ogm.jit import inline, kernel
 
 
 class Particles(NamedTuple):
-    """Particles of one common weight, sorted by cell.
+    """Particles of equal weight, sorted by cell.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class Particles(NamedTuple):
     vx, vy : (n,) float32
         Velocity over ground along the axes of the map [m/s].
     start : (cells + 1,) int32
-        Those of cell c = ix * ny + iy are ``start[c]:start[c + 1]``.
+        Cell c = ix * ny + iy has the particles ``start[c]:start[c + 1]``.
     """
 
     x: NDArray[np.float32]
@@ -34,13 +34,13 @@ class Particles(NamedTuple):
 
 
 class Step(NamedTuple):
-    """The motion of particles from one scan to the next, constant velocity and noise.
+    """Motion of particles from one scan to the next: constant velocity and noise.
 
     Attributes
     ----------
     seconds : float32
     shift : (float32, float32)
-        By which the corner of the window moves [m].
+        Shift of the corner of the window [m].
     noise : (float32, float32)
         Standard deviations of position [m] and velocity [m/s] along each axis.
     resolution : float32
@@ -48,7 +48,7 @@ class Step(NamedTuple):
     shape : (int, int)
         Cells along x and y.
     key : uint64
-        Of the scan's random numbers.
+        Key of the random numbers of the scan.
     """
 
     seconds: np.float32
@@ -60,14 +60,14 @@ class Step(NamedTuple):
 
 
 def no_particles(capacity: int, cells: int) -> Particles:
-    """Return arrays for particles, of which there are none."""
+    """Return empty arrays for particles."""
     x, y, vx, vy = np.empty((4, capacity), np.float32)
     return Particles(x, y, vx, vy, np.zeros(cells + 1, np.int32))
 
 
 @inline
 def _moved(p: Any, k: int, h: Any, step: Any, normals: Any) -> Any:
-    """Return the position of particle k after the step, the same in every kernel that asks for it."""
+    """Return the position of particle k after the step, identical in all kernels."""
     x = p.x[k] + p.vx[k] * step.seconds + step.noise[0] * normals[index(h, 0)] - step.shift[0]
     y = p.y[k] + p.vy[k] * step.seconds + step.noise[0] * normals[index(h, 1)] - step.shift[1]
     return x, y
@@ -77,7 +77,7 @@ def _moved(p: Any, k: int, h: Any, step: Any, normals: Any) -> Any:
 def count_in_cells(
     p: Particles, span: tuple[int, int], step: Step, normals: np.ndarray, cell: np.ndarray, count: np.ndarray
 ) -> None:
-    """Predict the particles [span[0], span[1]): write their cells, -1 outside the window, and count them.
+    """Predict the particles [span[0], span[1]), write their cells (-1 outside the window), and count them.
 
     Parameters
     ----------
@@ -86,9 +86,9 @@ def count_in_cells(
     step : Step
     normals : (4096,) float32
     cell : (n,) int32
-        Is filled.
+        Output: cell of each particle.
     count : (cells,) int32
-        Is filled.
+        Output: number of particles in each cell.
     """
     nx, ny = step.shape
     per_metre = np.float32(1) / step.resolution
@@ -107,7 +107,7 @@ def count_in_cells(
 
 @kernel
 def cell_starts(count: np.ndarray, start: np.ndarray) -> None:
-    """Turn counts per part and cell, (parts, cells) int32, into places, and fill `start` (cells + 1,)."""
+    """Turn counts per part and cell, (parts, cells) int32, into first indices, and fill `start` (cells + 1,)."""
     parts, cells = count.shape
     total = np.int32(0)
     for c in range(cells):
@@ -129,16 +129,16 @@ def sort_into_cells(
     place: np.ndarray,
     out: Particles,
 ) -> None:
-    """Predict the particles [span[0], span[1]) again and write them in the order of their cells (a counting sort).
+    """Predict the particles [span[0], span[1]) again, and write them sorted by cell (counting sort).
 
     Parameters
     ----------
     p, span, step, normals, cell
-        As for `count_in_cells`.
+        See `count_in_cells`.
     place : (cells,) int32
-        Where the part's next particle of each cell goes; changed.
+        Index of the part's next particle in each cell, changed in place.
     out : Particles
-        Filled but for `start`.
+        Output, except `start`.
     """
     for k in range(span[0], span[1]):
         c = cell[k]

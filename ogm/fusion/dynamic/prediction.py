@@ -1,4 +1,4 @@
-"""A dynamic grid at a later time: objects move on as rigid bodies, other particles by their own velocities."""
+"""Prediction of a dynamic grid: objects move as rigid bodies, other particles by their own velocities."""
 
 import math
 from functools import cache
@@ -16,26 +16,26 @@ from ogm.fusion.dynamic.particles import Particles
 from ogm.fusion.dynamic.prediction_kernels import NORMALS, Arrivals, Bodies, Horizon, cells_later, move_mass
 from ogm.grid import GridSpec
 
-_PER_CELL = 16  # particles made of a dynamic cell where none are given
+_PER_CELL = 16  # particles that represent a dynamic cell if none are given
 
 
 class PredictionSettings(NamedTuple):
-    """What is assumed of the time that is predicted.
+    """Assumptions about the predicted time.
 
     Attributes
     ----------
     free_half_life : float
-        Time in which the mass of free halves [s], since anything may enter.
+        Half-life of free [s], since anything may enter.
     acceleration : float
-        By how much velocities change within a second, 1 sigma along each axis [m/s²]; the change grows with the root of
-        time.
+        Standard deviation of the change of velocities within one second, along each axis [m/s²]; it grows with the root
+        of time.
     rigidity : float
-        Of objects, [0, 1]: 1 moves all of an object's particles by its velocity, 0 each by its own.
+        Rigidity of objects, [0, 1]: 1 moves all particles of an object by its velocity, 0 each by its own.
     uncertainty : float
-        Factor on the standard deviation of objects' velocities; below 1 it trades calibration of the velocity for
+        Factor on the standard deviation of objects' velocities. Below 1 it trades calibration of the velocity for
         precise cells.
     moved_static : float
-        Share of the static mass in an object's cells that belongs to the object, and moves with it, [0, 1].
+        Share of the static mass in an object's cells that moves with the object, [0, 1].
     """
 
     free_half_life: float = 60.0
@@ -52,40 +52,40 @@ def predict_dynamic(
     objects: Objects | None = None,
     settings: PredictionSettings | None = None,
 ) -> DynamicGrid:
-    """Return a dynamic grid some time later, if nothing is measured in the meantime.
+    """Return a dynamic grid predicted some time later, without further measurements.
 
-    What is static stays. The dynamic mass of a cell is carried by the particles in it, in equal shares. Particles of an
-    object move with it: its centre along an arc at its velocity and turn rate, the particles turned about the centre.
-    Other particles move straight on by their own velocities. White accelerations, and the error of the object's
-    velocity, spread them. Mass that leaves a cell becomes unknown; mass that arrives takes from unknown and from free.
+    Static mass stays. The dynamic mass of a cell is carried by its particles in equal shares. Particles of an object
+    move with it: its centre along an arc at its velocity and turn rate, and the particles rotate about the centre.
+    Other particles move straight at their own velocities. White accelerations, and the error of the object's velocity,
+    spread them. Mass that leaves a cell becomes unknown; arriving mass reduces unknown and free.
 
     Parameters
     ----------
     grid : DynamicGrid
     particles : Particles or None
-        Of the same grid. None makes some from the cells' velocities and covariances.
+        Particles of the same grid. With None, particles are made from the cells' velocities and covariances.
     seconds : float
-        How far ahead [s], 0 or more; 0 gives `grid` itself.
+        Prediction time [s], 0 or more; 0 returns `grid` itself.
     objects : Objects, optional
-        Of the same grid; by default those that `find_objects` finds, which have no turn rates.
+        Objects of the same grid; by default from `find_objects`, without turn rates.
     settings : PredictionSettings, optional
 
     Returns
     -------
     DynamicGrid
-        On the same cells. Particles that leave them are lost.
+        Prediction on the same cells. Particles that leave them are lost.
 
     Raises
     ------
     ValueError
-        If `seconds` is negative or not finite, or particles or objects are those of a grid of another shape.
+        If `seconds` is negative or not finite, or particles or objects belong to a grid of another shape.
     """
     if not 0 <= seconds < math.inf:
         raise ValueError(f"seconds must be 0 or more and finite, got {seconds}")
     if objects is not None and objects.label.shape != grid.spec.shape:
-        raise ValueError(f"objects are those of a grid of {objects.label.shape} cells, this one has {grid.spec.shape}")
+        raise ValueError(f"objects must be of a grid of {grid.spec.shape} cells, got {objects.label.shape}")
     if particles is not None and len(particles.start) != grid.mass[..., 0].size + 1:
-        raise ValueError(f"particles are those of {len(particles.start) - 1} cells, the grid has {grid.spec.shape}")
+        raise ValueError(f"particles must be of {grid.spec.shape} cells, got {len(particles.start) - 1} cells")
     if seconds == 0:
         return grid
     moving = _from_cells(grid) if particles is None else particles
@@ -100,7 +100,7 @@ def move_on(
     seconds: float,
     settings: PredictionSettings | None = None,
 ) -> DynamicGrid:
-    """Return the grid of `predict_dynamic`, which needs of the present one only its masses (nx, ny, 3)."""
+    """Return the prediction of `predict_dynamic`, from masses (nx, ny, 3) instead of a whole grid."""
     chosen = PredictionSettings() if settings is None else settings
     horizon = Horizon(seconds, chosen.acceleration, 0.5 ** (seconds / chosen.free_half_life), chosen.moved_static)
     bodies, mass = _bodies(objects, spec, seconds, chosen), np.ascontiguousarray(mass)
@@ -112,7 +112,7 @@ def move_on(
 
 
 def _from_cells(grid: DynamicGrid) -> Particles:
-    """Return particles that stand for the dynamic cells: evenly spread over each, with normal velocities."""
+    """Return particles that represent the dynamic cells: evenly spread over each, with normal velocities."""
     dynamic = (grid.dynamic > 0) & np.isfinite(grid.speed)
     i, j = np.nonzero(dynamic)
     start = np.concatenate([[0], _PER_CELL * np.cumsum(dynamic)]).astype(np.int32)
@@ -127,7 +127,7 @@ def _from_cells(grid: DynamicGrid) -> Particles:
 
 
 def _bodies(objects: Objects, spec: GridSpec, seconds: float, settings: PredictionSettings) -> Bodies:
-    """Return how the objects move within some time."""
+    """Return the motion of the objects within some time."""
     count = len(objects)
     center, velocity = np.zeros((2, count + 1, 2))
     center[1:] = objects.boxes.center[:, :2] - spec.origin
@@ -150,10 +150,10 @@ def _root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @cache
 def _normals() -> NDArray[np.float32]:
-    """Return a table of standard normals, (4096, 4), evenly spread.
+    """Return a table of evenly spread standard normals, (4096, 4).
 
     Successive rows are successive points of an additive recurrence whose steps are powers of the root of x⁵ = x + 1
-    (Roberts 2018), so that the particles of one cell, which follow each other, share few values.
+    (Roberts 2018), so that the successive particles of a cell share few values.
     """
     root = 1.1673039782614187
     steps = root ** -np.arange(1.0, 5.0)

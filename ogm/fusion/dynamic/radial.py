@@ -1,7 +1,7 @@
-"""Radial velocities, of Doppler, as measurements of the velocities of groups of cells: of one component each.
+"""Radial velocities by Doppler as measurements of one velocity component of groups of cells.
 
-Part of the reason for `TURN_RATE`: Kellner et al., "Instantaneous ego-motion estimation using multiple Doppler radars"
-(2014): one sensor cannot tell the rotation of a body from motion across the beam.
+`TURN_RATE` is needed since one sensor cannot distinguish rotation of a body from motion across the beam: Kellner et
+al., "Instantaneous ego-motion estimation using multiple Doppler radars" (2014).
 """
 
 import numpy as np
@@ -14,11 +14,11 @@ from ogm.fusion.dynamic.radial_kernels import ellipses, mark_within, nearest_lab
 from ogm.geometric.doppler import RadialVelocities
 from ogm.grid import GridSpec
 
-LEAST_DEVIATION = 0.3  # [m/s] of a radial velocity: parts of an object differ, as wheels and limbs do
-TURN_RATE = 0.5  # [rad/s] standard deviation of that at which objects turn
-SCATTER = 1.0  # [m/s] beside 3 standard deviations, by which a detection may differ from the median of its group
+MIN_DEVIATION = 0.3  # [m/s] of a radial velocity: parts of an object differ, such as wheels and limbs
+TURN_RATE = 0.5  # [rad/s] standard deviation of the turn rate of objects
+SCATTER = 1.0  # [m/s] plus 3 standard deviations: greatest difference of a detection from the median of its group
 LINK = 1  # [cells] between cells of a group
-MAX_DEVIATION = 20.0  # [m/s] of a component that is measured; float32 would lose less certain ones
+MAX_DEVIATION = 20.0  # [m/s] of a measured component; less certain ones are lost in float32
 
 
 def with_radial_velocities(
@@ -28,22 +28,22 @@ def with_radial_velocities(
     cells: DynamicCells,
     spec: GridSpec,
 ) -> MeasuredVelocities:
-    """Return measured velocities with those of Doppler beside them.
+    """Return matched velocities with the radial velocities added.
 
-    Groups are connected cells within two standard deviations of a detection that the scan measures as occupied rather
-    than free, or that hold more dynamic than static or free. A matched group that holds one of them takes its
-    information; else the cells of the group are a group of their own.
+    Groups are connected cells within two standard deviations of a detection. Their cells are more occupied than free
+    in the scan, or hold more dynamic than static or free mass. A matched group with such a cell receives the
+    information of the detections; otherwise the cells form a new group.
 
     Parameters
     ----------
     matched : MeasuredVelocities
-        Of the same scan; may have no groups.
+        Matched velocities of the same scan; may be empty.
     radial : RadialVelocities
-        In map coordinates, at least one.
+        Radial velocities in map coordinates, at least one.
     measured : (nx, 2 ny) float32
         Masses of the scan in the cells of the window.
     cells : DynamicCells
-        After the update by the scan.
+        Cells after the update by the scan.
     spec : GridSpec
         The window in map coordinates.
     """
@@ -56,7 +56,7 @@ def with_radial_velocities(
     information, weighted = radial_evidence(radial, group, len(groups.start) - 1)
 
     count = len(matched.velocity)
-    label, target = groups.label, np.full(len(information), -1)  # the matched group of each group, from 0 on
+    label, target = groups.label, np.full(len(information), -1)  # index of the matched group of each group
     if count:
         label, of_cell = matched.label.copy(), matched.label[groups.x, groups.y]
         holds = np.concatenate([[False], matched.information.any(axis=(1, 2))])
@@ -84,24 +84,24 @@ def with_radial_velocities(
 def radial_evidence(
     radial: RadialVelocities, group: NDArray[np.int32], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return information I (G, 2, 2) [s²/m²] and I v (G, 2) of the velocity v at the middle of each group.
+    """Return information I (G, 2, 2) [s²/m²] and I v (G, 2) for the velocity v at the middle of each group.
 
     Parameters
     ----------
     radial : RadialVelocities
     group : (N,) int32
-        From 1 to `count`; 0 for none.
+        Group of each detection, from 1 to `count`; 0 for none.
     count : int
 
     Notes
     -----
-    A detection at p in the direction u measures u . v + w q, with the turn rate w of the body and
-    q = u x (m - p), m being the middle of the group's detections: one sensor cannot tell turning from motion across the
-    beam. With w ~ N(0, `TURN_RATE`²) integrated out, I is the sum of u u' / s² less g g' / (1 / `TURN_RATE`² + h),
-    where g is the sum of q u / s² and h that of q² / s² (Woodbury). Of a single detection it has rank one. Detections
-    that differ from the median of their group by over 3 s and `SCATTER` count nothing.
+    A detection at p in the direction u measures u . v + w q, with the turn rate w of the body, q = u x (m - p), and the
+    middle m of the group's detections: one sensor cannot distinguish rotation from motion across the beam. With
+    w ~ N(0, `TURN_RATE`²) integrated out, I is the sum of u u' / s² minus g g' / (1 / `TURN_RATE`² + h), with the sums
+    g of q u / s² and h of q² / s² (Woodbury). For a single detection it has rank one. Detections that differ from the
+    median of their group by more than 3 s + `SCATTER` have no weight.
     """
-    s = np.maximum(radial.deviation, LEAST_DEVIATION)
+    s = np.maximum(radial.deviation, MIN_DEVIATION)
     agree = np.abs(radial.speed - _medians(radial.speed, group, count)[group]) <= 3 * s + SCATTER
     rows = np.column_stack([radial.xy, radial.direction, radial.speed, agree / s**2])
     information, weighted = np.zeros((count, 2, 2)), np.zeros((count, 2))
@@ -112,9 +112,9 @@ def radial_evidence(
 def _solved(
     information: NDArray[np.float64], weighted: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return velocities v (G, 2) from I and I v, and I: of rank one, v along it, where it measures one component.
+    """Return velocities v (G, 2) and I, from I and I v; rank one, with v along it, if I measures one component.
 
-    Eigenvalues p >= q of I have p + q = trace, p q = det. Without its part along q it is (I - q) p / (p - q).
+    Eigenvalues p >= q of I satisfy p + q = trace, p q = det. Without its part along q, I is (I - q) p / (p - q).
     """
     a, b, d = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
     (x, y), det = weighted.T, a * d - b * b
@@ -123,10 +123,10 @@ def _solved(
     full = q > MAX_DEVIATION**-2
     by_cofactors = np.stack([d * x - b * y, a * y - b * x], axis=-1) / np.where(full, det, 1)[:, None]
     scale = p / np.where(full | (p <= q), 1, p - q)
-    one = (information - q[:, None, None] * np.eye(2)) * scale[:, None, None]
-    along = np.einsum("gij,gj->gi", one, weighted) / np.maximum(p**2, 1e-300)[:, None]
+    rank_one = (information - q[:, None, None] * np.eye(2)) * scale[:, None, None]
+    along = np.einsum("gij,gj->gi", rank_one, weighted) / np.maximum(p**2, 1e-300)[:, None]
     v = np.where(full[:, None], by_cofactors, along)
-    return v, np.where(full[:, None, None], information, one)
+    return v, np.where(full[:, None, None], information, rank_one)
 
 
 def _medians(values: NDArray[np.float64], group: NDArray[np.int32], count: int) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Kernels that draw the particles of each cell anew, by measured velocities of groups of cells where there are any."""
+"""Kernels that draw the new particles of each cell, by measured velocities of its group if there are any."""
 
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ from ogm.fusion.dynamic.particles import Particles, Step
 from ogm.fusion.dynamic.velocity_evidence import HALF, GroupVelocities, likelihood
 from ogm.jit import kernel
 
-_CELL = np.uint64(0x5851F42D4C957F2D)  # other random numbers for cells than for particles
+_CELL = np.uint64(0x5851F42D4C957F2D)  # makes random numbers of cells differ from random numbers of particles
 
 
 class Moments(NamedTuple):
@@ -22,7 +22,7 @@ class Moments(NamedTuple):
 
 @kernel
 def mean_velocities(p: Particles, wanted: np.ndarray, out: np.ndarray) -> None:
-    """Fill (cells, 2) with the mean velocity of each cell's particles; NaN where there are none, or it is not wanted.
+    """Fill (cells, 2) with the mean velocity of each wanted cell's particles; NaN without particles and elsewhere.
 
     Parameters
     ----------
@@ -55,27 +55,27 @@ def resample(
     out: Particles,
     moments: Moments,
 ) -> None:
-    """Draw each cell's particles anew: systematically from its own, and the rest as births.
+    """Draw each cell's new particles: systematically from its old ones, and the rest as births.
 
-    Survivors are drawn with equal chances, in cells of a group by ``1 - a + a g``, with the probability of association
-    a and the likelihood g of the measured velocity. Births lie uniformly in the cell; with probability a their velocity
-    is drawn from the group's normal distribution, else from that of cells without a group.
+    Survivors are drawn with equal weights, in cells of a group with ``1 - a + a g``, with the probability of
+    association a and the likelihood g of the measured velocity. Births are uniform in the cell. With probability a
+    their velocity is drawn from the group's normal distribution, else from the distribution for cells without a group.
 
     Parameters
     ----------
     p : Particles
-        Predicted and sorted.
+        Predicted particles, sorted by cell.
     cells : (int, int)
         The cells [cells[0], cells[1]).
     survivors : (nx * ny,) int32
-        How many of a cell's new particles are drawn from its old ones.
+        Number of a cell's new particles that are drawn from its old ones.
     groups : GroupVelocities
     step : Step
     normals : (4096,) float32
     out : Particles
-        `start` is read, the rest is filled.
+        `start` is input, the other arrays are output.
     moments : Moments
-        Of the cells' old particles, by the same weights: filled where there are any.
+        Weighted moments of the old particles, filled for cells with particles.
     """
     ny = step.shape[1]
     label, rows = groups.label.reshape(-1), groups.rows
@@ -109,14 +109,14 @@ def resample(
 
 @kernel
 def _weigh(p: Any, first: int, n: int, a: Any, g: Any, weight: Any) -> Any:
-    """Fill the weights of a cell's particles, and return their sum."""
+    """Fill the weights of a cell's particles; return their sum."""
     total = np.float32(0)
     for k in range(n if a > 0 else 0):
         weight[k] = np.float32(1) - a + a * likelihood(p.vx[first + k] - g[0], p.vy[first + k] - g[1], g)
         total += weight[k]
     if total > 0:
         return total
-    for k in range(n):  # nothing is measured, or nothing that a particle can have caused
+    for k in range(n):  # there is no measurement, or no particle explains it
         weight[k] = 1
     return np.float32(n)
 
@@ -125,7 +125,7 @@ def _weigh(p: Any, first: int, n: int, a: Any, g: Any, weight: Any) -> Any:
 def _moments(p: Any, first: int, n: int, weight: Any, total: Any, mean: Any, covariance: Any) -> None:
     if n == 0 or total <= 0:
         return
-    x0, y0 = p.vx[first], p.vy[first]  # near the mean, so that float32 does not cancel
+    x0, y0 = p.vx[first], p.vy[first]  # near the mean, to avoid cancellation in float32
     sx = sy = sxx = sxy = syy = np.float32(0)
     for k in range(n):
         w, dx, dy = weight[k], p.vx[first + k] - x0, p.vy[first + k] - y0
@@ -143,7 +143,7 @@ def _moments(p: Any, first: int, n: int, weight: Any, total: Any, mean: Any, cov
 
 @kernel
 def _draw(p: Any, span: Any, weight: Any, total: Any, offset: Any, out: Any, target: Any) -> None:
-    """Systematic resampling within a cell: `target` is the first new particle and their number."""
+    """Draw survivors of a cell by systematic resampling; `target` is the first new particle and their number."""
     first, n = span
     at, kept = target
     spacing = total / np.float32(kept)

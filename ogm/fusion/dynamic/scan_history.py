@@ -1,4 +1,4 @@
-"""The measured cells of the last scans, in map coordinates, and the grids that they were measured on."""
+"""History of the measured cells of recent scans in map coordinates, and of their measurement grids."""
 
 import math
 from collections import deque
@@ -9,26 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 Corner = tuple[int, int]
-KNOWN = 0.5  # mass of free and occupied above which a scan measures a cell, and mass of an occupied one
-HIDDEN, CLEAR, OCCUPIED = range(3)  # states of a cell in one scan: not measured, measured as not occupied, occupied
+KNOWN = 0.5  # least free + occupied of a measured cell, and least occupied of an occupied cell
+HIDDEN, CLEAR, OCCUPIED = range(3)  # states of a cell in one scan: not measured, measured but not occupied, occupied
 
 
 class Extent(NamedTuple):
-    """A measurement grid that lies in a window.
+    """Position of a measurement grid in a window.
 
     Attributes
     ----------
     affine : (2, 3) float64
-        From the window's cells to those of the grid, as `ogm.fusion.window.affine_between` gives it.
+        Affine map from the window's cells to the grid's cells, see `ogm.fusion.window.affine_between`.
     shape : (int, int)
-        Cells of the grid.
+        Number of cells of the grid.
     """
 
     affine: NDArray[np.float64]
     shape: tuple[int, int]
 
     def holds(self, cells: NDArray[np.intp], margin: float) -> NDArray[np.bool_]:
-        """Return whether cells (2, n) of the window lie in the grid, and at least a margin [window cells] inside."""
+        """Return whether cells (2, n) of the window lie in the grid, at least a margin [window cells] from its edge."""
         A, shift = self.affine[:, :2], self.affine[:, 2:]
         inner = A @ (cells + 0.5) + shift
         edge = margin * np.hypot(*A[:, 0])
@@ -38,7 +38,7 @@ class Extent(NamedTuple):
 
 
 class ScanCells(NamedTuple):
-    """Cells (nx, ny) that a scan measures as occupied, those that it does not measure, and its age [s]."""
+    """Occupied cells of a scan, (nx, ny), its cells that were not measured, and its age [s]."""
 
     occupied: NDArray[np.bool_]
     hidden: NDArray[np.bool_]
@@ -46,25 +46,25 @@ class ScanCells(NamedTuple):
 
 
 def scan_states(measured: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the states of cells (nx, ny) by the masses (free, occupied) of a scan, (nx, 2 ny)."""
+    """Return the states of cells (nx, ny) from masses (free, occupied) of a scan, (nx, 2 ny)."""
     free, occupied = measured[:, ::2], measured[:, 1::2]
     return (HIDDEN + (free + occupied > KNOWN).astype(np.uint8) + (occupied > KNOWN)).astype(np.uint8)
 
 
 def scan_cells(states: NDArray[np.uint8], age: float) -> ScanCells:
-    """Return the cells of a scan by their states."""
+    """Return the cells of a scan from their states."""
     return ScanCells(states == OCCUPIED, states == HIDDEN, age)
 
 
 class ScanHistory:
-    """The cells of a scrolling window that the last scans measured.
+    """Measured cells of recent scans in a scrolling window.
 
     Parameters
     ----------
     seconds : float
-        How long a scan is kept [s].
+        Time for which a scan is kept [s].
     spacing : float
-        Least time between two scans that are kept [s], so that sensors of any rate cost the same.
+        Least time between two kept scans [s], so that the cost does not depend on the sensor's rate.
     """
 
     seconds: float
@@ -73,7 +73,7 @@ class ScanHistory:
     def __init__(self, seconds: float, spacing: float) -> None:
         self.seconds, self.spacing = seconds, spacing
         self._scans: deque[tuple[float, Corner, NDArray[np.uint8]]] = deque()
-        self._grids: deque[tuple[float, Corner, Extent]] = deque()  # of all scans, also of those without shapes
+        self._grids: deque[tuple[float, Corner, Extent]] = deque()  # of all scans, with and without shapes
 
     def clear(self) -> None:
         """Forget all scans."""
@@ -81,12 +81,12 @@ class ScanHistory:
         self._grids.clear()
 
     def add(self, stamp: float, corner: Corner, cells: NDArray[np.uint8]) -> None:
-        """Keep the cells of a scan; those of one stamp are merged.
+        """Keep the cells of a scan; scans with the same stamp are merged.
 
         Parameters
         ----------
         stamp : float
-            [s]
+            Time of the scan [s].
         corner : (int, int)
             Lattice index of the first cell.
         cells : (nx, ny) uint8
@@ -95,45 +95,44 @@ class ScanHistory:
         while self._scans and self._scans[0][0] < stamp - self.seconds:
             self._scans.popleft()
         if self._scans:
-            newest, where, others = self._scans[-1]
+            newest, old_corner, others = self._scans[-1]
             if newest == stamp:
-                self._scans[-1] = stamp, corner, np.maximum(cells, _shifted(others, where, corner))
+                self._scans[-1] = stamp, corner, np.maximum(cells, _shifted(others, old_corner, corner))
                 return
             if stamp - newest < self.spacing:
                 return
         self._scans.append((stamp, corner, cells))
 
     def add_grid(self, stamp: float, corner: Corner, extent: Extent) -> None:
-        """Keep where a scan's measurement grid lies in the window."""
+        """Keep the position of a scan's measurement grid in the window."""
         while self._grids and self._grids[0][0] < stamp - self.seconds:
             self._grids.popleft()
         self._grids.append((stamp, corner, extent))
 
     def reached(self, corner: Corner, cells: NDArray[np.intp], margin: float) -> NDArray[np.bool_]:
-        """Return which cells (2, n) of a window lie in the grid of a kept scan, with a margin [cells] inside."""
+        """Return which cells (2, n) of a window lie in the grid of a kept scan, at least `margin` [cells] inside."""
         found = np.zeros(cells.shape[1], bool)
-        for _, where, extent in self._grids:
-            step = np.subtract(corner, where)
+        for _, old_corner, extent in self._grids:
+            step = np.subtract(corner, old_corner)
             affine = np.column_stack([extent.affine[:, :2], extent.affine[:, 2] + extent.affine[:, :2] @ step])
             found |= Extent(affine, extent.shape).holds(cells, margin)
         return found
 
     def earlier(self, stamp: float, corner: Corner, ages: Sequence[float]) -> list[ScanCells]:
-        """Return the scans whose ages are closest to some ages, aligned with a window.
+        """Return the scans with ages closest to the given ages [s], aligned with a window.
 
-        Cells that were outside the window of a scan are hidden. None of the scans is newer than half the least
-        of `ages`.
+        Cells outside the window of a scan are hidden. All scans are at least half as old as the least of `ages`.
         """
         past = [scan for scan in self._scans if stamp - scan[0] >= min(ages) / 2]
         chosen = {min(range(len(past)), key=lambda k: math.fabs(stamp - past[k][0] - age)) for age in ages if past}
         return [
-            scan_cells(_shifted(states, where, corner), stamp - then)
-            for then, where, states in (past[k] for k in sorted(chosen))
+            scan_cells(_shifted(states, old_corner, corner), stamp - then)
+            for then, old_corner, states in (past[k] for k in sorted(chosen))
         ]
 
 
 def _shifted(mask: NDArray[np.uint8], at: Corner, corner: Corner) -> NDArray[np.uint8]:
-    """Return the cells of a window with some corner; what the old one did not hold is `HIDDEN`."""
+    """Return cells shifted from one window corner to another; cells outside the old window are `HIDDEN`."""
     if at == corner:
         return mask
     out = np.zeros_like(mask)

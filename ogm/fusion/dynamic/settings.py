@@ -1,4 +1,4 @@
-"""The numbers of the dynamic map's model, per second, and what they amount to from one scan to the next."""
+"""Parameters of the dynamic map's model, per second, and their effect between two scans."""
 
 import math
 from dataclasses import dataclass, fields
@@ -11,36 +11,37 @@ from ogm.fusion.dynamic.cells import Rates
 
 @dataclass(frozen=True)
 class DynamicSettings:
-    """Numbers of the model of `DynamicMapper`.
+    """Parameters of the model of `DynamicMapper`.
 
     Parameters
     ----------
     free_half_life, static_half_life, dynamic_half_life : float
-        Time in which belief in free and in static halves, and in which half of the particles survive [s]; infinity
-        forgets nothing.
+        Half-lives of free and static mass, and of the number of surviving particles [s]; infinity forgets nothing.
     birth_rate : float
-        Rate at which something appears in an occupied cell that was not there before [1/s].
+        Rate at which something new appears in a cell [1/s].
     static_share : float
-        Share of what appears that is taken to be static, [0, 1].
+        Share of newly appeared mass that is static, [0, 1].
     to_dynamic_rate : float
         Rate at which static things begin to move [1/s].
     birth_speed : float
-        Standard deviation of each component of the velocity of what appears [m/s].
+        Standard deviation of each velocity component of newly appeared mass [m/s].
     position_noise, velocity_noise : float
-        Of the particles, along each axis: their variances grow by the square per second [m/√s], [m/s/√s].
+        Noise of the particles along each axis: their variances grow by its square per second [m/√s], [m/s/√s].
     association : float
-        Probability that the particles of a group of cells have made the measurement of the group's velocity, [0, 1].
+        Probability that the particles of a group caused the measurement of its velocity, [0, 1].
     renewal_likelihood : float
-        Mean likelihood of a measured velocity under the particles of a cell, relative to its greatest, at which half of
-        them are born anew with the measured velocity, above 0. The default is that of three standard deviations.
+        Mean likelihood of a measured velocity under a cell's particles at which half of them are replaced by births
+        with the measured velocity, relative to its maximum, above 0. The default is the likelihood at three standard
+        deviations.
     motion_odds : float
-        Greatest factor by which the measured velocity of a group raises the odds of dynamic against static in its
-        cells, at least 1; 1 leaves that to the particles.
+        Greatest factor by which a measured velocity raises the odds of dynamic to static in the cells of its group, at
+        least 1; with 1 only the particles decide.
     hiding_width : float
-        Cells at most this far from a dynamic cell that the scan measures as occupied keep no more free than the scan
-        measures [m]; 0 keeps all. The greatest width of a road vehicle: Council Directive 96/53/EC allows 2.6 m.
+        Free in cells within this distance of a dynamic cell that the scan measures as occupied is bounded by the free
+        mass of the scan [m]; 0 sets no limit. The default is the greatest width of a road vehicle: Council Directive
+        96/53/EC allows 2.6 m.
     conflict_half_life : float
-        Time in which the conflict layers fade by half [s]; 0 keeps the last scan's conflict alone.
+        Half-life of the conflict layers [s]; 0 keeps only the conflict of the last scan.
     min_unknown : float
         Lower bound of unknown, [0, 1), so that new scans can change the map.
 
@@ -87,7 +88,7 @@ class DynamicSettings:
                 raise ValueError(f"{name} must be {wanted}, got {value}")
 
     def rates(self, seconds: float, reliability: float, particle: float) -> Rates:
-        """Return what happens to beliefs in some time, for a scan of some reliability and particles of some mass."""
+        """Return the changes of beliefs within some time, for a scan of a reliability and particles of a mass."""
         birth, to_dynamic = (-math.expm1(-rate * seconds) for rate in (self.birth_rate, self.to_dynamic_rate))
         numbers = {
             "keep_free": _kept(seconds, self.free_half_life),
@@ -103,13 +104,13 @@ class DynamicSettings:
         return Rates(**{name: np.float32(value) for name, value in numbers.items()})
 
     def noise(self, seconds: float) -> tuple[np.float32, np.float32]:
-        """Return the standard deviations of position [m] and velocity [m/s] that particles gain in some time."""
+        """Return the standard deviations of position [m] and velocity [m/s] that particles gain within some time."""
         root = math.sqrt(seconds)
         return np.float32(self.position_noise * root), np.float32(self.velocity_noise * root)
 
 
 def _kept(seconds: float, half_life: float) -> float:
-    """Return the share that is left after some time."""
+    """Return the share that remains after some time [s]."""
     if seconds == 0:
         return 1.0
     return 0.5 ** (seconds / half_life) if half_life else 0.0

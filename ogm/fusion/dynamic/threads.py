@@ -7,17 +7,17 @@ from typing import Self
 
 
 def spans(size: int, parts: int) -> list[tuple[int, int]]:
-    """Return [0, size) in parts, as first and last + 1."""
+    """Return [0, size) divided into parts, as (first, last + 1)."""
     return [(size * k // parts, size * (k + 1) // parts) for k in range(parts)]
 
 
 class Threads:
-    """Some threads, of which the calling one is the first; the others live as long as the context.
+    """Pool of threads for a ``with`` block; the calling thread is one of them.
 
     Parameters
     ----------
     count : int
-        At least 1.
+        Number of threads, at least 1.
     """
 
     def __init__(self, count: int) -> None:
@@ -32,7 +32,7 @@ class Threads:
             self._pool.shutdown()
 
     def run(self, function: Callable[[int], None]) -> None:
-        """Call a function with 0, 1, ... in one thread each, and wait for all."""
+        """Call a function with 0, 1, ... in one thread each, and wait for all of them."""
         others = [self._pool.submit(function, k) for k in range(1, self.count)] if self._pool else []
         try:
             function(0)
@@ -41,6 +41,6 @@ class Threads:
                 other.result()
 
     def divide(self, size: int, function: Callable[[tuple[int, int]], None]) -> None:
-        """Call a function with the parts of [0, size)."""
+        """Call a function with the parts of [0, size), one per thread."""
         parts = spans(size, self.count)
         self.run(lambda k: function(parts[k]))

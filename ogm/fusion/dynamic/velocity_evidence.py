@@ -1,4 +1,4 @@
-"""Measured velocities of groups of cells as evidence: of motion or rest, and against particles of another velocity."""
+"""Measured velocities of groups of cells as evidence for motion or rest, and against particles of other velocities."""
 
 import math
 from typing import Any, NamedTuple
@@ -14,18 +14,17 @@ HALF = np.float32(0.5)
 
 
 class GroupVelocities(NamedTuple):
-    """Measured velocities of groups of cells: matched, or any others.
+    """Measured velocities of groups of cells.
 
     Attributes
     ----------
     label : (nx, ny) int32
-        Row of `rows` for every cell; row 0, which measures nothing, where there is no measurement.
+        Row of `rows` for every cell; row 0 is for cells without a measurement.
     rows : (groups + 1, 11) float32
-        Velocity (2) [m/s] and information, its inverse covariance (xx, xy, yy) [s²/m²]; mean (2) and Cholesky factor
-        (xx, yx, yy) of the velocity of particles that are born in the group; factor on the odds of dynamic against
-        static.
+        Velocity (2) [m/s]; information, its inverse covariance (xx, xy, yy) [s²/m²]; mean (2) and Cholesky factor
+        (xx, yx, yy) of the velocity of births in the group; factor on the odds of dynamic to static.
     association : float32
-        Probability that a group's particles made the measurement, [0, 1].
+        Probability that a group's particles caused the measurement, [0, 1].
     """
 
     label: NDArray[np.int32]
@@ -42,29 +41,29 @@ def group_velocities(
     association: float,
     max_odds: float = 1.0,
 ) -> GroupVelocities:
-    """Return what `resample` needs to know of measured velocities.
+    """Return the table of measured velocities that `resample` uses.
 
     Parameters
     ----------
     label : (nx, ny) int32
         Number of each cell's group, from 1 to G; 0 for none.
     velocity : (G, 2) float array
-        [m/s].
+        Measured velocities [m/s].
     information : (G, 2, 2) float array
-        The inverse covariance of the velocity [s²/m²], positive semi-definite: 0 along directions that are not
-        measured, as all but the radial one by Doppler, and 0 where nothing is measured.
+        Inverse covariance of the velocity [s²/m²], positive semi-definite: 0 along unmeasured directions, such as
+        across the beam with Doppler, and 0 without a measurement.
     resting : (G,) bool
         Whether the measurement may be evidence of rest.
     birth_speed : float
-        Standard deviation of each component of a velocity that is not measured [m/s].
+        Standard deviation of each component of an unmeasured velocity [m/s].
     association : float
     max_odds : float
-        Greatest factor on the odds of dynamic, at least 1. The least is 1, or 1 / max_odds for evidence of rest.
+        Greatest factor on the odds of dynamic, at least 1. The least factor is 1, or 1 / max_odds for evidence of rest.
 
     Notes
     -----
     Velocities of births have the posterior N(0, birth_speed²) times N(velocity, information⁻¹). The factor on the odds
-    is the likelihood of the measurement if the velocity is of that prior over that if it is 0.
+    is the likelihood of the measurement under this prior, divided by its likelihood under velocity 0.
     """
     count = len(velocity)
     rows = np.zeros((count + 1, 11), np.float32)
@@ -81,14 +80,14 @@ def group_velocities(
         rows[1:, 7:10] = factor.reshape(count, 4)[:, [0, 2, 3]]
         spread = np.linalg.slogdet(np.eye(2) + birth_speed**2 * information)[1]
         log_odds = 0.5 * ((weighted * mean).sum(axis=1) - spread)
-        most = math.log(max_odds)
-        rows[1:, 10] = np.exp(np.clip(log_odds, np.where(resting, -most, 0), most))
+        max_log_odds = math.log(max_odds)
+        rows[1:, 10] = np.exp(np.clip(log_odds, np.where(resting, -max_log_odds, 0), max_log_odds))
     return GroupVelocities(label, rows, np.float32(association))
 
 
 @kernel
 def weigh_motion(cells: DynamicCells, groups: GroupVelocities, rows: tuple[int, int], dynamic: np.ndarray) -> None:
-    """Divide what is occupied anew where a velocity was measured: the odds of dynamic times the factor of the group.
+    """Divide occupied into static and dynamic by measured velocities: the group's factor multiplies the odds.
 
     Parameters
     ----------
@@ -98,7 +97,7 @@ def weigh_motion(cells: DynamicCells, groups: GroupVelocities, rows: tuple[int, 
     rows : (int, int)
         The rows [rows[0], rows[1]).
     dynamic : (nx,) float64
-        Sums of the masses of dynamic, which follow.
+        Sums of the dynamic masses by row, updated.
     """
     for i in range(rows[0], rows[1]):
         for j in range(cells.free.shape[1]):
@@ -116,20 +115,20 @@ def weigh_motion(cells: DynamicCells, groups: GroupVelocities, rows: tuple[int, 
 def renew_particles(
     cells: DynamicCells, p: Particles, groups: GroupVelocities, threshold: float, rows: tuple[int, int]
 ) -> None:
-    """Turn surviving mass into births where its particles cannot have made the measurement: the group has accelerated.
+    """Turn surviving mass into births if its particles do not explain the measurement: the group has accelerated.
 
-    The share association threshold / (threshold + g) of a cell's surviving mass is born anew, where g is the mean over
-    its particles of the likelihood of the measured velocity, relative to its greatest.
+    The share association threshold / (threshold + g) of a cell's surviving mass becomes births, with the mean g over
+    its particles of the likelihood of the measured velocity, relative to its maximum.
 
     Parameters
     ----------
     cells : DynamicCells
         Rows of surviving and born are changed.
     p : Particles
-        Predicted and sorted.
+        Predicted particles, sorted by cell.
     groups : GroupVelocities
     threshold : float
-        Likelihood at which half is born anew, see `DynamicSettings.renewal_likelihood`.
+        Likelihood at which half of the mass becomes births, see `DynamicSettings.renewal_likelihood`.
     rows : (int, int)
         The rows [rows[0], rows[1]).
     """
@@ -151,5 +150,5 @@ def renew_particles(
 
 @inline
 def likelihood(dx: Any, dy: Any, g: Any) -> Any:
-    """Return exp(-m² / 2), m being the Mahalanobis distance from the velocity of a group."""
+    """Return exp(-m² / 2) with the Mahalanobis distance m from the velocity of a group."""
     return np.exp(-HALF * (g[2] * dx * dx + np.float32(2) * g[3] * dx * dy + g[4] * dy * dy))

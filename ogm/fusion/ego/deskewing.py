@@ -1,4 +1,4 @@
-"""Motion during a scan: de-skewing of points, and extrapolation of trajectories."""
+"""De-skewing of points that are measured while the sensor moves, and extrapolation of trajectories."""
 
 from typing import Any
 
@@ -9,38 +9,36 @@ from ogm.jit import kernel
 from ogm.pose import Trajectory, inverse, matrix_to_vector, vector_to_matrix
 
 _MAX_KNOTS = 100  # poses added to a trajectory at each end
-_SLACK = 1e-6  # [s] by which rounded stamps may lie outside the trajectory; the nearest pose is taken
+_SLACK = 1e-6  # [s] by which rounded stamps may lie outside the trajectory; the nearest pose is used
 
 
 def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp: float) -> NDArray[np.float32]:
-    """Return each point where the sensor would have measured it at `stamp`.
+    """Return points as the sensor would have measured them all at `stamp`.
 
-    A point measured at time t becomes ``inverse(T_map_sensor(stamp)) @ T_map_sensor(t) @ point``. Between its
-    poses the trajectory follows a straight line and turns on the shortest arc, as in `ogm.pose.Trajectory` (to 1e-5
-    m). That is right for static objects; dynamic ones stay distorted by their own motion.
+    A point measured at time t becomes ``inverse(T_map_sensor(stamp)) @ T_map_sensor(t) @ point``. Between its poses the
+    trajectory follows a straight line and turns on the shortest arc, as in `ogm.pose.Trajectory` (to 1e-5 m). This is
+    correct for static objects; moving objects stay distorted by their own motion.
 
     Parameters
     ----------
     points : (N, 3 or more) float
         x, y, z [m] in the sensor's frame at the time of each point; further columns are kept.
     time : (N,) float
-        When each was measured [s], counted from `stamp`, as `ogm.Scan.time` is.
+        Time of each point relative to `stamp` [s], as `ogm.Scan.time`.
     trajectory : Trajectory
-        Poses of the sensor, ``T_map_sensor``, from the first to the last point's time. `extrapolate` makes it
-        longer.
+        Poses of the sensor, ``T_map_sensor``, from the first to the last point's time. `extrapolate` extends it.
     stamp : float
         Time of the result [s], inside the trajectory.
 
     Returns
     -------
     (N, 3 or more) float32
-        In the sensor's frame at `stamp`. Points that are not finite stay so.
+        Points in the sensor's frame at `stamp`. Non-finite points stay non-finite.
 
     Raises
     ------
     ValueError
-        If shapes disagree, a time is not finite, or a time lies outside the trajectory: poses are never
-        extrapolated here.
+        If shapes disagree, a time is not finite, or a time lies outside the trajectory, which is not extrapolated here.
     """
     cloud, times = np.asarray(points), np.asarray(time, np.float64)
     if cloud.ndim != 2 or cloud.shape[1] < 3:
@@ -53,13 +51,13 @@ def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp:
     first, last = min(times.min(initial=0.0), 0.0), max(times.max(initial=0.0), 0.0)
     if not (first >= knots[0] - _SLACK and last <= knots[-1] + _SLACK):
         raise ValueError(
-            f"the points were measured {first:+.4f} ... {last:+.4f} s about their stamp, {float(stamp)!r} s, but the "
-            f"trajectory covers {knots[0]:+.4f} ... {knots[-1]:+.4f} s; give a longer one, or "
+            f"the points were measured {first:+.4f} ... {last:+.4f} s relative to their stamp, {float(stamp)!r} s, but "
+            f"the trajectory covers {knots[0]:+.4f} ... {knots[-1]:+.4f} s: give a longer one, or "
             "ogm.fusion.ego.deskewing.extrapolate(trajectory, seconds)"
         )
     result = cloud.astype(np.float32)
     if len(knots) > 1:
-        # The part around the points' times, in the sensor's frame at `stamp`.
+        # The trajectory around the points' times, in the sensor's frame at `stamp`
         low = max(int(np.searchsorted(knots, first, "right")) - 1, 0)
         high = min(max(int(np.searchsorted(knots, last, "left")) + 1, 2), len(knots))
         low = min(low, high - 2)
@@ -81,15 +79,15 @@ def _deskew(
 ) -> None:
     """Write ``T(time[n]) @ xyz[n]`` to ``result[n, :3]``.
 
-    Between knots k and k + 1, a share s of the way, ``T = (R_k exp(s w_k), t_k + s (t_k+1 - t_k))`` where w_k
-    is ``turns[k]``, the rotation vector from one to the next [rad]. The exponential is Rodrigues' formula:
+    Between knots k and k + 1, at the share s of the time between them, ``T = (R_k exp(s w_k), t_k + s (t_k+1 - t_k))``
+    where w_k is ``turns[k]``, the rotation vector between them [rad]. The exponential is Rodrigues' formula:
     ``exp(s w) p = p + sin(a) u x p + (1 - cos(a)) u x (u x p)`` with the angle ``a = s |w|`` and ``u = w / |w|``.
 
     Parameters
     ----------
     xyz : (N, 3) float64
     time, knots : (N,), (K,) float64
-        [s] on one clock; K is at least 2.
+        Times [s] on one clock; K is at least 2.
     poses : (K, 4, 4) float64
     turns : (K - 1, 3) float64
     result : (N, 3 or more) float32
@@ -97,7 +95,7 @@ def _deskew(
     k = 0
     for n in range(len(time)):
         t = min(max(time[n], knots[0]), knots[-1])
-        # Neighbours were measured at about the same time: the search starts where the last one ended.
+        # Successive points have similar times: the search starts at the last knot.
         while k > 0 and t < knots[k]:
             k -= 1
         while k < len(knots) - 2 and t > knots[k + 1]:
@@ -120,31 +118,31 @@ def _deskew(
 
 
 def extrapolate(trajectory: Trajectory, seconds: float) -> Trajectory:
-    """Return a trajectory that begins earlier and ends later, with the motion that it has at its ends.
+    """Return a trajectory extended at both ends with its first and last motion.
 
-    The sensor keeps the velocity and the turn rate, in its own frame, of the first and the last two poses: on a circle
-    it stays on the circle. For the last scan of a drive, some of whose points were measured after its stamp, and for
-    the first.
+    The sensor keeps the velocity and turn rate, in its own frame, between the first two and between the last two poses:
+    on a circle it stays on the circle. Needed for the first and the last scan of a drive, some of whose points are
+    measured before the first or after the last stamp.
 
     Parameters
     ----------
     trajectory : Trajectory
         At least two poses.
     seconds : float
-        How much earlier and later [s]; a scan's duration.
+        Extension at each end [s]; a scan's duration.
 
     Returns
     -------
     Trajectory
-        With one pose more at each end, or up to a hundred where `seconds` exceeds the time between the last two.
+        The trajectory with one more pose at each end, or up to 100 if `seconds` exceeds the time between two poses.
 
     Raises
     ------
     ValueError
-        If the trajectory has one pose only, or `seconds` is negative or not finite.
+        If the trajectory has only one pose, or `seconds` is negative or not finite.
     """
     if len(trajectory) < 2:
-        raise ValueError("the trajectory has one pose only, and so no motion; give two poses")
+        raise ValueError("the trajectory has only one pose, which defines no motion: give two poses or more")
     if not 0 <= seconds < np.inf:
         raise ValueError(f"seconds must be 0 or more, got {seconds}")
     t, T = trajectory.stamps, trajectory.poses
@@ -156,7 +154,7 @@ def extrapolate(trajectory: Trajectory, seconds: float) -> Trajectory:
 def _continued(
     t0: float, t1: float, T0: NDArray[np.float64], T1: NDArray[np.float64], seconds: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return stamps and poses after (t1, T1), up to `seconds` later, at most as far apart as t0 and t1."""
+    """Return stamps and poses after (t1, T1) up to `seconds` [s], at most as far apart as t0 and t1."""
     count = min(int(np.ceil(round(min(seconds / (t1 - t0), 1e6), 9))), _MAX_KNOTS)
     stamps = t1 + seconds * np.arange(1, count + 1) / max(count, 1)
     step = _twist(inverse(T0) @ T1)
@@ -183,13 +181,8 @@ def _mean_rotation(turn: NDArray[np.float64]) -> NDArray[np.float64]:
     angle = float(np.linalg.norm(turn))
     x, y, z = turn
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    mean: NDArray[np.float64]
-    if angle < 1e-4:  # next terms: angle**3 / 24 and angle**4 / 120, below rounding
-        mean = np.eye(3) + cross / 2 + cross @ cross / 6
-        return mean
-    mean = (
-        np.eye(3)
-        + (2 * np.sin(angle / 2) ** 2 / angle**2) * cross
-        + ((angle - np.sin(angle)) / angle**3) * (cross @ cross)
-    )
+    first, second = 1 / 2, 1 / 6  # next terms: angle**3 / 24 and angle**4 / 120, below rounding
+    if angle >= 1e-4:
+        first, second = 2 * np.sin(angle / 2) ** 2 / angle**2, (angle - np.sin(angle)) / angle**3
+    mean: NDArray[np.float64] = np.eye(3) + first * cross + second * (cross @ cross)
     return mean

@@ -1,7 +1,7 @@
-"""Odometry in the plane: poses refined by matching each planar scan with those before it.
+"""Planar odometry: poses refined by matching each planar scan with the previous scans.
 
-Correlative scan matching (Olson, "Real-time correlative scan matching", ICRA 2009): all poses around the odometry's are
-scored by the likelihood of the echoes, in a field around the echoes of the last scans; the best one is refined by
+Correlative scan matching (Olson, "Real-time correlative scan matching", ICRA 2009): poses around the odometry's pose
+are scored by the likelihood of the echoes, in a field around the echoes of the last scans. The best pose is refined by
 Gauss-Newton steps on the same field (Kohlbrecher et al., SSRR 2011).
 """
 
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from ogm.jit import kernel
 from ogm.pose import inverse
 
-SIDE = 0.05  # [m] of a cell of the field
-REACH = 20.0  # [m] from the sensor that the field holds
-SIGMA = 0.05  # [m] of echoes around those before: range noise, errors of earlier poses, half a cell
-SPACING, MAX_GAP = 0.05, 0.3  # [m] between points on a surface, and between echoes beyond which there may be none
+SIDE = 0.05  # [m] side of a cell of the field
+REACH = 20.0  # [m] from the sensor that the field covers
+SIGMA = 0.05  # [m] deviation of echoes from previous echoes: range noise, errors of earlier poses, half a cell
+SPACING, MAX_GAP = 0.05, 0.3  # [m] spacing of points on a surface; gap of echoes that one surface may bridge
 MEMORY = 30  # scans in the field
-SHIFT = 6  # [cells] by which the odometry's position may be wrong from one scan to the next, along x and y
-TURN, TURN_STEP = math.radians(8), math.radians(0.5)  # by which its heading may be wrong, and step of the search
+SHIFT = 6  # [cells] greatest error of the odometry's position between two scans, along x and y
+TURN, TURN_STEP = math.radians(8), math.radians(0.5)  # greatest error of the heading between two scans, search step
 MIN_ECHOES = 20
 MIN_SCORE = 0.2  # mean likelihood of the echoes below which the odometry is kept
-_STAMP = 4  # [cells] around an echo that it changes
-_STEPS = 20  # of Gauss-Newton
+_STAMP = 4  # [cells] radius of the field around an echo
+_STEPS = 20  # Gauss-Newton steps
 
 
 def match_scans(
@@ -33,23 +33,23 @@ def match_scans(
 ) -> Iterator[tuple[NDArray[np.float64], bool]]:
     """Yield the refined pose of each planar scan, and whether it was matched.
 
-    The odometry's motion from scan to scan is corrected by up to 0.3 m along each axis and 8 degrees. Position and
-    heading in the plane are refined, height and tilt are kept. Loops are not closed.
+    The odometry's motion between scans is corrected by up to 0.3 m along each axis and 8 degrees. Position and heading
+    in the plane are refined, height and tilt are kept. Loops are not closed.
 
     Parameters
     ----------
     scans : iterable of (N, 3 or more) float
-        x, y, z of the echoes in the sensor's frame [m]. Rows that are not finite are left out.
+        x, y, z of the echoes in the sensor's frame [m]. Non-finite rows are ignored.
     odometry : iterable of (4, 4) float64
-        ``T_map_sensor`` of each scan, by odometry.
+        ``T_map_sensor`` of each scan, from odometry.
 
     Yields
     ------
     T_map_sensor : (4, 4) float64
-        The first is the odometry's.
+        Refined pose; the first is the odometry's pose.
     matched : bool
-        False where the motion of the odometry is kept: of the first scan, of scans with less than 20 echoes within
-        20 m, and of scans that the ones before do not explain.
+        False if the motion of the odometry is kept: for the first scan, for scans with fewer than 20 echoes within
+        20 m, and for scans that do not match the previous ones.
     """
     last: deque[NDArray[np.float64]] = deque(maxlen=MEMORY)
     cells = 2 * round(REACH / SIDE)
@@ -58,7 +58,7 @@ def match_scans(
     for points, T in zip(scans, odometry, strict=True):
         guess = pose @ inverse(before) @ T if last else T
         offset = (points[:, :3].astype(np.float64) @ guess[:3, :3].T)[:, :2]  # from the sensor, along the map's axes
-        offset = np.ascontiguousarray(offset[np.hypot(*offset.T) < REACH])  # NaN is left out
+        offset = np.ascontiguousarray(offset[np.hypot(*offset.T) < REACH])  # false for NaN
         before, pose, matched = T, guess, False
         if last and len(offset) >= MIN_ECHOES:
             around = np.concatenate(last) - guess[:2, 3]
@@ -74,7 +74,7 @@ def match_scans(
 
 
 def _surfaces(ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return echoes, and points between those neighbours that may lie on one surface, (M, 2)."""
+    """Return echoes, and interpolated points between neighbours that may lie on one surface, (M, 2)."""
     step = np.diff(ends, axis=0)
     count = np.ceil(np.hypot(*step.T) / SPACING).astype(int)
     count[count > MAX_GAP / SPACING] = 1
@@ -99,16 +99,16 @@ def _moved(T: NDArray[np.float64], change: NDArray[np.float64]) -> NDArray[np.fl
 
 @kernel
 def fill_field(field: np.ndarray, points: np.ndarray, side: float, sigma: float) -> None:
-    """Fill a field with the likelihood of echoes, relative to that at the nearest of some points.
+    """Fill a field with the likelihood of echoes, relative to the likelihood at the nearest of the points.
 
     Parameters
     ----------
     field : (n, n) float32
         Square cells around the origin; filled with max exp(-d**2 / (2 sigma**2)), d from the middle of the cell.
     points : (N, 2) float64
-        [m]
+        Echoes [m].
     side, sigma : float
-        [m]
+        Side of a cell, and standard deviation of echoes [m].
     """
     field[:] = 0
     size, width = field.shape[0], 2 * _STAMP + 1
@@ -132,7 +132,7 @@ def fill_field(field: np.ndarray, points: np.ndarray, side: float, sigma: float)
 def search_pose(
     field: np.ndarray, offset: np.ndarray, side: float, shift: int, turns: tuple[int, float], found: np.ndarray
 ) -> float:
-    """Score all shifts by whole cells and all turns; return the best sum of likelihoods.
+    """Score all shifts by whole cells and all turns; return the greatest sum of likelihoods.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def search_pose(
     offset : (N, 2) float64
         Echoes from the sensor, along the axes of the field [m].
     side : float
-        [m]
+        Side of a cell [m].
     shift : int
         Greatest shift along each axis [cells].
     turns : (int, float)

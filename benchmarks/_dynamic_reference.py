@@ -1,8 +1,8 @@
 """Slow reference of the filter of `ogm.fusion.DynamicMapper`, in plain numpy.
 
-It follows the formulas of the documentation with the sums of numpy and sorts particles by argsort. It draws the same
-random numbers as the kernels (`hashed_noise`), so that both filters hold the same particles up to rounding. Tests
-compare the two, and `benchmarks/dynamic_speed.py` times one against the other.
+It follows the formulas of the documentation with numpy's sums, and sorts particles by argsort. It draws the same random
+numbers as the kernels (`hashed_noise`), so both filters hold the same particles up to rounding. `tests/fusion`
+compares the two, and `dynamic_speed.py` times them.
 """
 
 import math
@@ -30,7 +30,7 @@ def split_mix(number: NDArray[np.integer], key: np.uint64) -> NDArray[np.uint64]
 
 
 def bits(h: NDArray[np.uint64], k: int) -> NDArray[np.int64]:
-    """Return the k-th dozen of a hash's bits."""
+    """Return the k-th group of 12 bits of a hash."""
     return ((h >> np.uint64(12 * k)) & np.uint64(4095)).astype(np.int64)
 
 
@@ -46,16 +46,16 @@ class MeasuredGroups:
 
 @dataclass
 class NumpyFilter:
-    """State of the filter on a window of cells; `update` makes one step of it.
+    """State of the filter on a window of cells; `update` makes one step.
 
     Parameters
     ----------
     shape : (int, int)
     resolution : float
-        [m].
+        Side of a cell [m].
     particles : int
     settings : DynamicSettings
-        Nuss' filter has a static share and a rate to dynamic of 0.
+        Parameters; Nuss' filter has `static_share` and `to_dynamic_rate` of 0.
     """
 
     shape: tuple[int, int]
@@ -78,7 +78,7 @@ class NumpyFilter:
         groups: MeasuredGroups | None = None,
         reached: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Make one step with the masses (nx, ny, 2) of a scan; in cells that no scan `reached` all is new."""
+        """Make one step with the masses (nx, ny, 2) of a scan; mass in cells not in `reached` counts as new."""
         for name in ("free", "static", "to_occupied", "to_free"):
             setattr(self, name, self._scrolled(getattr(self, name), shift))
         cell = self._predict(seconds, key, shift)
@@ -95,7 +95,7 @@ class NumpyFilter:
         self._draw(surviving.reshape(-1), born.reshape(-1), cell, key, groups)
 
     def _scrolled(self, layer: Array, shift: tuple[int, int]) -> Array:
-        """Return the layer of a window that has moved by whole cells."""
+        """Return the layer of a window after a move by whole cells."""
         out = np.zeros_like(layer)
         for i in range(max(0, -shift[0]), min(self.shape[0], self.shape[0] - shift[0])):
             first, last = max(0, -shift[1]), min(self.shape[1], self.shape[1] - shift[1])
@@ -122,7 +122,7 @@ class NumpyFilter:
         return sorted_cells
 
     def _update_cells(self, z: Array, seconds: float, cell: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Combine prediction and scan; return the surviving and the new masses of dynamic."""
+        """Combine prediction and scan; return the surviving and the new dynamic mass."""
         s, known = self.settings, 1 - self.settings.min_unknown
         count = np.bincount(cell, minlength=self.shape[0] * self.shape[1]).reshape(self.shape)
         static = 0.5 ** (seconds / s.static_half_life) * self.static
@@ -150,18 +150,19 @@ class NumpyFilter:
         return share * dynamic, (1 - s.static_share) * born + leaves
 
     def _weigh_motion(self, surviving: Array, born: Array, groups: MeasuredGroups | None) -> tuple[Array, Array]:
-        """Multiply the odds of dynamic where a velocity was measured by the ratio of its likelihoods, within bounds."""
+        """Multiply the odds of dynamic by the likelihood ratio of a measured velocity, within bounds."""
         dynamic = surviving + born
         if groups is None:
             return surviving, born
         ratio, wide = [1.0], np.eye(2) * self.settings.birth_speed**2
-        most = math.log(self.settings.motion_odds)
+        max_log_odds = math.log(self.settings.motion_odds)
         for v, information, rests in zip(groups.velocity, groups.information, groups.resting, strict=True):
             value = 1.0
             if np.linalg.matrix_rank(information) == 2:
                 noise = np.linalg.inv(information)
                 moving, still = multivariate_normal([0, 0], noise + wide), multivariate_normal([0, 0], noise)
-                value = math.exp(np.clip(moving.logpdf(v) - still.logpdf(v), -most if rests else 0, most))
+                log_ratio = moving.logpdf(v) - still.logpdf(v)
+                value = math.exp(np.clip(log_ratio, -max_log_odds if rests else 0, max_log_odds))
             ratio.append(value)
         odds = np.array(ratio)[groups.label] * dynamic / np.maximum(self.static, 1e-300)
         occupied = self.static + dynamic
@@ -173,7 +174,7 @@ class NumpyFilter:
     def _renew(
         self, surviving: Array, born: Array, cell: NDArray[np.int64], groups: MeasuredGroups | None
     ) -> tuple[Array, Array]:
-        """Turn what survives into births where the particles cannot have made the measurement."""
+        """Turn surviving mass into births if the particles do not explain the measurement."""
         if groups is None:
             return surviving, born
         a, threshold = self.settings.association, self.settings.renewal_likelihood
@@ -185,7 +186,7 @@ class NumpyFilter:
         return surviving - renewed, born + renewed
 
     def _forget_hidden_free(self, measured: Array) -> None:
-        """Bound free by that of the scan near what is occupied in the scan, and rather dynamic than static."""
+        """Limit free by the scan near cells that it measures as occupied, if they are more dynamic than static."""
         seen = np.argwhere((measured[..., 1] > 0.5) & (self.dynamic > self.static))
         if self.settings.hiding_width and len(seen):
             near = cKDTree(seen).query(np.argwhere(np.ones(self.shape)))[0].reshape(self.shape)
@@ -195,7 +196,7 @@ class NumpyFilter:
     def _draw(
         self, surviving: Array, born: Array, cell: NDArray[np.int64], key: np.uint64, groups: MeasuredGroups | None
     ) -> None:
-        """Draw each cell's new particles: survivors systematically from its own, births by random numbers."""
+        """Draw each cell's new particles: survivors systematically from its old ones, births at random."""
         cells = len(surviving)
         self.mass = float((surviving + born).sum()) / self.particles
         scale = 2.0**32 / self.mass if self.mass > 0 else 0.0
@@ -207,7 +208,7 @@ class NumpyFilter:
         chance, row = self._chances(cell, groups)
         self._moments(chance, cell, n)
         self._mix_births(surviving, born, row, groups)
-        # Systematic resampling: of the summed chances within the cell, one particle per total / kept.
+        # Systematic resampling: within a cell, one particle per total / kept of the summed chances.
         kept = copies[:, 0]
         owner = np.repeat(np.arange(cells), kept)
         number = np.arange(kept.sum()) - np.repeat(np.cumsum(kept) - kept, kept)
@@ -220,31 +221,31 @@ class NumpyFilter:
         source = np.minimum(np.searchsorted(summed, wanted, side="right"), first[owner] + n[owner] - 1)
         survivors = self.state[:, np.maximum(source, first[owner])] if len(owner) else np.empty((4, 0), np.float32)
         births = self._births(copies, key, row, groups)
-        where = np.concatenate([owner, np.repeat(np.arange(cells), copies[:, 1])])
-        self.state = np.concatenate([survivors, births], axis=1)[:, np.argsort(where, kind="stable")]
+        cells_of_new = np.concatenate([owner, np.repeat(np.arange(cells), copies[:, 1])])
+        self.state = np.concatenate([survivors, births], axis=1)[:, np.argsort(cells_of_new, kind="stable")]
 
     def _chances(self, cell: NDArray[np.int64], groups: MeasuredGroups | None) -> tuple[Array, NDArray[np.int64]]:
-        """Return the chance of every particle to be drawn, and the group of every cell (0: none)."""
+        """Return the weight of every particle in the draw, and the group of every cell (0 for none)."""
         chance, row = np.ones(len(cell)), np.zeros(self.shape[0] * self.shape[1], np.int64)
         if groups is not None:
             row = groups.label.reshape(-1).astype(np.int64)
-            mine = row[cell]
-            off = np.where(mine > 0, 1, 0)[:, None] * (self.state[2:].T - groups.velocity[mine - 1])
-            distance = np.einsum("ki,kij,kj->k", off, groups.information[mine - 1], off)
+            group = row[cell]
+            off = np.where(group > 0, 1, 0)[:, None] * (self.state[2:].T - groups.velocity[group - 1])
+            distance = np.einsum("ki,kij,kj->k", off, groups.information[group - 1], off)
             a = self.settings.association
-            chance = np.where(mine > 0, 1 - a + a * np.exp(-0.5 * distance), 1.0)
+            chance = np.where(group > 0, 1 - a + a * np.exp(-0.5 * distance), 1.0)
         return chance, row
 
     def _moments(self, chance: Array, cell: NDArray[np.int64], n: NDArray[np.int64]) -> None:
         cells, v = len(n), self.state[2:].astype(np.float64)
         total = np.maximum(np.bincount(cell, chance, cells), 1e-300)
-        mean = np.stack([np.bincount(cell, chance * one, cells) / total for one in v])
+        mean = np.stack([np.bincount(cell, chance * component, cells) / total for component in v])
         dx, dy = v - mean[:, cell]
-        parts = [np.bincount(cell, chance * one, cells) / total for one in (dx * dx, dx * dy, dy * dy)]
+        parts = [np.bincount(cell, chance * product, cells) / total for product in (dx * dx, dx * dy, dy * dy)]
         self.mean, self.covariance = mean.T.reshape(*self.shape, 2), np.stack(parts, -1).reshape(*self.shape, 3)
 
     def _mix_births(self, surviving: Array, born: Array, row: NDArray[np.int64], groups: MeasuredGroups | None) -> None:
-        """Take the moments of the mixture of survivors and births."""
+        """Set the moments to the mixture of survivors and births."""
         mean, covariance = self._birth_normals(groups)
         parts = np.stack([surviving, born]) / np.maximum(surviving + born, 1e-300)
         own = self.covariance.reshape(-1, 3)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
@@ -256,7 +257,7 @@ class NumpyFilter:
         self.mean, self.covariance = mixed.reshape(*self.shape, 2), whole.reshape(*self.shape, 3)
 
     def _birth_normals(self, groups: MeasuredGroups | None) -> tuple[Array, Array]:
-        """Return mean and covariance of the velocity of births, without a group and in each group."""
+        """Return mean and covariance of the velocity of births, first without a group, then in each group."""
         wide = np.eye(2) * self.settings.birth_speed**2
         if groups is None:
             return np.zeros((1, 2)), wide[np.newaxis]
@@ -267,7 +268,7 @@ class NumpyFilter:
     def _births(
         self, copies: NDArray[np.int64], key: np.uint64, row: NDArray[np.int64], groups: MeasuredGroups | None
     ) -> Array:
-        """Return new particles, uniform in their cells; velocities by the measurement of the group, or without."""
+        """Return new particles, uniform in their cells, with velocities from the group's measurement or from none."""
         cells, numbers = len(copies), copies[:, 1]
         owner = np.repeat(np.arange(cells), numbers)
         within = np.arange(numbers.sum()) - np.repeat(np.cumsum(numbers) - numbers, numbers)
