@@ -442,7 +442,7 @@ def test_losses_refuse_what_does_not_fit(loss: Callable[[Tensor, Tensor], Tensor
     good = torch.zeros(4, 3, 2)
     refused("floating point, got torch.int64", loss, good.long(), good, error=TypeError)
     refused(r"2 states .* got shape \(4, 2, 3\)", loss, good.view(4, 2, 3), good.view(4, 2, 3))
-    refused(r"shape \(4, 3, 2\), got \(4, 3\); `targets`", loss, good, good[..., 0])
+    refused(r"shape \(4, 3, 2\), got \(4, 3\): make it with `targets`", loss, good, good[..., 0])
     refused("2 states", loss, torch.tensor(1.0), torch.tensor(1.0))
 
 
