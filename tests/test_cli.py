@@ -103,7 +103,7 @@ def test_messages_have_the_words_of_the_command_line(scan: Path, tmp_path: Path)
     )
     for words, message in (
         (("map", scan, "--topic", "/a"), "--topic and --frame are for logs"),
-        (("map", scan, "--sensor", "radar"), "--sensor is for data sets"),
+        (("map", scan, "--sensor", "radar"), "--sensor is for datasets"),
         (("fuse", scan, "--out", tmp_path / "m.npz"), "give --poses (KITTI, KITTI-360, TUM), or --odometry kiss-icp"),
     ):
         refused_command(message, *words)

@@ -494,7 +494,7 @@ def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, mo
         (("{data}", "--every", 0), "--every must be at least 1"),
         (("{data}", "--frames", 0), "--frames must be at least 1"),
         (("{data}", "--ism", "rays"), "there is no sensor model 'rays': give ray, height-band"),
-        (("{data}", "--ism", "{nothing}.safetensors"), "is not there"),
+        (("{data}", "--ism", "{nothing}.safetensors"), "there is no"),
         (("{data}", "--ism", "ray", "ray"), "ray is given twice"),
         (("{data}", "--ism", "ray", "--out", "{file}"), "is a file, but the report is a folder"),
         (("{data}", "--fused", "bayes"), "has no split 'sequences'"),

@@ -1,4 +1,4 @@
-"""Data sets as sequences of frames: any known folder, files of scans, or what the simulator made.
+"""Datasets as sequences of frames: public datasets, logs, files of scans and the simulator's output.
 
 >>> from ogm.datasets import open_dataset
 >>> dataset = open_dataset("2011_09_26_drive_0005")             # doctest: +SKIP

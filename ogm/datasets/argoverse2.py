@@ -15,15 +15,15 @@ from ogm.pose import pose
 from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
 
-_UPPER = 32  # lasers of the upper lidar; the numbers of the lower one's follow
-_EGO_ORIGIN = 0.33  # [m] of the vehicle's origin above the ground, for scans that show too little of it
+_UPPER_LASERS = 32  # lasers 0 to 31 are the upper lidar's, higher numbers the lower lidar's
+_EGO_ORIGIN = 0.33  # [m] height of the vehicle's origin above the ground, for scans that show too little ground
 
 
 class Argoverse2Recording(Recording):
     """Folder with ``sensors/lidar/*.feather``.
 
-    The paper's vehicle has one lidar of that kind, and rays of both cannot start at one place. Returns of the lower
-    lidar still count for what hides the road.
+    Only the upper lidar is used, as the paper's vehicle has one lidar and the rays of a scan start at one position.
+    Returns of the lower lidar still count as obstacles that hide the road.
     """
 
     format = "Argoverse 2 log"
@@ -37,9 +37,8 @@ class Argoverse2Recording(Recording):
         self.path = path
         if "up_lidar" not in self.log.lidars:
             raise OgmError(
-                f"{path} does not state where its upper lidar is mounted: wanted "
-                "calibration/egovehicle_SE3_sensor.feather with up_lidar; that of another log of the data set will do, "
-                "for the cars are alike"
+                f"{path} has no mount of the upper lidar: wanted calibration/egovehicle_SE3_sensor.feather with "
+                "up_lidar; copy the file of another log of the dataset, the cars are alike"
             )
         self._origin, stamps = self.log.lidars["up_lidar"], enumerate(self.log.stamps)
         super().__init__(path, [FrameRef(str(stamp), path.name, stamp * 1e-9, self._pose(n)) for n, stamp in stamps])
@@ -48,7 +47,7 @@ class Argoverse2Recording(Recording):
 
     @classmethod
     def find(cls, path: Path) -> "Argoverse2Recording | None":
-        """Return the sweeps of one log."""
+        """Return the sweeps of a log, or None if there are no sweeps."""
         return cls(path) if sorted(path.glob("sensors/lidar/*.feather")) else None
 
     @cached_property
@@ -63,12 +62,12 @@ class Argoverse2Recording(Recording):
         return read_scan(self.log.sweeps[n], axes="argoverse")
 
     def read(self, n: int) -> RawFrame:
-        """Read the returns of the upper lidar, and those of both."""
+        """Read the returns of the upper lidar; `all_points` has the returns of both lidars."""
         sweep = self._sweep(n)
         if sweep.ring is None:
-            raise OgmError(f"{self.log.sweeps[n]} has no laser_number, which tells the two lidars apart")
+            raise OgmError(f"{self.log.sweeps[n]} has no laser_number, wanted a sweep of the sensor dataset")
         every = sweep.points - np.array([*self._origin, 0], np.float32)
-        return RawFrame(replace(sweep, points=every).select(sweep.ring < _UPPER), all_points=every)
+        return RawFrame(replace(sweep, points=every).select(sweep.ring < _UPPER_LASERS), all_points=every)
 
     def read_boxes(self, n: int) -> Boxes:
         """Return the boxes of the annotations."""
@@ -81,6 +80,6 @@ class Argoverse2Recording(Recording):
         return HdMap(city.outlines(T_city_sensor), partial(city.ground, T_city_sensor=T_city_sensor))
 
     def estimate_height(self, n: int) -> float:
-        """Return the height by both lidars: the lower sees ground around the car that the upper does not."""
+        """Estimate the sensor height from both lidars; the lower lidar sees the ground next to the car."""
         ground = estimate_sensor_height(self._sweep(n).points)
         return float(self._origin[2] + (_EGO_ORIGIN if ground is None else ground))

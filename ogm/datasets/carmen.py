@@ -1,4 +1,4 @@
-"""CARMEN logs of planar lasers as recordings: stamps, poses and limits by the log itself."""
+"""CARMEN logs of planar lasers as recordings, with the stamps, poses and range limits in the log."""
 
 import logging
 from bisect import bisect_left
@@ -23,16 +23,16 @@ from ogm.storage.files import OgmError
 
 _log = logging.getLogger(__name__)
 
-_RATE = 10.0  # [Hz] at which scans are counted where the log has no times of theirs
-_OWN = 0.25  # of the scans, at least, have times of their own that rise, or the log has none
-_SPEED, _TURN_RATE = 5.0, 2.0  # [m/s], [rad/s] that robots with planar lasers do not exceed
-_LONGEST = 10.0  # [s] that a jump of the pose takes
-_LATEST = 2.0**33  # [s] that no time in seconds since 1970 exceeds
-_BEHIND = 0.9  # of the rear laser's poses with the robot's heading, from which on the heading is not the laser's
+_DEFAULT_RATE = 10.0  # [Hz] scan rate where the log has no scan times
+_MIN_TIMED_SHARE = 0.25  # share of scans with rising times, below which the times of the log are not used
+_MAX_SPEED, _MAX_TURN_RATE = 5.0, 2.0  # [m/s], [rad/s] upper limits for robots with planar lasers
+_MAX_STEP = 10.0  # [s] longest time that is inserted for a jump of the pose
+_MAX_TIME = 2.0**33  # [s] since 1970: larger numbers are no times
+_REAR_SHARE = 0.9  # share of rear-laser poses with the robot's heading, above which the poses lack the laser's yaw
 
 
 class CarmenRecording(Recording):
-    """Scans of the planar lasers in a CARMEN log, with the poses that stand beside them."""
+    """Scans of the planar lasers in a CARMEN log, with the poses in their messages."""
 
     format = "CARMEN log"
     wanted_labels = "poses of the scans"
@@ -43,20 +43,20 @@ class CarmenRecording(Recording):
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "CarmenRecording | None":
-        """Return the scans of a CARMEN log; None if no path is one by its content.
+        """Return the scans of a CARMEN log, or None if no path has the content of one.
 
         Raises
         ------
         OgmError
             If there are several files, a topic does not exist, or no scan can be read.
         ValueError
-            If a fixed frame is chosen: the log has one alone.
+            If a fixed frame is chosen: the log has only one.
         """
         files = [path for path in paths if isinstance(path, Path) and path.is_file()]
         if not any(not ending_of(path) and not log_ending(path) and is_carmen(path) for path in files):
             return None
         if len(paths) > 1:
-            raise OgmError(f"{paths[0]} is a CARMEN log; give one alone")
+            raise OgmError(f"{paths[0]} is a CARMEN log, got {len(paths)} paths: give one alone")
         if options.frame is not None:
             raise ValueError(f"`frame` is for logs with transforms, {paths[0]} is a CARMEN log: leave it out")
         return cls(paths[0], read_carmen(paths[0]), options.topic)
@@ -88,18 +88,18 @@ class CarmenRecording(Recording):
 
     @cached_property
     def _content(self) -> tuple[CarmenLog, dict[str, tuple[float | None, float | None]]]:
-        """The log, and the limits of its lasers."""
+        """Log and range limits of its lasers."""
         log = read_carmen(self.path)
         return log, {kind: log.limits(kind) for kind in self.topics}
 
     def read(self, n: int) -> RawFrame:
-        """Return a scan."""
+        """Return scan n."""
         log, limits = self._content
         kind = log.lines[self._numbers[n]].kind
         return RawFrame(replace(log.scan(self._numbers[n], *limits[kind]), sensor=kind))
 
     def place(self, n: int) -> SensorPlace:
-        """Return the place of a laser: that on the robot where there are several."""
+        """Return the place of a laser; its position on the robot only if there are several lasers."""
         line = self._content[0].lines[self._numbers[n]]
         place = SensorPlace(line.kind, height=PLANE_HEIGHT, ego_footprint=NO_FOOTPRINT)
         if len(self.topics) == 1 or not np.isfinite(line.robot).all() or (T_map_laser := self._pose(line)) is None:
@@ -108,18 +108,18 @@ class CarmenRecording(Recording):
         return place._replace(origin=(float(T[0, 3]), float(T[1, 3])), yaw=float(np.arctan2(T[1, 0], T[0, 0])))
 
     def _pose(self, line: LaserLine) -> NDArray[np.float64] | None:
-        """Return T_map_sensor of a scan; None if it is not known."""
+        """Return ``T_map_sensor`` of a scan, (4, 4), or None if it is not known."""
         if not np.isfinite(line.pose).all():
             return None
         x, y, heading = line.pose
         return pose(x, y, yaw=heading + np.pi * (self._turned and line.kind == "RLASER"))
 
     def _notes(self, left_out: Mapping[str, int]) -> list[tuple[str, str]]:
-        """Return what is not known of the log, or unusual, each with the way out ("" for none)."""
+        """Return notes on missing or unusual properties of the log, each with the way out or ""."""
         height = f"the height of the laser is not recorded: {PLANE_HEIGHT:g} m is assumed"
-        notes = [(f"{height}, which names the plane of free cells (--sensor-height)", "")]
+        notes = [(f"{height} as the height of the plane of free cells (--sensor-height)", "")]
         if self._turned:
-            notes.append(("RLASER has the robot's heading: its beams are turned to the rear", ""))
+            notes.append(("poses of RLASER have the robot's heading: its beams are turned to the rear", ""))
         if left_out:
             listed = ", ".join(f"{kind} ({count})" for kind, count in left_out.items())
             notes.append((f"scans of {listed} are left out (--topic)", ""))
@@ -127,30 +127,30 @@ class CarmenRecording(Recording):
 
 
 def _chosen(path: Path, counts: Mapping[str, int], wanted: Sequence[str], log: CarmenLog) -> tuple[str, ...]:
-    """Return the messages to read scans of: by default those with most scans."""
+    """Return the kinds of messages to read; by default the kind with most scans."""
     listed = ", ".join(f"{kind} ({count})" for kind, count in counts.items()) or "none"
     if missing := [kind for kind in wanted if kind not in counts]:
-        raise OgmError(f"{path} has no scans {missing[0]}; there are {listed}")
+        raise OgmError(f"{path} has no scans {missing[0]}; its topics are {listed}")
     if not counts:
         others = ", ".join(log.others) or "none"
         odd = f"; {len(log.odd)} lines cannot be read, the first: {log.odd[0]}" if log.odd else ""
-        raise OgmError(f"{path} has no scans with poses (FLASER, RLASER, ROBOTLASER1); its messages are {others}{odd}")
+        raise OgmError(f"{path} has no scans; wanted FLASER, RLASER or ROBOTLASER1, got messages {others}{odd}")
     return tuple(dict.fromkeys(wanted)) or (max(counts, key=lambda kind: counts[kind]),)
 
 
 def _is_behind(lines: Sequence[LaserLine]) -> bool:
-    """Return whether the rear laser's poses have the heading of the robot, and not its own."""
+    """Return whether rear-laser poses have the robot's heading instead of the laser's."""
     rear = [line for line in lines if line.kind == "RLASER"]
     same = [abs(np.sin((line.pose[2] - line.robot[2]) / 2)) < 1e-3 for line in rear]
-    return bool(rear) and sum(same) > _BEHIND * len(rear)
+    return bool(rear) and sum(same) > _REAR_SHARE * len(rear)
 
 
 def _stamps(lines: Sequence[LaserLine], where: str) -> tuple[NDArray[np.float64], ClockFinding | None]:
-    """Return the time of each scan [s]: when it was measured, else when it was logged, else counted at 10 Hz.
+    """Return the time of each scan [s] and the fault of the clock, if any.
 
-    Times that do not rise with the lines of their laser are wrong: those scans lie evenly between others. Where the
-    poses would move faster than robots do, later scans are put later. The poses do not depend on the times, so that no
-    scan is left out.
+    The measurement time is used, else the logging time, else a count at 10 Hz. Times that do not rise with the lines
+    of a laser are wrong and are interpolated. Where the poses would move faster than robots do, later scans are
+    delayed. The poses do not depend on the times, so no scan is left out.
     """
     times = np.array([line.times for line in lines])
     kinds = np.array([line.kind for line in lines])
@@ -160,7 +160,7 @@ def _stamps(lines: Sequence[LaserLine], where: str) -> tuple[NDArray[np.float64]
             mine = np.flatnonzero(kinds == kind)
             rising[mine[_rising(column[mine])]] = True
         wrong = int(np.count_nonzero(~rising))
-        if wrong > (1 - _OWN) * len(lines):
+        if wrong > (1 - _MIN_TIMED_SHARE) * len(lines):
             continue
         stamps = column.copy()
         for kind in np.unique(kinds):
@@ -168,45 +168,45 @@ def _stamps(lines: Sequence[LaserLine], where: str) -> tuple[NDArray[np.float64]
             stamps[mine] = _evenly(column[mine], np.flatnonzero(rising[mine]))
         stamps, hurried = _within_speeds(stamps, lines)
         text = (
-            f"{wrong} of {len(lines)} scans have no time of their own, or one that goes back; {hurried} follow the one"
+            f"{wrong} of {len(lines)} scans have no time, or a time that goes back; {hurried} would need more than "
+            f"{_MAX_SPEED:g} m/s or {_MAX_TURN_RATE:g} rad/s since the scan before"
         )
-        text = f"{text} before faster than {_SPEED:g} m/s and {_TURN_RATE:g} rad/s allow"
-        way = "the former are put evenly between others, the latter later"
+        way = "the former get interpolated times, the latter are delayed"
         return stamps, ClockFinding("wrong stamps", text, where, way) if wrong or hurried else None
     known = len(np.unique(times[:, 0]))
     text = f"the log has {known} different time{'s' * (known != 1)} for {len(lines)} scans"
-    way = f"they are counted at up to {_RATE:g} Hz: velocities and half-lives are of that clock"
-    counted, _ = _within_speeds(np.arange(len(lines)) / _RATE, lines)
+    way = f"they are counted at up to {_DEFAULT_RATE:g} Hz: velocities and half-lives refer to that rate"
+    counted, _ = _within_speeds(np.arange(len(lines)) / _DEFAULT_RATE, lines)
     return counted, ClockFinding("missing stamps", text, where, way)
 
 
 def _within_speeds(stamps: NDArray[np.float64], lines: Sequence[LaserLine]) -> tuple[NDArray[np.float64], int]:
-    """Return times between which the robot moves no faster than robots do, and how many steps were too short."""
+    """Return times delayed to keep the speed limits of robots, and the number of short steps."""
     order = np.argsort(stamps, kind="stable")
     poses = np.array([lines[n].robot for n in order])
     with np.errstate(invalid="ignore", over="ignore"):
         moved = np.diff(poses, axis=0)
         turn = np.abs((moved[:, 2] + np.pi) % (2 * np.pi) - np.pi)
-        least = np.maximum(np.hypot(moved[:, 0], moved[:, 1]) / _SPEED, turn / _TURN_RATE)
-    least = np.where(np.isfinite(least), np.minimum(least, _LONGEST), 0.0)
+        min_steps = np.maximum(np.hypot(moved[:, 0], moved[:, 1]) / _MAX_SPEED, turn / _MAX_TURN_RATE)
+    min_steps = np.where(np.isfinite(min_steps), np.minimum(min_steps, _MAX_STEP), 0.0)
     steps = np.diff(stamps[order])
     result = stamps.copy()
-    if (short := steps < least - 1e-9).any():
-        result[order[1:]] = stamps[order[0]] + np.cumsum(np.maximum(steps, least))
+    if (short := steps < min_steps - 1e-9).any():
+        result[order[1:]] = stamps[order[0]] + np.cumsum(np.maximum(steps, min_steps))
     return result, int(np.count_nonzero(short))
 
 
 def _rising(times: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the numbers of the longest row of times of a clock that rise strictly, (K,)."""
-    least: list[float] = []  # of the last times of rows, by their length
+    """Return the indices of the longest strictly rising subsequence of times, (K,)."""
+    least: list[float] = []  # smallest last time of the subsequences of each length
     last: list[int] = []
     before = np.full(len(times), -1)
     for n, time in enumerate(times.tolist()):
-        if not 0 < time < _LATEST:
+        if not 0 < time < _MAX_TIME:
             continue
         at = bisect_left(least, time)
         if least[at : at + 1] == [time]:
-            continue  # the first scan of a time has it
+            continue  # the first scan with a time keeps it
         before[n] = last[at - 1] if at else -1
         least[at : at + 1], last[at : at + 1] = [time], [n]
     row = last[-1:]
@@ -216,11 +216,11 @@ def _rising(times: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _evenly(times: NDArray[np.float64], known: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return times of which those that are not known lie evenly between, before and after the others."""
+    """Return times with the unknown ones interpolated between the known ones, or extrapolated."""
     if not len(known):
-        return np.arange(len(times)) / _RATE
+        return np.arange(len(times)) / _DEFAULT_RATE
     own = times[known]
-    step = float(np.median(np.diff(own) / np.diff(known))) if len(known) > 1 else 1 / _RATE
+    step = float(np.median(np.diff(own) / np.diff(known))) if len(known) > 1 else 1 / _DEFAULT_RATE
     places = [-1, *known, len(times)]
     ends = own[0] - step * (known[0] + 1), own[-1] + step * (len(times) - known[-1])
     return np.asarray(np.interp(np.arange(len(times)), places, [ends[0], *own, ends[1]]))

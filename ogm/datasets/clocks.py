@@ -1,4 +1,4 @@
-"""Clocks of a log: where stamps go back, jump or are wrong against the order in which messages were recorded."""
+"""Clock faults of a log, found by comparing header stamps with recording times."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,67 +6,68 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-BACK = 0.5  # [s] by which stamps fall behind the log time in one step, and go back, where a clock was put back
-AHEAD = 60.0  # [s] by which stamps run ahead of the log time in one step where a clock was put ahead
-AGREE = 3  # scans in a row that agree with each other, from which a clock is believed to be another
-LATE = 10.0  # [s] behind the newest stamp, up to which a message is late and not wrong
-_NEAR = 2.0  # [s] of log time within which topics that are cut are cut together
-_SPEEDS = (0.5, 2.0)  # of stamps against log time, between which they are taken for 1
-_APART = 1000.0  # [s] between two parts on the time line: more than any transform is interpolated over
-_SLACK = 1.0  # [s] by which messages of one time are recorded one after the other
-_COARSE = 2.0**-9  # [s] the least step of stamps that are too coarse: that of 32 bits is a power of 2
-_START = 10.0  # [s] after 0, up to which the scan after one of stamp 0 shows that its clock began at 0
-_TWICE = 0.3  # of the step of stamps, at least, that messages of one coarse stamp last
-_EXAMPLES = 100  # stamps
-_OFFSET = 2.0  # [s] between two clocks: more than most transforms take to be computed
-_VARIES = 0.1  # [s] of the middle half of delays: those of a slow computation vary, those of a clock are constant
+MAX_BACK = 0.5  # [s] a clock was put back if stamps go back and lose more than this against log time in one step
+MAX_AHEAD = 60.0  # [s] a clock was put ahead if stamps gain more than this against log time in one step
+MIN_AGREEING = 3  # consecutive scans that must agree with each other to start a new part
+MAX_LATE = 10.0  # [s] a message up to this much behind the newest stamp is late, not wrong
+_JOINT_CUT = 2.0  # [s] of log time within which the cuts of several topics count as one cut
+_REAL_TIME = (0.5, 2.0)  # speeds of stamps against log time that count as 1
+_PART_GAP = 1000.0  # [s] between two parts on the time line, longer than any interpolation of transforms
+_LOG_JITTER = 1.0  # [s] difference between the log times of simultaneous messages
+_COARSE_STEP = 2.0**-9  # [s] smallest step of coarse stamps; stamps of 32 bits have steps of a power of 2
+_ZERO_START = 10.0  # [s] a clock began at 0 if a scan of stamp 0 is followed by a scan before this time
+_MIN_LASTING = 0.3  # shortest duration of messages with equal coarse stamps, as a share of the step of the stamps
+_MAX_SAMPLED = 100  # stamps
+_MAX_OFFSET = 2.0  # [s] between two clocks, longer than most transforms take to compute
+_DELAY_SPREAD = 0.1  # [s] interquartile range: delays of a slow computation vary, offsets of a clock are constant
 STRAY = -1
-"""Part of a scan with a stamp that agrees with no other."""
+"""Part of a scan with a wrong stamp, which agrees with no other stamp."""
 
 
 class ClockFinding(NamedTuple):
-    """A fault of the clock of a topic.
+    """Fault of the clock of a topic.
 
     Attributes
     ----------
     kind : str
         "clock put back", "clock put ahead", "wrong stamps", "missing stamps", "coarse stamps", or "clock
         offset" between scans and transforms.
-    what : str
-        The fault, in words.
+    fault : str
+        Description of the fault.
     where : str
         Topic and log time.
     way_out : str
-        What becomes of it, and what the user can do.
+        Consequence of the fault, and the remedy.
     """
 
     kind: str
-    what: str
+    fault: str
     where: str
     way_out: str
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.what}; {self.way_out}"
+        return f"{self.where}: {self.fault}; {self.way_out}"
 
 
 def clock_parts(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the part of a drive that each message of a topic belongs to, by its clock; `STRAY` for wrong stamps.
+    """Divide the messages of a topic into parts with a continuous clock.
 
-    A part ends where stamps go back while log time goes on (a simulation or a recording that began anew, a clock that
-    was put back), or run far ahead of it, and at least three stamps in a row then agree with each other. Fewer are
-    wrong stamps. A single stamp of up to 10 s behind the newest is that of a late message.
+    A part ends where stamps go back while log time advances, or run far ahead of log time, and at least three
+    consecutive stamps then agree with each other. Causes are a restarted simulation or recording, or a clock that was
+    put back. Fewer than three such stamps are wrong stamps. A single stamp up to 10 s behind the newest belongs to a
+    late message.
 
     Parameters
     ----------
     log_times : (K,) float64
-        When messages were recorded [s], in rising order.
+        Recording times of the messages [s], ascending.
     stamps : (K,) float64
-        Of their headers [s]; NaN where unset.
+        Header stamps [s]; NaN if unset.
 
     Returns
     -------
     (K,) int64
-        Parts count from 0, in the order of log time.
+        Part of each message, counted from 0 in the order of log time; `STRAY` for wrong stamps.
     """
     parts = np.full(len(stamps), STRAY)
     known = np.flatnonzero(np.isfinite(stamps))
@@ -77,16 +78,16 @@ def clock_parts(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> 
     t, s = (log_times * speed).tolist(), stamps.tolist()
 
     def follows(k: int, last: int) -> bool:
-        """Return whether message k has a stamp of the clock of an earlier message."""
+        """Return whether the stamp of message k fits the clock of an earlier message."""
         step, passed = s[k] - s[last], t[k] - t[last]
-        return not (step < 0 and passed - step > BACK) and step - passed <= AHEAD
+        return not (step < 0 and passed - step > MAX_BACK) and step - passed <= MAX_AHEAD
 
     def drift(k: int, last: int) -> float:
-        """Return by how much stamps went apart from log time between two messages [s]."""
+        """Return the difference between stamp step and log time step of two messages [s]."""
         return float(abs(s[k] - s[last] - t[k] + t[last]))
 
     part, newest = 0, -1
-    waiting: list[int] = []  # messages that do not follow the newest of the part, but each other
+    waiting: list[int] = []  # messages that follow each other, but not the newest of the part
     for k in known.tolist():
         catches_up = bool(waiting) and follows(k, waiting[-1]) and drift(k, waiting[-1]) < drift(k, newest)
         if newest < 0 or (follows(k, newest) and not catches_up):
@@ -95,12 +96,12 @@ def clock_parts(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> 
             waiting = []
             continue
         waiting = [*waiting, k] if waiting and follows(k, waiting[-1]) else [k]
-        if 0 < s[newest] - s[k] <= LATE:
-            parts[k] = part  # a late message, unless more follow
-        if len(waiting) == AGREE:
+        if 0 < s[newest] - s[k] <= MAX_LATE:
+            parts[k] = part  # a late message, unless more such messages follow
+        if len(waiting) == MIN_AGREEING:
             alone = np.flatnonzero(parts == part)
             alone = alone[alone < waiting[0]]
-            if len(alone) < AGREE:  # before a driver had its clock set
+            if len(alone) < MIN_AGREEING:  # before the driver's clock was set
                 parts[alone] = STRAY
             else:
                 part += 1
@@ -110,29 +111,30 @@ def clock_parts(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> 
 
 
 def _speed(log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> float | None:
-    """Return how fast stamps run against log time; None where log times do not tell the order of messages."""
+    """Return the speed of stamps against log time, or None if log times do not give the order of messages."""
     steps, passed = np.diff(stamps), np.diff(log_times)
-    if len(steps) < AGREE or not np.count_nonzero(passed > 0) > len(passed) / 2:
+    if len(steps) < MIN_AGREEING or not np.count_nonzero(passed > 0) > len(passed) / 2:
         return None
     speed = float(np.median(steps[passed > 0] / passed[passed > 0]))
-    return speed if speed > _SPEEDS[1] or 0 < speed < _SPEEDS[0] else 1.0
+    return speed if speed > _REAL_TIME[1] or 0 < speed < _REAL_TIME[0] else 1.0
 
 
 def joint_parts(
     log_times: Sequence[NDArray[np.float64]], parts: Sequence[NDArray[np.int64]]
 ) -> list[NDArray[np.int64]]:
-    """Return the parts of several topics as those of one drive, which ends a part where one of them does.
+    """Join the parts of several topics to common parts, cut where any topic is cut.
 
     Parameters
     ----------
     log_times : sequence of (K,) float64
-        Of each topic [s].
+        Log times of each topic [s].
     parts : sequence of (K,) int64
-        Of `clock_parts`.
+        Result of `clock_parts` for each topic.
 
     Returns
     -------
     list of (K,) int64
+        Part of each message, for each topic.
     """
     starts = [
         (float(times[np.argmax(own == number)]), topic, number)
@@ -141,7 +143,7 @@ def joint_parts(
     ]
     cuts: list[list[tuple[float, int, int]]] = []
     for start in sorted(starts):
-        if cuts and start[0] - cuts[-1][-1][0] <= _NEAR and start[1] not in [one[1] for one in cuts[-1]]:
+        if cuts and start[0] - cuts[-1][-1][0] <= _JOINT_CUT and start[1] not in [topic for _, topic, _ in cuts[-1]]:
             cuts[-1].append(start)
         else:
             cuts.append([start])
@@ -149,76 +151,83 @@ def joint_parts(
     for topic, (times, own) in enumerate(zip(log_times, parts, strict=True)):
         passed = np.zeros(len(own), np.int64)
         for cut in cuts:
-            mine = [number for _, one, number in cut if one == topic]
+            mine = [number for _, cut_topic, number in cut if cut_topic == topic]
             passed += own >= mine[0] if mine else times >= cut[0][0]
         joined.append(np.where(own == STRAY, STRAY, passed))
     return joined
 
 
 def _begun_at_zero(stamps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return stamps, in the order of log time, with 0 instead of NaN where a clock began at 0 with that message."""
+    """Return stamps in log order, with 0 instead of NaN for the first message of a clock that began at 0."""
     unset = np.isnan(stamps)
     after = np.append(stamps[1:], np.nan)
     with np.errstate(invalid="ignore"):
-        return np.where(unset & (after > 0) & (after < _START), 0.0, stamps)
+        return np.where(unset & (after > 0) & (after < _ZERO_START), 0.0, stamps)
 
 
 def coarse_stamps(
     where: str, noun: str, log_times: NDArray[np.float64], stamps: NDArray[np.float64]
 ) -> list[ClockFinding]:
-    """Return a finding where most stamps are those of the message before, in steps of 1/512 s, or all are 0; else none.
+    """Return a finding if stamps are coarse.
 
-    Messages that were recorded twice have equal stamps, too, but in pairs that follow each other quickly.
+    Coarse stamps are all 0, or most of them repeat the stamp before and all are multiples of 1/512 s. Messages that
+    were recorded twice also have equal stamps, but in pairs that follow each other quickly.
 
     Parameters
     ----------
     where, noun : str
         Name of the messages, and their kind in words.
     log_times, stamps : (K,) float64
-        Of the messages, in the order of log time [s].
+        Log times and header stamps of the messages, in the order of log time [s].
+
+    Returns
+    -------
+    list of ClockFinding
+        Empty if the stamps are fine.
     """
     if len(stamps) > 1 and not stamps.any():
-        return [
-            ClockFinding(
-                "coarse stamps", f"all {len(stamps)} {noun} have the stamp 0", where, "their sender must set them"
-            )
-        ]
+        fault = f"all {len(stamps)} {noun} have the stamp 0"
+        return [ClockFinding("coarse stamps", fault, where, "the sender must set the stamps")]
     same = (np.diff(stamps) == 0) & (np.diff(log_times) > 0)
-    if len(same) < AGREE or 2 * np.count_nonzero(same) <= len(same) or (stamps % _COARSE).any():
+    if len(same) < MIN_AGREEING or 2 * np.count_nonzero(same) <= len(same) or (stamps % _COARSE_STEP).any():
         return []
     different = np.unique(stamps)
-    lasting = float(np.median([np.ptp(log_times[stamps == stamp]) for stamp in different[:_EXAMPLES]]))
-    if len(different) > 1 and lasting < _TWICE * float(np.median(np.diff(different))):
+    lasting = float(np.median([np.ptp(log_times[stamps == stamp]) for stamp in different[:_MAX_SAMPLED]]))
+    if len(different) > 1 and lasting < _MIN_LASTING * float(np.median(np.diff(different))):
         return []
-    what = f"{len(stamps)} {noun} have {len(different)} different stamps in {np.ptp(log_times):.3g} s"
-    way = "they are too coarse for poses: record or convert the log anew with whole stamps (64 bits)"
-    return [ClockFinding("coarse stamps", what, where, way)]
+    fault = f"{len(stamps)} {noun} have {len(different)} different stamps in {np.ptp(log_times):.3g} s"
+    way = "the stamps are too coarse for poses: record or convert the log again with stamps of 64 bits"
+    return [ClockFinding("coarse stamps", fault, where, way)]
 
 
 def clock_offset(
     topic: str,
     log_times: NDArray[np.float64],
     stamps: NDArray[np.float64],
-    what: str,
+    other: str,
     other_times: NDArray[np.float64],
     others: NDArray[np.float64],
 ) -> list[ClockFinding]:
-    """Return a finding where the clocks of scans and of other messages differ by over 2 s; else none.
+    """Return a finding if the clocks of scans and other messages differ by more than 2 s.
 
-    Stamps up to 10 s behind are those of late messages, as of a slow SLAM, where the delay varies by more than 0.1 s
-    (between its quartiles), or where the stamps begin with those of the scans: a clock that is behind gives
-    some from before.
+    Messages up to 10 s behind are late, not of another clock, in two cases: their delay varies by more than 0.1 s
+    between its quartiles (a slow SLAM), or their first stamp is not before the first stamp of the scans.
 
     Parameters
     ----------
     topic : str
-        Of the scans.
+        Topic of the scans.
     log_times, stamps : (K,) float64
-        Of the scans [s].
-    what : str
+        Log times and stamps of the scans [s].
+    other : str
         Name of the other messages.
     other_times, others : (M,) float64
         Log times and stamps of the other messages [s].
+
+    Returns
+    -------
+    list of ClockFinding
+        Empty if the clocks agree.
     """
     if min(len(others), len(stamps)) < 2 or not np.ptp(other_times) or not np.ptp(log_times):
         return []
@@ -228,15 +237,14 @@ def clock_offset(
     order = np.argsort(other_times)
     behind = np.interp(log_times[inside], other_times[order], (other_times - others)[order])
     quartile, offset, other_quartile = np.percentile(behind - (log_times - stamps)[inside], [25, 50, 75]).tolist()
-    begins_late = others.min() >= np.nanmin(stamps) - _SLACK
-    is_late = 0 < offset <= LATE and (begins_late or other_quartile - quartile > _VARIES)
-    if abs(offset) <= _OFFSET or is_late:
+    begins_late = others.min() >= np.nanmin(stamps) - _LOG_JITTER
+    is_late = 0 < offset <= MAX_LATE and (begins_late or other_quartile - quartile > _DELAY_SPREAD)
+    if abs(offset) <= _MAX_OFFSET or is_late:
         return []
-    text = f"stamps are {abs(offset):.4g} s {'ahead of' if offset > 0 else 'behind'} those of the {what}, by log times"
-    way = (
-        "scans get poses of another time: record both with one clock, or --odometry kiss-icp, which needs no transforms"
-    )
-    return [ClockFinding("clock offset", text, topic, way)]
+    side = "ahead of" if offset > 0 else "behind"
+    fault = f"stamps are {abs(offset):.4g} s {side} the stamps of the {other}, by log times"
+    way = "scans get poses of another time: record both with one clock, or give --odometry kiss-icp"
+    return [ClockFinding("clock offset", fault, topic, way)]
 
 
 def clock_findings(
@@ -260,37 +268,37 @@ def clock_findings(
         last, first = np.flatnonzero(parts == before)[-1], np.flatnonzero(parts == after)[0]
         old, new, passed = stamps[parts == before].max(), stamps[first], log_times[first] - log_times[last]
         back = new < old
-        what = f"stamps {'go back' if back else 'jump'} from {old:.6f} to {new:.6f} s while {passed:.3g} s pass"
-        way = "the drive is cut there into parts, of which --sequence picks one"
+        fault = f"stamps {'go back' if back else 'jump'} from {old:.6f} to {new:.6f} s while {passed:.3g} s pass"
+        way = "the drive is cut into parts there; --sequence selects a part"
         where = f"{topic} at log time {log_times[first]:.3f} s"
-        found.append(ClockFinding("clock put back" if back else "clock put ahead", what, where, way))
+        found.append(ClockFinding("clock put back" if back else "clock put ahead", fault, where, way))
     strays = known & (parts == STRAY)
     if strays.any():
         k = int(np.argmax(strays))
-        what = f"{np.count_nonzero(strays)} of {len(stamps)} stamps agree with no other, the first is {stamps[k]:.6f} s"
+        fault = f"{np.count_nonzero(strays)} of {len(stamps)} stamps agree with no other, the first: {stamps[k]:.6f} s"
         where = f"{topic} at log time {log_times[k]:.3f} s"
-        found.append(ClockFinding("wrong stamps", what, where, "these scans are left out"))
+        found.append(ClockFinding("wrong stamps", fault, where, "these scans are left out"))
     if not known.all():
-        what = f"{np.count_nonzero(~known)} of {len(stamps)} headers have no stamp (0)"
+        fault = f"{np.count_nonzero(~known)} of {len(stamps)} headers have no stamp (0)"
         way = "these scans are left out" if known.any() else "poses cannot be looked up: estimate them by `odometry`"
-        found.append(ClockFinding("missing stamps", what, topic, way))
+        found.append(ClockFinding("missing stamps", fault, topic, way))
     return found
 
 
 class DriveClock:
-    """Clock of the scans of a log: the parts of the drive, and one time line on which no two parts overlap.
+    """Clock of the scans of a log, with the parts of the drive on a common time line.
 
     Parameters
     ----------
     topics : sequence of K str
         Topic of each scan, in the order of log time.
     log_times, stamps : (K,) float64
-        Of the scans [s]; a stamp is NaN where the header has none.
+        Log times and stamps of the scans [s]; NaN for a header without stamp.
 
     Attributes
     ----------
     stamps : (K,) float64
-        [s]; 0 instead of NaN where a clock began at 0 with the scan.
+        Stamps of the scans [s]; 0 instead of NaN for the first scan of a clock that began at 0.
     parts : (K,) int64
         Part of each scan, from 0; `STRAY` for scans that are left out.
     findings : list of ClockFinding
@@ -299,29 +307,26 @@ class DriveClock:
 
     def __init__(self, topics: Sequence[str], log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> None:
         self.stamps, self.parts = stamps.copy(), np.zeros(len(stamps), np.int64)
-        rows = {
-            name: np.array([n for n, topic in enumerate(topics) if topic == name]) for name in dict.fromkeys(topics)
-        }
-        for mine in rows.values():
+        self.findings: list[ClockFinding] = []
+        rows, times, own = [], [], []
+        for name in dict.fromkeys(topics):
+            mine = np.flatnonzero([topic == name for topic in topics])
             self.stamps[mine] = _begun_at_zero(stamps[mine])
-        own = [clock_parts(log_times[mine], self.stamps[mine]) for mine in rows.values()]
-        self.findings = [
-            finding
-            for (name, mine), parts in zip(rows.items(), own, strict=True)
-            for finding in clock_findings(name, log_times[mine], self.stamps[mine], parts)
-        ]
+            parts = clock_parts(log_times[mine], self.stamps[mine])
+            self.findings += clock_findings(name, log_times[mine], self.stamps[mine], parts)
+            rows.append(mine)
+            times.append(log_times[mine])
+            own.append(parts)
         if np.isnan(self.stamps).all():
             return
-        for mine, parts in zip(
-            rows.values(), joint_parts([log_times[mine] for mine in rows.values()], own), strict=True
-        ):
+        for mine, parts in zip(rows, joint_parts(times, own), strict=True):
             self.parts[mine] = parts
-        self._spans, self._offsets = [], []  # log times of each part [s], and log time minus stamp
+        self._spans, self._offsets = [], []  # log times of each part, and median of log time minus stamp [s]
         self._shifts, end = [], -np.inf
         for number in range(int(self.parts.max()) + 1):
             mine = self.parts == number
             first, last = float(self.stamps[mine].min()), float(self.stamps[mine].max())
-            shift = float(np.ceil(end + _APART - first)) if first < end + _APART else 0.0
+            shift = float(np.ceil(end + _PART_GAP - first)) if first < end + _PART_GAP else 0.0
             self._shifts.append(shift)
             end = max(end, last + shift)
             self._spans.append((float(log_times[mine].min()), float(log_times[mine].max())))
@@ -333,19 +338,19 @@ class DriveClock:
         return int(self.parts.max(initial=0)) > 0
 
     def shifted(self, stamps: NDArray[np.float64], parts: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return stamps of some parts on the time line, (M,) [s]."""
+        """Return stamps of given parts on the time line, (M,) [s]."""
         return stamps + np.array(self._shifts)[parts] if self.is_cut else stamps
 
     def on_line(self, log_times: NDArray[np.float64], stamps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the stamps of the messages of another topic on the time line, (M,) [s].
+        """Return the stamps of messages of another topic on the time line, (M,) [s].
 
-        The part of a message is that of the scans that were recorded at its time. Near a cut it is the part whose scans
-        were recorded as long after their stamps, apart from the usual delay of the topic.
+        A message belongs to the part of the scans recorded at its log time. Near a cut, it belongs to the part with
+        the same difference between log time and stamp, apart from the usual delay of the topic.
 
         Parameters
         ----------
         log_times, stamps : (M,) float64
-            [s]
+            Log times and stamps of the messages [s].
         """
         if not self.is_cut or not len(stamps):
             return stamps
@@ -355,9 +360,9 @@ class DriveClock:
         behind = behind - np.median(behind - offsets[part])
         best, found = np.full(len(stamps), np.inf), part.copy()
         for n, offset in enumerate(offsets):
-            possible = (n == part) | ((n == part - 1) & (log_times <= first[part] + _SLACK))
+            possible = (n == part) | ((n == part - 1) & (log_times <= first[part] + _LOG_JITTER))
             if n:
-                possible |= (n == part + 1) & (log_times >= last[n - 1] - _SLACK)
+                possible |= (n == part + 1) & (log_times >= last[n - 1] - _LOG_JITTER)
             distance = np.where(possible, np.abs(behind - offset), np.inf)
             found, best = np.where(distance < best, n, found), np.minimum(distance, best)
         return np.asarray(stamps + np.array(self._shifts)[found])

@@ -18,31 +18,34 @@ from ogm.state import LazyTruth, Truth
 
 
 class Dataset(Sequence[Frame]):
-    """Frames of a recording or of simulated drives; `open_dataset` makes one.
+    """Frames of a recording or of simulated drives, see `open_dataset`.
 
-    A frame reads its scan, and makes its truth, at the first access; the last scans and truths are kept. Slices and
-    `select` give datasets of some frames. A dataset can be pickled, and goes to another process without the scans that
-    were read.
+    A frame reads its scan and makes its truth at the first access; recent scans and truths are kept in memory. Slices
+    and `select` return datasets of some frames. A pickled dataset does not contain the scans in memory.
 
     Attributes
     ----------
     recording : Recording
-        Reads the parts of the frames.
+        Reader of the parts of the frames.
+    numbers : tuple of int
+        Numbers of the frames in the recording.
     name : str
+        Name of the dataset.
     format : str
-        The format, in words.
+        Name of the format.
     description : str
-        The labels that the truth is made of, in one sentence; it states "this scan" if the frame's own scan is used.
-        "" if there is no truth: asking a frame for it then raises an error with the way out.
+        Sources of the truth, in one sentence, in which "this scan" is the scan of the frame itself. "" if there is no
+        truth; `Frame.truth` then raises an error with the way out.
     facts : dict
-        Further facts, as JSON can hold them.
+        Further facts that JSON can hold.
     motion_distorted : bool
-        Whether points may be shifted by the ego motion during a scan, so that de-skewing makes sense.
+        Whether points may be shifted by the ego motion during a scan and should be de-skewed.
     trajectory : Trajectory or None
-        Poses between the frames, of `with_poses` and `with_odometry`, which know them better than the frames do.
+        Poses between the frames, set by `with_poses` and `with_odometry`; denser than the poses of the frames.
     """
 
     recording: Recording
+    numbers: tuple[int, ...]
     trajectory: Trajectory | None
     description: str
     name: str
@@ -61,29 +64,29 @@ class Dataset(Sequence[Frame]):
         self.recording, self.trajectory = recording, trajectory
         self._motion, self._truth_options = MotionReader(recording), (truth, others)
         self._truth = recording if recording.known_truth else RecordedTruth(recording, truth, others)
-        self._numbers = tuple(range(len(recording.frames)) if numbers is None else numbers)
+        self.numbers = tuple(range(len(recording.frames)) if numbers is None else numbers)
         self.name, self.format, self.description = recording.name, recording.format, self._truth.description
         self.motion_distorted = recording.motion_distorted
         self.facts = dict(recording.facts or {"format": recording.format, "frames": len(recording.frames)})
 
     def __len__(self) -> int:
-        return len(self._numbers)
+        return len(self.numbers)
 
     @overload
     def __getitem__(self, n: int) -> Frame: ...
     @overload
     def __getitem__(self, n: slice) -> "Dataset": ...
     def __getitem__(self, n: int | slice) -> "Frame | Dataset":
-        """Return a frame, of which nothing is read yet, or the dataset of several frames."""
+        """Return a frame, which is not read yet, or the dataset of a slice of frames."""
         if isinstance(n, slice):
             return self.select(range(*n.indices(len(self))))
-        k = self._numbers[n]
+        k = self.numbers[n]
         recording, boxes, truth = self.recording, partial(self._motion.boxes, k), partial(self._moving_truth, k)
         ref = recording.frames[k]._asdict()
         return LazyFrame(partial(recording.scan, k), partial(recording.used_mount, k), boxes, truth, **ref)
 
     def _moving_truth(self, k: int) -> Truth:
-        """Return the truth of a frame; its motion is found at the first access."""
+        """Return the truth of a frame; its motion is computed at the first access."""
         truth = self._truth.truth(k)
         return LazyTruth(truth.spec, truth.state, truth.height_cm, partial(self._motion.cells, k, truth.spec))
 
@@ -96,18 +99,13 @@ class Dataset(Sequence[Frame]):
         return facts_html(f"Dataset {self.name}", self.describe())
 
     def select(self, numbers: Iterable[int]) -> "Dataset":
-        """Return the dataset of some frames, by their numbers in this one; both share the scans in memory."""
+        """Return the dataset of the frames with the given numbers; scans in memory are shared."""
         chosen = copy(self)
-        chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
+        chosen.numbers = tuple(self.numbers[int(n)] for n in numbers)
         return chosen
 
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """Numbers of the frames in the recording."""
-        return self._numbers
-
     def describe(self) -> dict[str, str]:
-        """Return format, frames, poses, stamps and truth as names and values to print; no scan is read."""
+        """Return format, frames, poses, stamps and truth as names and values to print. No scan is read."""
         stamps = [ref.stamp for ref in self.refs if ref.stamp is not None]
         posed = sum(ref.T_map_sensor is not None for ref in self.refs)
         sequences = [name for name in self.sequences if name]
@@ -128,23 +126,23 @@ class Dataset(Sequence[Frame]):
 
     @property
     def refs(self) -> tuple[FrameRef, ...]:
-        """Name, sequence, stamp and pose of every frame; no frame is made for it."""
-        return tuple(self.recording.frames[k] for k in self._numbers)
+        """Name, sequence, stamp and pose of every frame, without making frames."""
+        return tuple(self.recording.frames[k] for k in self.numbers)
 
     @property
     def with_truth(self) -> list[int]:
-        """Numbers of the frames that may have a truth: all but radar sweeps between a simulated lidar's turns."""
-        return [n for n, k in enumerate(self._numbers) if self.recording.has_truth(k)]
+        """Numbers of the frames that may have a truth; radar sweeps between simulated lidar scans have none."""
+        return [n for n, k in enumerate(self.numbers) if self.recording.has_truth(k)]
 
     @property
     def shards(self) -> NDArray[np.int64] | None:
-        """Which frames lie together, where reading all that do costs little more than one: in object stores."""
+        """Shard of each frame in an object store, (N,), else None; see `Recording.shards`."""
         shards = self.recording.shards
-        return None if shards is None else shards[list(self._numbers)]
+        return None if shards is None else shards[list(self.numbers)]
 
     @property
     def sequences(self) -> dict[str, list[int]]:
-        """Numbers of the frames of each sequence, in order; frames that stand alone are left out."""
+        """Numbers of the frames of each sequence, in order; single frames are left out."""
         result: dict[str, list[int]] = {}
         for n, ref in enumerate(self.refs):
             if ref.sequence:
@@ -154,27 +152,28 @@ class Dataset(Sequence[Frame]):
     def placed(
         self, stamps: NDArray[np.float64], poses: NDArray[np.float64], facts: Mapping[str, Any], trajectory: Trajectory
     ) -> "Dataset":
-        """Return the dataset with other stamps and poses, as one sequence; NaN for a frame without them.
+        """Return the dataset with other stamps and poses, as a single sequence.
 
         Parameters
         ----------
         stamps : (K,) float
-            [s].
+            Stamps of the frames [s]; NaN if unknown.
         poses : (K, 4, 4) float
-            ``T_map_sensor``.
+            ``T_map_sensor`` of the frames; NaN if unknown.
         facts : dict
-            What is added to the facts.
+            Entries to add to the facts.
         trajectory : Trajectory
+            Poses between the frames.
         """
-        frames = [one._replace(T_map_sensor=None) for one in self.recording.frames]
+        frames = [ref._replace(T_map_sensor=None) for ref in self.recording.frames]
         names = {ref.sequence for ref in self.refs}
         sequence = (names.pop() if len(names) == 1 else "") or self.name
         known = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
-        for n, k in enumerate(self._numbers):
+        for n, k in enumerate(self.numbers):
             place = (float(stamps[n]), poses[n]) if known[n] else (None, None)
             frames[k] = FrameRef(frames[k].name, sequence, *place)
-        recording = copy(self.recording)  # also without the heights and levels that were found without these poses
+        recording = copy(self.recording)  # without the cached heights and levellings, which depend on the poses
         vars(recording).clear()
         vars(recording).update(self.recording.__getstate__())
         recording.frames, recording.facts = tuple(frames), {**self.facts, **facts}
-        return Dataset(recording, *self._truth_options, self._numbers, trajectory)
+        return Dataset(recording, *self._truth_options, self.numbers, trajectory)

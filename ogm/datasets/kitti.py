@@ -1,4 +1,4 @@
-"""KITTI: object, tracking and raw recordings, and odometry with or without SemanticKITTI's classes."""
+"""KITTI: object, tracking and raw recordings, and odometry with or without SemanticKITTI classes."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -18,20 +18,20 @@ from ogm.scan import Boxes, Scan
 from ogm.storage.files import OgmError
 
 _FRONT = "boxes only in the view of the front camera"
-_ANGLE = float(np.radians(37.0))  # of that view, to either side: a little less than the picture shows
+_FRONT_ANGLE = float(np.radians(37.0))  # [rad] half angle of that view, slightly below the image's field of view
 
 
 class KittiObjectRecording(ScanFiles):
     """Folder with ``velodyne/``, ``label_2/`` and ``calib/``: unrelated single scans."""
 
     format = "KITTI object recordings"
-    wanted_labels = "boxes of the object recordings (label_2/*.txt beside velodyne/ and calib/)"
+    wanted_labels = "boxes of the object recordings (label_2/*.txt next to velodyne/ and calib/)"
     ego_footprint = KITTI_EGO
     view = _FRONT
 
     @classmethod
     def find(cls, path: Path) -> "KittiObjectRecording | None":
-        """Return the scans, each of which has labels and a calibration if there are labels."""
+        """Return the scans; if there are labels, each scan must have labels and a calibration."""
         scans = scan_paths(path / "velodyne")
         if not scans or not (path / "calib").is_dir() or (path / "label_02").is_dir():
             return None
@@ -48,20 +48,20 @@ class KittiObjectRecording(ScanFiles):
         return read_kitti_objects(label, io.read_calibration(calibration))
 
     def _files(self, n: int) -> tuple[Path, Path]:
-        """Return the files of labels and calibration of a scan."""
+        """Return the label file and the calibration file of a scan."""
         scan = self.scans[n]
         return _beside(scan, self.path / "label_2", "label"), _beside(scan, self.path / "calib", "calibration")
 
 
 class _KittiDrives(ScanFiles):
-    """Drives with their scans in a folder each, perhaps with tracked boxes by the numbers of the scans."""
+    """Drives with one folder of scans each, and optional tracked boxes by scan number."""
 
     wanted_labels = "boxes of the tracking recordings (label_02*.txt), or poses (poses.txt, derived/poses*.txt)"
     ego_footprint = KITTI_EGO
 
     @abstractmethod
     def read_tracks(self, drive: str) -> dict[int, Boxes]:
-        """Read the boxes of a drive by the name of the folder with its scans."""
+        """Read the boxes of a drive by scan number; `drive` is the name of its folder of scans."""
 
     @cached_property
     def _tracks(self) -> Callable[[str], dict[int, Boxes]]:
@@ -73,12 +73,12 @@ class _KittiDrives(ScanFiles):
 
 
 class KittiTrackingRecording(_KittiDrives):
-    """Folder with ``velodyne/0000/``, ``label_02/0000.txt`` and ``calib/0000.txt``: one drive per number."""
+    """Folder with ``velodyne/0000/``, ``label_02/0000.txt`` and ``calib/0000.txt``, one drive per number."""
 
     format = "KITTI tracking recordings"
     labelled = ("boxes",)
     view = _FRONT
-    view_angle = _ANGLE
+    view_angle = _FRONT_ANGLE
 
     @classmethod
     def find(cls, path: Path) -> "KittiTrackingRecording | None":
@@ -95,7 +95,7 @@ class KittiTrackingRecording(_KittiDrives):
 
 
 class KittiRawRecording(_KittiDrives):
-    """One raw drive: scans in the folder itself or in ``velodyne_points/data/``, perhaps with labels and poses."""
+    """Raw drive: scans in the folder or in ``velodyne_points/data/``, with optional labels and poses."""
 
     format = "KITTI raw drive"
     labels: Path
@@ -108,18 +108,17 @@ class KittiRawRecording(_KittiDrives):
         if not scans or not (scans[0].parent != path or labels or sorted(path.glob("calib*.txt"))):
             return None
         if len(labels) > 1:
-            raise OgmError(
-                f"{path} has {len(labels)} files of labels ({labels[0].name}, {labels[1].name} ...), wanted one drive's"
-            )
+            examples = ", ".join(label.name for label in labels[:2])
+            raise OgmError(f"{path} has {len(labels)} label files ({examples} ...), wanted one: keep this drive's")
         names = [scan_name(scan) for scan in scans]
         if labels and not all(name.isdigit() for name in names):
-            raise OgmError(f"scans of {path} must be named by their numbers, as their labels are; got {names[0]}")
+            raise OgmError(f"scans of {path} must be named by number to match the labels, got {names[0]}: rename them")
         stamps = _raw_stamps(path / "velodyne_points" / "timestamps.txt", names)
         recording = cls(path, drive_of(path.name, scans, pose_files(path), stamps))
         recording.stamped = stamps is not None
         if labels:
             recording.labels, recording.labelled = labels[0], ("boxes",)
-            recording.view, recording.view_angle = _FRONT, _ANGLE
+            recording.view, recording.view_angle = _FRONT, _FRONT_ANGLE
         return recording
 
     def read_tracks(self, drive: str) -> dict[int, Boxes]:
@@ -128,7 +127,7 @@ class KittiRawRecording(_KittiDrives):
 
 
 class KittiOdometryRecording(ScanFiles):
-    """KITTI odometry: one sequence or all in ``sequences/``, with SemanticKITTI's classes or with poses alone."""
+    """KITTI odometry: one sequence or all of ``sequences/``, with SemanticKITTI classes or only poses."""
 
     format = "KITTI odometry"
     wanted_labels = "classes of SemanticKITTI (labels/*.label), or poses (poses.txt)"
@@ -136,7 +135,7 @@ class KittiOdometryRecording(ScanFiles):
 
     @classmethod
     def find(cls, path: Path) -> "KittiOdometryRecording | None":
-        """Return the scans of all sequences, or of those that have classes if there are some."""
+        """Return the scans of the sequences with classes, or of all sequences if none has classes."""
         inside = sorted(path.glob("sequences/*/velodyne")) or sorted(path.glob("[0-9][0-9]/velodyne"))
         folders = [velodyne.parent for velodyne in inside or sorted(path.glob("velodyne/"))]
         labelled = [folder for folder in folders if (folder / "labels").is_dir()]
@@ -152,7 +151,7 @@ class KittiOdometryRecording(ScanFiles):
         return recording
 
     def read(self, n: int) -> RawFrame:
-        """Read a scan, with its classes if there are some."""
+        """Read a scan, and its classes if the sequence is labelled."""
         if not self.labelled:
             return super().read(n)
         found = read_semantic_kitti(self.scans[n], _classes(self.scans[n]))
@@ -161,7 +160,7 @@ class KittiOdometryRecording(ScanFiles):
 
 
 def _beside(scan: Path, folder: Path, kind: str, ending: str = ".txt") -> Path:
-    """Return the file of a folder that has the name of a scan."""
+    """Return the file in a folder with the same name as a scan."""
     path = folder / f"{scan_name(scan)}{ending}"
     if not path.is_file():
         raise OgmError(f"scan {scan.name} has no {kind} {path}: add it, or move the scan elsewhere")
@@ -173,30 +172,31 @@ def _classes(scan: Path) -> Path:
 
 
 def _raw_stamps(path: Path, names: list[str]) -> NDArray[np.float64] | None:
-    """Return the times of scans [s] from the file of a raw drive; None if it does not exist."""
+    """Return the times of the scans of a raw drive [s], or None if the file does not exist."""
     if not path.is_file():
         return None
     times = read_kitti_stamps(path)
     if beyond := [name for name in names if not name.isdigit() or int(name) >= len(times)]:
-        raise OgmError(
-            f"{path} has {len(times)} times, too few for scan {beyond[-1]}: wanted a line for every scan from 0 on"
-        )
+        raise OgmError(f"{path} has {len(times)} times, but no time for scan {beyond[-1]}: wanted a line per scan")
     return times[[int(name) for name in names]]
 
 
 def _odometry_drive(folder: Path) -> list[tuple[FrameRef, Path]]:
-    """Return the scans of one sequence of the odometry, which has poses of the camera."""
+    """Return the scans of an odometry sequence, with poses converted from camera poses."""
     scans = scan_paths(folder / "velodyne")
     calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
     T = io.read_calibration(calib) if calib.is_file() else None
     times = read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
     if times is not None and len(times) != len(scans):
-        raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
+        raise OgmError(
+            f"{folder}/times.txt has {len(times)} times for {len(scans)} scans, wanted one per scan: remove the file "
+            "to count the scans at 10 Hz"
+        )
     return drive_of(folder.name, scans, [*pose_files(folder), more], times, T_camera_sensor=T)
 
 
 def _calibration(path: Path) -> NDArray[np.float64]:
-    """Find a calibration in the folder of a drive, or in that of its day."""
+    """Read the calibration in the folder of a drive or of its day."""
     for folder in (path, path.parent):
         if (folder / "calib_velo_to_cam.txt").is_file():
             return io.read_calibration(folder)
@@ -204,6 +204,6 @@ def _calibration(path: Path) -> NDArray[np.float64]:
         if len(files) == 1:
             return io.read_calibration(files[0])
     raise OgmError(
-        f"{path} has boxes but no calibration, without which their places are unknown: wanted one calib*.txt with "
-        "Tr_velo_to_cam and R0_rect, or calib_velo_to_cam.txt and calib_cam_to_cam.txt, in the folder or above it"
+        f"{path} has boxes but no calibration to place them: wanted one calib*.txt with Tr_velo_to_cam and R0_rect, or "
+        "calib_velo_to_cam.txt and calib_cam_to_cam.txt, in the folder or the folder above"
     )

@@ -1,4 +1,4 @@
-"""Frames of sensors in a log: clouds may be given in another frame than that of their sensor."""
+"""Sensor frames of a log: clouds may be given in another frame than the sensor's."""
 
 import re
 from collections.abc import Sequence
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from ogm.io.transforms import TransformBuffer
 from ogm.storage.files import OgmError
 
-FIXED = ("map", "odom", "world")  # frames that stand still, by their usual names
+FIXED = ("map", "odom", "world")  # usual names of fixed frames
 _OTHERS = ("earth", "global", "local", "local_map", "camera_init", "lidar_init", "aft_mapped", "odom_combined")
 _LIDAR = re.compile(
     r"lidar|laser|velo|ouster|(^|[/_])os\d?(_|$)|livox|mid_?360|avia|hapi|hesai|pandar|rs_?lidar|robosense|radar|sick"
@@ -16,20 +16,21 @@ _LIDAR = re.compile(
 
 
 def unnamed_frame(topic: str) -> str:
-    """Return the name that stands for the frame of the scans of a topic whose headers name none."""
+    """Return the placeholder for the frame of a topic without frame names in its headers."""
     return f"(frame of {topic})"
 
 
 def lidar_frames(buffer: TransformBuffer) -> list[str]:
-    """Return the frames of a transform buffer with the name of a lidar, of several in a chain the last."""
+    """Return the frames of a transform buffer with lidar names; of nested ones only the lowest."""
     return _lidars(_children(buffer), buffer.frames)
 
 
 def sensor_frame(buffer: TransformBuffer, frame: str, vehicle: Sequence[str]) -> str:
     """Return the frame of the sensor that measured a cloud.
 
-    It is the frame of the cloud, unless that is the vehicle's or lies above it: a fixed frame (map, odom, world), or
-    one from which transforms that change lead to the vehicle. Such a cloud was moved after it was measured.
+    This is the frame of the cloud, unless the cloud was transformed after the measurement: its frame is then the
+    vehicle's or lies above it. Frames above are fixed frames (map, odom, world), and frames from which changing
+    transforms lead to the vehicle.
 
     Parameters
     ----------
@@ -42,24 +43,22 @@ def sensor_frame(buffer: TransformBuffer, frame: str, vehicle: Sequence[str]) ->
     Raises
     ------
     OgmError
-        If the frame lies above the vehicle, and transforms do not lead from there to one lidar.
+        If the frame lies above the vehicle, and transforms do not lead from it to exactly one lidar.
     """
     children = _children(buffer)
     below = _below(children, frame)
-    if frame in vehicle:  # a cloud of several lidars has no place of its own
+    if frame in vehicle:  # a cloud of several lidars has no single sensor position
         lidars = _lidars(children, below)
         return lidars[0] if len(lidars) == 1 else frame
     if not (_named(frame, (*FIXED, *_OTHERS)) or _carries(buffer, children, frame, vehicle)):
         return frame
-    where = f"are in {frame}, a frame above the vehicle's, so that they do not tell where their sensor was"
+    where = f"are in {frame}, a frame above the vehicle's, and do not give the position of their sensor"
     lidars = _lidars(children, below)
-    if not lidars and not any(one in vehicle for one in below):
-        lidars = [one for one in below if one not in children]
+    if not lidars and not any(name in vehicle for name in below):
+        lidars = [name for name in below if name not in children]
     if len(lidars) != 1:
-        found = (
-            f"lead from there to {', '.join(lidars or below)}, not to one lidar" if below else "from there are missing"
-        )
-        way = "give `sensor_position` (x, y, z in base_link), or by `topic` the cloud in its sensor's frame"
+        found = f"lead from it to {', '.join(lidars or below)}, wanted one lidar" if below else "from it are missing"
+        way = "give `sensor_position` (x, y, z in base_link), or choose a `topic` with clouds in the sensor's frame"
         raise OgmError(f"{where}, and transforms {found}: {way}")
     return lidars[0]
 
@@ -73,7 +72,7 @@ def _children(buffer: TransformBuffer) -> dict[str, list[str]]:
 
 
 def _below(children: dict[str, list[str]], frame: str) -> list[str]:
-    """Return all frames below one."""
+    """Return all frames below a frame."""
     found: list[str] = []
     waiting = [frame]
     while waiting:
@@ -85,19 +84,19 @@ def _below(children: dict[str, list[str]], frame: str) -> list[str]:
 
 
 def _lidars(children: dict[str, list[str]], frames: Sequence[str]) -> list[str]:
-    """Return the frames with the name of a lidar, of several in a chain the last."""
+    """Return the frames with lidar names; of nested ones only the lowest."""
     named = [frame for frame in frames if _LIDAR.search(frame)]
-    return [frame for frame in named if not any(one in named for one in _below(children, frame))]
+    return [frame for frame in named if not any(child in named for child in _below(children, frame))]
 
 
 def _named(frame: str, names: Sequence[str]) -> bool:
-    """Return whether a frame has one of some names, also in a namespace: robot1/map."""
+    """Return whether a frame has one of the names, also in a namespace (robot1/map)."""
     return frame.rsplit("/", 1)[-1] in names
 
 
 def _carries(buffer: TransformBuffer, children: dict[str, list[str]], frame: str, vehicle: Sequence[str]) -> bool:
-    """Return whether transforms that change lead from a frame down to the vehicle, or to any frame without one."""
-    goals = [one for one in _below(children, frame) if one in vehicle]
-    if not goals and not any(one in vehicle for one in buffer.frames) and not _LIDAR.search(frame):
+    """Return whether changing transforms lead from a frame down to the vehicle, or to any frame without vehicle."""
+    goals = [name for name in _below(children, frame) if name in vehicle]
+    if not goals and not any(name in vehicle for name in buffer.frames) and not _LIDAR.search(frame):
         goals = _below(children, frame)
     return any(buffer.changes(frame, goal) for goal in goals)

@@ -1,4 +1,4 @@
-"""The scans of a log: their places in the files, their sensors and stamps, and the poses of those."""
+"""Scans of a log: their places in the files, sensors, stamps and poses."""
 
 import re
 from collections import Counter
@@ -32,62 +32,56 @@ RADAR_TYPES = (
 PLANAR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 CONE_TYPES = ("sensor_msgs/msg/Range",)
 _IMAGE, _PACKED, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
-IMAGE_TYPES = _IMAGE, _PACKED  # of images those with depths: `scan_topics`
-_BY_DEFAULT = (
-    _LIDAR_TYPES,
-    PLANAR_TYPES,
-    (_IMAGE,),
-    (_PACKED,),
-    RADAR_TYPES,
-    CONE_TYPES,
-)  # the first kind that a log has is used
+IMAGE_TYPES = _IMAGE, _PACKED  # only depth images are scans, see `scan_topics`
+# Kinds of topics in the order of preference
+_BY_DEFAULT = (_LIDAR_TYPES, PLANAR_TYPES, (_IMAGE,), (_PACKED,), RADAR_TYPES, CONE_TYPES)
 SCAN_TYPES = tuple(name for types in _BY_DEFAULT for name in types)
-PACKET_TYPES = (  # what sensors send, as it came
+PACKET_TYPES = (  # raw packets of sensors, which are not decoded
     "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg", "hesai_ros_driver/msg/UdpFrame",
     "rslidar_msg/msg/RslidarPacket", "nebula_msgs/msg/NebulaPackets", "pandar_msgs/msg/PandarScan",
 )  # fmt: skip
 _RADAR = re.compile(r"radar|continental|(?<![a-z])(ars|srr|umrr)", re.IGNORECASE)  # in names and types of topics
-_HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, as `Mount` has it around one
-NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)  # planar lasers and depth cameras seldom see their robots, which are small
-PLANE_HEIGHT = 0.3  # [m] above ground of planar lasers and range sensors, where nothing states it: it names their plane
-_ON_GROUND = 0.03  # [m] in base_link, up to which base_link may be in the sensor
+_HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, the default of `Mount`
+NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)  # planar lasers and depth cameras seldom see their small robots
+PLANE_HEIGHT = 0.3  # [m] above ground: default for planar lasers and range sensors; only a name of their plane
+_ON_GROUND = 0.03  # [m] a sensor at most this high in base_link may be the origin of base_link itself
 
 
 class ScanRef(NamedTuple):
-    """A scan of a log, of which only the header was read."""
+    """Reference to a scan of a log and its header; points are not read."""
 
     ref: MessageRef
     topic: str
-    frame: str  # of the sensor
-    cloud: str  # frame of the points, mostly the same
-    time: int  # [ns]
-    stamp: float  # [s]; NaN where the header has none
-    part: int  # of the drive, where its clock began anew
+    frame: str  # frame of the sensor
+    cloud: str  # frame of the points, usually the same
+    time: int  # header time [ns]
+    stamp: float  # [s]; NaN if the header has none
+    part: int  # part of the drive, see `clock_parts`
 
 
 class LogScans:
-    """The scans of some topics of a log, by the stamps of their headers; no point is read.
+    """Scans of chosen topics of a log, sorted by header stamp. No points are read.
 
     Parameters
     ----------
     log : LogReader
     topic : str or iterable of str
-        By default the only one of a lidar; without lidars of a planar laser, else of a depth camera, a radar, a range
-        sensor.
+        Topics with scans. By default the only topic of the first kind in the log: lidar, planar laser, depth camera,
+        radar, range sensor.
     placed : bool
-        Whether the user gives the position of the sensor, in base_link if clouds are in a frame above that.
+        Whether the user gives the position of the sensor, in base_link if clouds are in a frame above it.
     setups : iterable of SensorSetup
-        Their mounts count instead of transforms from base_link.
+        Sensors with mounts that replace the transforms from base_link.
 
     Attributes
     ----------
     pose_findings : list of ClockFinding
-        Faults of the clocks of transforms, which `poses` finds.
+        Faults of the clocks of transforms, found by `poses`.
 
     Raises
     ------
     OgmError
-        If there is no such topic, or not one alone.
+        If a topic does not exist, or the default topic is ambiguous.
     """
 
     def __init__(
@@ -97,14 +91,13 @@ class LogScans:
         self.topics = _chosen(log, [topic] if isinstance(topic, str) else list(topic))
         self.types = {log.topics[name].type for name in self.topics}
         self.transforms = LogTransforms(log, self.topics)
-        self.assumes_height = False  # known with `places`
-        self.unplaced: dict[str, str] = {}  # reasons, by the frames of clouds whose sensors have no known place
+        self.assumes_height = False  # set by `places`
+        self.unplaced: dict[str, str] = {}  # frames of clouds with an unknown sensor position -> reason
         self.cameras = {name: camera_of(log, name) for name in self.topics if log.topics[name].type in IMAGE_TYPES}
         self.transforms.heads = self._with_bodies(self.transforms.heads)
         named = [(log.topic_of(ref), head.frame) for ref, head in self.transforms.heads]
-        frames = {
-            key: self._spelled(key[1]) if key[1] else self._unnamed(key[0], named) for key in dict.fromkeys(named)
-        }
+        keys = dict.fromkeys(named)
+        frames = {key: self._spelled(key[1]) if key[1] else self._unnamed(key[0], named) for key in keys}
         sensors = {name: self._sensor(name, placed) for name in frames.values()}
         clock = self.transforms.clock
         rows = zip(self.transforms.heads, named, clock.stamps.tolist(), clock.parts.tolist(), strict=True)
@@ -123,33 +116,45 @@ class LogScans:
         if lost:
             self.warnings.append(f"{len(lost)} messages are left out: {lost[0]}")
         if not scans:
-            raise OgmError(f"{self.path} has no message of {', '.join(self.topics)} that can be read")
+            raise OgmError(f"{self.path} has no readable message of {', '.join(self.topics)}: choose another `topic`")
 
     @property
     def name(self) -> str:
-        """Of the drive: that of the file, or of the folder where it has several parts."""
+        """Name of the drive: the file's, or the folder's for a log of several files."""
         return self.path.stem if len(self.log.paths) == 1 else self.path.resolve().parent.name
 
     @cached_property
     def stamps(self) -> NDArray[np.float64]:
-        """Times of the scans among the transforms, (K,) [s]; NaN if missing."""
+        """Stamps of the scans on the time line of the transforms, (K,) [s]; NaN if missing."""
         stamps, parts = np.array([scan.stamp for scan in self.refs]), np.array([scan.part for scan in self.refs])
         return self.transforms.clock.shifted(stamps, parts)
 
     @cached_property
     def by_frame(self) -> dict[str, NDArray[np.intp]]:
-        """Numbers of the scans that have a stamp, by the frame of their sensor."""
+        """Numbers of the scans with a stamp, by sensor frame."""
         frames = np.array([scan.frame for scan in self.refs])
         known = np.isfinite(self.stamps)
         return {scan.frame: np.flatnonzero((frames == scan.frame) & known) for scan in self.refs}
 
     def poses(self, wanted: str | None = None) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        """Return where the sensors were, (K, 4, 4), NaN where unknown, and facts: how and why.
+        """Return the sensor poses and facts about their source.
+
+        Parameters
+        ----------
+        wanted : str, optional
+            See `LogTransforms.fixed_frame`.
+
+        Returns
+        -------
+        poses : (K, 4, 4) float64
+            ``T_map_sensor`` of each scan; NaN if unknown.
+        facts : dict
+            "poses" (number, source and reasons of missing poses, in words) and "frame" (fixed frame, or "").
 
         Raises
         ------
         OgmError
-            If clouds are in a frame that does not tell the place of their sensor.
+            If clouds are in a frame that does not give the position of their sensor.
         """
         for ref in self.refs:
             if ref.cloud in self.unplaced:
@@ -172,7 +177,7 @@ class LogScans:
                 reasons += map(str, coarse)
                 continue
             poses[numbers], why = self.transforms.lookup(found, sensor, self.stamps[numbers])
-            chains.append(self.transforms.chain(found, sensor))
+            chains.append(" <- ".join(self.transforms.buffer.chain(found, sensor)))
             if why:
                 reasons.append(f"{len(why)} of {topics[sensor]}: {next(iter(why.values()))}")
         moved = {ref.topic: f"points of {ref.topic} from {ref.cloud}" for ref in self.refs if ref.cloud != ref.frame}
@@ -182,12 +187,12 @@ class LogScans:
         return poses, {"poses": "; ".join([how, *reasons]), "frame": fixed or ""}
 
     def transform_delays(self, fixed: str) -> NDArray[np.float64]:
-        """Return how long after each scan the transforms to its sensor were recorded, (K,) [s]; NaN where unknown.
+        """Return the recording delay of the transforms of each scan, (K,) [s]; NaN if unknown.
 
         Parameters
         ----------
         fixed : str
-            Frame of the poses; "" for none.
+            Fixed frame of the poses; "" if there are no poses.
         """
         delays = np.full(len(self.refs), np.nan)
         logged = np.array([scan.ref.log_time * 1e-9 for scan in self.refs])
@@ -198,7 +203,7 @@ class LogScans:
 
     @cached_property
     def T_sensor_cloud(self) -> NDArray[np.float64] | None:  # noqa: N802
-        """Transforms from the frames of the clouds to those of the sensors, (K, 4, 4); None where all are the same."""
+        """Transforms from cloud frame to sensor frame, (K, 4, 4); None if the frames are the same."""
         T = np.tile(np.eye(4), (len(self.refs), 1, 1))
         pairs = {(ref.frame, ref.cloud) for ref in self.refs if ref.cloud != ref.frame}
         for sensor, frame in sorted(pairs):
@@ -209,18 +214,18 @@ class LogScans:
         return T if pairs else None
 
     def frame_notes(self, placed: bool) -> list[tuple[str, str]]:
-        """Return what is unusual about frames, heights and transforms, each with the way out ("" for none)."""
+        """Return notes on unusual frames, heights and transforms, each with the way out or ""."""
         notes = [(text, "") for text in self.transforms.notes]
         if self.assumes_height:
             text = f"the height of {', '.join(self.topics)} above ground is not known: {self.places()[0].height:g} m is"  # type: ignore[index]
-            notes.append((f"{text} assumed, which names the plane of free cells (--sensor-height)", ""))
+            notes.append((f"{text} assumed as the height of the plane of free cells (--sensor-height)", ""))
         for topic, ref in {ref.topic: ref for ref in self.refs}.items():
             if topic in self.cameras:
                 if self.cameras[topic].distortion:
-                    text = f"the images of {topic}, not named as rectified (rect), are so by the lens of camera_info"
+                    text = f"the images of {topic}, not named as rectified (rect), are rectified by camera_info's lens"
                     notes.append((text, ""))
                 if note := self.transforms.cameras.get(ref.cloud):
-                    way = "--sensors states the place of the camera's body, x forward, y left, z up, as mount"
+                    way = "state the pose of the camera body (x forward, y left, z up) as mount in --sensors"
                     notes.append((f"the images of {topic} are in {ref.cloud.removesuffix('_body')}, {note}", way))
                 continue
             if ref.cloud != ref.frame and not placed:
@@ -228,40 +233,39 @@ class LogScans:
                 notes.append((text, ""))
             elif not placed and self.transforms.vehicle_frame(ref.frame) == ref.frame:
                 text = f"the points of {topic} are in {ref.cloud}, the vehicle's frame: rays start at its origin"
-                notes.append((text, "--sensor-position X Y Z is the place of the sensor there, 0 0 0 for its origin"))
+                notes.append((text, "give --sensor-position X Y Z, the sensor's position there; 0 0 0 is the origin"))
         return notes
 
     def known_place(self) -> str:
-        """Return the sensor's frame and its place in base_link in words; "" where it is not known, or the same."""
+        """Return the sensor's frame and position in base_link, in words; "" if unknown, or the same frame."""
         frame = self.refs[0].frame
-        if (vehicle := self.transforms.vehicle_frame(frame)) in (None, frame) or self.T_vehicle_sensor is None:
+        vehicle, T = self.transforms.vehicle_frame(frame), self.T_vehicle_sensor
+        if vehicle in (None, frame) or T is None or np.allclose(T[0], np.eye(4)):
             return ""
-        x, y, z = self.T_vehicle_sensor[0, :3, 3]
-        return (
-            "" if np.allclose(self.T_vehicle_sensor[0], np.eye(4)) else f"{frame}, at {x:g} {y:g} {z:g} m in {vehicle}"
-        )
+        x, y, z = T[0, :3, 3]
+        return f"{frame}, at {x:g} {y:g} {z:g} m in {vehicle}"
 
     def _with_bodies(self, heads: list[tuple[MessageRef, MessageHead]]) -> list[tuple[MessageRef, MessageHead]]:
-        """Return headers in which the frames of depth images are those of the bodies of their cameras."""
+        """Return headers with the frames of depth images replaced by the frames of their camera bodies."""
         images = [self.log.topic_of(ref) in self.cameras for ref, _ in heads]
         frames = {head.frame for (_, head), is_image in zip(heads, images, strict=True) if is_image}
         bodies = {frame: self.transforms.camera_body(self._spelled(frame)) for frame in frames}
-        return [
-            (ref, head._replace(frame=bodies[head.frame]) if is_image else head)
-            for (ref, head), is_image in zip(heads, images, strict=True)
-        ]
+        rows = zip(heads, images, strict=True)
+        return [(ref, head._replace(frame=bodies[head.frame]) if is_image else head) for (ref, head), is_image in rows]
 
     def _spelled(self, frame: str) -> str:
-        """Return a frame as transforms spell it, where only capitals differ."""
+        """Return a frame in the spelling of the transforms, if only the case differs."""
         known = self.transforms.buffer.frames
         alike = [name for name in known if name.casefold() == frame.casefold()]
         if frame in known or len(alike) != 1:
             return frame
-        self.transforms.notes.append(f"the frame {frame} of scans is taken for {alike[0]}, that of transforms")
+        self.transforms.notes.append(f"the frame {frame} of scans is taken for {alike[0]}, as transforms spell it")
         return alike[0]
 
     def _unnamed(self, topic: str, named: Iterable[tuple[str, str]]) -> str:
-        """Return the frame of scans whose headers name none: of the topic's others, or of the only lidar in transforms.
+        """Return the frame of scans without a frame name in their headers.
+
+        It is the frame of the topic's other scans, else the only lidar frame of the transforms, else a placeholder.
 
         Parameters
         ----------
@@ -275,12 +279,12 @@ class LogScans:
         found = sorted(others) or (lidar_frames(self.transforms.buffer) if is_only else [])
         if len(found) != 1:
             return unnamed_frame(topic)
-        why = "that of the others" if others else "the only frame of a lidar in transforms"
-        self.transforms.notes.append(f"scans of {topic} without frame are taken for those of {found[0]}, {why}")
+        why = "the frame of the others" if others else "the only frame of a lidar in transforms"
+        self.transforms.notes.append(f"scans of {topic} without frame are taken to be in {found[0]}, {why}")
         return self._spelled(found[0])
 
     def _sensor(self, frame: str, placed: bool) -> str:
-        """Return the frame of the sensor of clouds, or that of the vehicle, in which its position is given."""
+        """Return the sensor frame of clouds, or the vehicle frame if the user gives a position in it."""
         try:
             sensor = self.transforms.sensor_frame(frame)
         except OgmError as error:
@@ -291,11 +295,11 @@ class LogScans:
 
     @cached_property
     def T_vehicle_sensor(self) -> NDArray[np.float64] | None:  # noqa: N802
-        """Where each scan's sensor was in base_link, (K, 4, 4); None where that is not known of one."""
+        """Sensor pose in base_link at each scan, (K, 4, 4); None if it is unknown for any sensor."""
         return self._in_frames(self.transforms.vehicle_frame)
 
     def _in_frames(self, find: Callable[[str], str | None]) -> NDArray[np.float64] | None:
-        """Return where each scan's sensor was in another frame, (K, 4, 4); None where that is not known of one."""
+        """Return the sensor pose in another frame at each scan, (K, 4, 4); None if unknown for any sensor."""
         result = np.full((len(self.refs), 4, 4), np.nan)
         frames = np.array([scan.frame for scan in self.refs])
         for sensor, numbers in self.by_frame.items():
@@ -310,12 +314,12 @@ class LogScans:
         return result
 
     def places(self) -> list[SensorPlace] | None:
-        """Return how the sensor of each scan is mounted; None where nothing but the scans tells it.
+        """Return the place of the sensor of each scan, or None if the log does not state it.
 
         Raises
         ------
         OgmError
-            If there are several sensors, and no frame base_link that transforms join them with.
+            If there are several sensors without transforms to base_link.
         """
         floor = self._in_frames(self.transforms.floor_frame)
         heights = [None] * len(self.refs) if floor is None or (floor[:, 2, 3] <= 0).any() else floor[:, 2, 3].tolist()
@@ -327,8 +331,8 @@ class LogScans:
             return [SensorPlace(height=height, ego_footprint=box) for height in heights] if known else None
         if (T := self.T_vehicle_sensor) is None:
             raise OgmError(
-                f"{self.path}: {self.transforms.missing_vehicle(list(self.by_frame))}, so that the scans of several "
-                "sensors cannot be brought together; choose one `topic`"
+                f"{self.path}: {self.transforms.missing_vehicle(list(self.by_frame))}, which scans of several sensors "
+                "need: choose one `topic`"
             )
         places, first = T[:, :3, 3], {scan.topic: n for n, scan in reversed(list(enumerate(self.refs)))}
         x, y = np.array([places[n, :2] for n in first.values()]).T
@@ -340,20 +344,16 @@ class LogScans:
         return [SensorPlace(scan.topic, (at[0], at[1]), up, high, boxes[scan.topic]) for scan, at, up, high in rows]
 
     def _sees_no_vehicle(self, topic: str) -> bool:
-        return self.is_flat(topic) or topic in self.cameras
-
-    def is_flat(self, topic: str) -> bool:
-        """Return whether a topic is of a planar laser or a range sensor."""
-        return self.log.topics[topic].type in (*PLANAR_TYPES, *CONE_TYPES)
+        return topic in self.cameras or self.log.topics[topic].type in (*PLANAR_TYPES, *CONE_TYPES)
 
     def _plane_heights(self) -> list[float]:
-        """Return the heights of planar lasers and range sensors that nothing states: those in base_link, or 0.3 m."""
+        """Return assumed heights of planar lasers and range sensors: the height in base_link, or 0.3 m."""
         T = self.T_vehicle_sensor
         above = [PLANE_HEIGHT] * len(self.refs) if T is None else T[:, 2, 3].tolist()
         return [height if height > _ON_GROUND else PLANE_HEIGHT for height in above]
 
     def frame_refs(self, poses: NDArray[np.float64]) -> tuple[FrameRef, ...]:
-        """Return the frames: each has the name of its stamp in nanoseconds, after that of its topic if several."""
+        """Return the frames, named by the stamp [ns], after the topic if there are several topics."""
         refs, used = [], Counter[str]()
         for n, scan in enumerate(self.refs):
             name = str(scan.time) if scan.time else f"{n:06d}"
@@ -377,13 +377,13 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
     for name in wanted:
         if name not in log.topics:
             other = ", ".join(log.topics) or "none"
-            raise OgmError(f"{path} has no topic {name}; with scans there are {listed}, others are {other}")
+            raise OgmError(f"{path} has no topic {name}; topics with scans are {listed}, all topics are {other}")
         if name not in scans:
             found = f"{log.topics[name].count} messages of {log.topics[name].type}"
             if encoding := image_encoding(log, name):
                 found += f" with the encoding {encoding}"
-            way = _decoded(log, [name])
-            raise OgmError(f"topic {name} of {path} has {found}, wanted scans ({types}); there are {listed}{way}")
+            wanted_types = f"wanted scans ({types}); topics with scans are {listed}{_decoded(log, [name])}"
+            raise OgmError(f"topic {name} of {path} has {found}, {wanted_types}")
     if not scans:
         way = _decoded(log, log.topics)
         read = "" if way else f" ({types})"
@@ -397,26 +397,27 @@ def _chosen(log: LogReader, wanted: list[str]) -> tuple[str, ...]:
 
 
 def scan_topics(log: LogReader) -> list[str]:
-    """Return the topics of a log that have scans: of images, those with depths."""
+    """Return the topics of a log with scans; image topics count only with depth images."""
     there = [name for name, facts in log.topics.items() if facts.type in SCAN_TYPES and facts.count]
     return [name for name in there if image_encoding(log, name).partition(";")[0] in ("", *DEPTH_ENCODINGS)]
 
 
 def image_encoding(log: LogReader, topic: str) -> str:
-    """Return the encoding of the first image of a topic that can be read, or its format; "" for other topics."""
+    """Return the encoding or format of the first readable image of a topic; "" for other topics."""
     if log.topics[topic].type not in IMAGE_TYPES:
         return ""
     name = "encoding" if log.topics[topic].type == _IMAGE else "format"
-    return next((str(getattr(one, name)) for one in _messages(log, topic) if getattr(one, name, "")), "unknown")
+    texts = (getattr(message, name, "") for message in _messages(log, topic))
+    return next((str(text) for text in texts if text), "unknown")
 
 
 def camera_of(log: LogReader, topic: str) -> Intrinsics:
-    """Return the camera of a topic with depth images, by the topic ``camera_info`` beside it, or the only that fits.
+    """Return the camera of a topic with depth images, from the nearest or only topic with CameraInfo.
 
     Raises
     ------
     OgmError
-        If there is no such topic, or no message of a calibrated camera.
+        If there is no such topic, or it has no message of a calibrated camera.
     """
     path, image = log.paths[0], topic.removesuffix("/compressedDepth").removesuffix("/compressed")
     folder = image.rpartition("/")[0]
@@ -433,8 +434,8 @@ def camera_of(log: LogReader, topic: str) -> Intrinsics:
     if len(found) != 1:
         listed = ", ".join(found or infos) or "none"
         raise OgmError(
-            f"{path}: the camera of {topic} is not known{reason}; wanted {CAMERA} on {folder}/camera_info, or one "
-            f"topic with it, got {listed}: record it with the images"
+            f"{path}: the camera of {topic} is not known{reason}; wanted {CAMERA} on {folder}/camera_info, or on one "
+            f"other topic, got {listed}: record it with the images"
         )
     return next(iter(found.values()))
 
@@ -447,7 +448,7 @@ def _messages(log: LogReader, topic: str) -> Iterator[Any]:
 
 
 def _decoded(log: LogReader, names: Iterable[str]) -> str:
-    """Return which messages to record instead of some topics, where these are of radars, or packets; else ""."""
+    """Return the messages to record instead of radar, packet or colour image topics; "" for other topics."""
     types = {name: kind for name in names if (kind := log.topics[name].type) not in SCAN_TYPES}
     if radars := [name for name, kind in types.items() if _RADAR.search(f"{name} {kind}")]:
         wanted = f"{', '.join(RADAR_TYPES)}, or {CLOUD} with the field doppler (docs/radar.md)"
@@ -455,5 +456,5 @@ def _decoded(log: LogReader, names: Iterable[str]) -> str:
     if packets := [name for name, kind in types.items() if kind in PACKET_TYPES]:
         return f". {', '.join(packets)}: packets are not decoded; record the {CLOUD} of their driver"
     if coloured := [name for name in names if image_encoding(log, name)]:
-        return f". {', '.join(coloured)}: of images, those with depths are scans ({', '.join(DEPTH_ENCODINGS)})"
+        return f". {', '.join(coloured)}: only depth images are scans ({', '.join(DEPTH_ENCODINGS)})"
     return ""

@@ -1,4 +1,4 @@
-"""Where the sensors of a log were: its transforms, or its odometry, from a fixed frame to the frames of the scans."""
+"""Sensor poses of a log in a fixed frame, from its transforms or odometry."""
 
 import math
 from collections import Counter
@@ -21,34 +21,36 @@ from ogm.storage.files import OgmError
 
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ODOMETRY = "nav_msgs/msg/Odometry"
-_SEVERAL = 3  # different poses of a static transform, from which on it moves
-_SAME = 1e-6  # [m], and of the numbers of a rotation: rounding
-_UPRIGHT = math.cos(math.radians(60))  # of the angle between a frame's z axis and up, below which z is up
-_VEHICLE, _FLOOR = "base_link", "base_footprint"  # never fixed, though ROS 1 sends their mounts as if they moved
+_MIN_MOVING_POSES = 3  # number of different poses from which a static transform counts as moving
+_ROUNDING = 1e-6  # [m] and elements of a rotation matrix: smaller changes are rounding
+_MIN_UP = math.cos(math.radians(60))  # a z axis at most 60 degrees from up points up
+_VEHICLE, _FOOTPRINT = "base_link", "base_footprint"  # never fixed frames, though ROS 1 sends their mounts repeatedly
 
 
 class LogTransforms:
-    """The transforms of a log, all of which are read first: one may be recorded after the scan that needs it.
+    """Transforms and odometry of a log.
 
-    Odometry is read where transforms alone do not lead from a fixed frame to a sensor.
+    All transforms are read at the start, because they may be recorded after the scans that need them. Odometry is read
+    only if transforms do not lead from a fixed frame to a sensor.
 
     Parameters
     ----------
     log : LogReader
     scans : iterable of str
-        Topics whose headers are read on the way, for a packed log is then unpacked once.
+        Topics of scans. Their headers are read in the same pass, so a packed log is unpacked once.
 
     Attributes
     ----------
     buffer : TransformBuffer
+        Transforms with stamps on the time line of `clock`.
     source : str
-        Where poses come from, in words.
+        Source of the poses, in words.
     heads : list of (MessageRef, MessageHead)
-        Of the scans.
+        Headers of the scans.
     clock : DriveClock
-        Parts of the drive. Stamps of the buffer are those of its time line.
+        Parts of the drive and their time line.
     lost : list of str
-        Why messages could not be read.
+        Error texts of unreadable messages.
     notes : list of str
         Unusual properties of transforms that were repaired.
     """
@@ -61,7 +63,7 @@ class LogTransforms:
         self.heads: list[tuple[MessageRef, MessageHead]] = []
         self.lost: list[str] = []
         self.notes: list[str] = []
-        self.cameras: dict[str, str] = {}  # frames of the bodies of cameras, and what is unusual about those of images
+        self.cameras: dict[str, str] = {}  # frame of each camera body -> note on the frame of its images, or ""
         known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
         found: list[tuple[str, int, StampedTransform]] = []
         with one_notice_per_kind(Counter()):
@@ -84,22 +86,22 @@ class LogTransforms:
         self._hold_mounts()
 
     def fixed_frame(self, sensor: str, wanted: str | None = None, preferred: str | None = None) -> str | None:
-        """Return the frame that poses of a sensor are given in; None if there is none.
+        """Return the fixed frame of the poses of a sensor, or None if there is none.
 
         Parameters
         ----------
         sensor : str
-            Its frame.
+            Frame of the sensor.
         wanted : str, optional
-            By default map, odom, world, or the root of the transforms: the first that leads to the sensor over a
-            transform that is not static.
+            Fixed frame. By default the first of map, odom, world and the root of the transforms that leads to the
+            sensor over a changing transform.
         preferred : str, optional
-            That of another sensor: then this one, or none.
+            Fixed frame of another sensor, which this sensor must share.
 
         Raises
         ------
         OgmError
-            If the wanted frame is not there, or no transforms join it with the sensor.
+            If the wanted frame does not exist, or no transforms join it with the sensor.
         """
         if wanted is not None:
             return self._wanted(sensor, frame_name(wanted))
@@ -107,7 +109,7 @@ class LogTransforms:
             return self._joined([preferred], sensor)
         while True:
             candidates = [frame for name in FIXED for frame in self._named(name)]
-            vehicle = self._named(_VEHICLE) + self._named(_FLOOR)
+            vehicle = self._named(_VEHICLE) + self._named(_FOOTPRINT)
             for frame in [*candidates, self._root(sensor)]:
                 if frame not in vehicle and self._is_moving(frame, sensor):
                     return frame
@@ -115,15 +117,15 @@ class LogTransforms:
                 return None
 
     def camera_body(self, frame: str) -> str:
-        """Add the body of a depth camera (x forward, y left, z up) to the frame of its images; return its frame.
+        """Add the body frame of a depth camera (x forward, y left, z up) and return its name.
 
-        Images are in optical axes (x right, y down, z forward) by REP 103, unless the frame is not called optical, and
-        its z axis points up in base_link: then it is taken for the body.
+        Images are in optical axes (x right, y down, z forward), see REP 103. A frame without "optical" in its name and
+        with its z axis up in base_link is taken for the body.
 
         Parameters
         ----------
         frame : str
-            Frame of the headers of its images.
+            Frame in the headers of the camera's images.
         """
         if (body := f"{frame}_body") in self.cameras:
             return body
@@ -133,64 +135,64 @@ class LogTransforms:
         if vehicle is not None:
             first = self.buffer.covers(vehicle, frame)[0]
             up = float(self.buffer.lookup(vehicle, frame, first if math.isfinite(first) else 0.0)[2, 2])
-            if up > _UPRIGHT and not optical:
-                T, note = np.eye(4), "whose z axis points up: they are taken for those of a body, x forward"
-            elif up > _UPRIGHT:
-                note = "by whose transforms the camera looks up: was the rotation to optical axes (x right, y down, z "
-                note += "forward) left out?"
+            if up > _MIN_UP and not optical:
+                T, note = np.eye(4), "whose z axis points up: it is taken for the camera body, x forward"
+            elif up > _MIN_UP:
+                note = "whose z axis points up: the camera would look up; the rotation to optical axes (x right, "
+                note += "y down, z forward) may be missing in the transforms"
         elif not optical:
-            note = "taken for optical axes (x right, y down, z forward), as no transform tells"
+            note = "taken for optical axes (x right, y down, z forward), as no transform states them"
         if frame in self.buffer.frames:
             self.buffer.add(StampedTransform(frame, body, 0.0, T), static=True)
         self.cameras[body] = note
         return body
 
     def sensor_frame(self, frame: str) -> str:
-        """Return the frame of the sensor that measured clouds in a frame, see `ogm.datasets.log_frames`."""
-        return sensor_frame(self.buffer, frame, self._named(_VEHICLE) + self._named(_FLOOR))
+        """Return the frame of the sensor for clouds in a frame, see `ogm.datasets.log_frames`."""
+        return sensor_frame(self.buffer, frame, self._named(_VEHICLE) + self._named(_FOOTPRINT))
 
     def mount(self, sensor: str, T_vehicle_sensor: NDArray[np.float64]) -> None:  # noqa: N803
-        """Add the pose of a sensor in base_link, which counts instead of that of other transforms."""
+        """Add the pose of a sensor in base_link, which overrides other transforms."""
         vehicle = self._named(_VEHICLE)
         name = vehicle[0] if vehicle else _VEHICLE
-        if sensor in self._parents() and (name, sensor) not in self.buffer.pairs:  # a frame has one parent
+        if sensor in self._parents() and (name, sensor) not in self.buffer.pairs:  # each frame has one parent
             self.buffer.add(StampedTransform(sensor, name, 0.0, inverse(T_vehicle_sensor)), static=True)
         else:
             self.buffer.add(StampedTransform(name, sensor, 0.0, T_vehicle_sensor), static=True)
 
     def vehicle_frame(self, sensor: str) -> str | None:
-        """Return the frame base_link, or that of a namespace, where transforms join it with a sensor."""
+        """Return base_link, also in a namespace, if transforms join it with a sensor; else None."""
         return self._joined(self._named(_VEHICLE), sensor)
 
     def floor_frame(self, sensor: str) -> str | None:
-        """Return the frame base_footprint, on the ground, where transforms join it with a sensor."""
-        return self._joined(self._named(_FLOOR), sensor)
+        """Return base_footprint, which is on the ground, if transforms join it with a sensor; else None."""
+        return self._joined(self._named(_FOOTPRINT), sensor)
 
     def lookup(
         self, target: str, source: str, stamps: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], dict[int, str]]:
-        """Return where a frame was in another at some times.
+        """Return the transform between two frames at given stamps.
 
         Parameters
         ----------
         target, source : str
             Names of frames.
         stamps : (K,) float
-            [s].
+            Stamps on the time line [s].
 
         Returns
         -------
         T_target_source : (K, 4, 4) float64
-            NaN where it is not known.
+            NaN if unknown.
         reasons : dict of int to str
-            Why not, by the number of the stamp.
+            Reason of each unknown transform, by the index of the stamp.
         """
         T, reasons = np.full((len(stamps), 4, 4), np.nan), {}
         first, last = self.buffer.covers(target, source)
         inside = (stamps >= first) & (stamps <= last)
         try:
             T[inside] = self.buffer.lookup(target, source, stamps[inside])
-        except ExtrapolationError:  # there is a gap
+        except ExtrapolationError:  # a gap in the transforms
             inside[:] = False
         for k in np.flatnonzero(~inside):
             try:
@@ -200,24 +202,24 @@ class LogTransforms:
         return T, reasons
 
     def recorded(self, target: str, source: str, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return when the transforms between two frames at some times had been recorded.
+        """Return the log times at which the transforms between two frames were available.
 
         Parameters
         ----------
         target, source : str
             Names of frames.
         stamps : (K,) float
-            [s]
+            Stamps on the time line [s].
 
         Returns
         -------
         (K,) float64
-            Log times [s]; NaN where no transform is as late as the stamp.
+            Log times [s]; NaN if no transform is as late as the stamp.
         """
         latest = np.full(len(stamps), -np.inf)
         for pair in pairwise(self.buffer.chain(target, source)):
             rows = self._recorded.get(pair) or self._recorded.get(pair[::-1])
-            if rows is None:  # a mount that is given
+            if rows is None:  # a mount given by the user
                 continue
             known, times = np.array(sorted(rows)).T
             first = np.append(np.minimum.accumulate(times[::-1])[::-1], np.nan)
@@ -227,16 +229,16 @@ class LogTransforms:
     def clock_findings(
         self, target: str, source: str, topic: str, log_times: NDArray[np.float64], stamps: NDArray[np.float64]
     ) -> list[ClockFinding]:
-        """Return the faults of the clock of the transforms between two frames, against that of scans.
+        """Return the clock faults of the transforms between two frames, relative to the clock of scans.
 
         Parameters
         ----------
         target, source : str
             Names of frames.
         topic : str
-            Of the scans.
+            Topic of the scans.
         log_times, stamps : (K,) float64
-            Of the scans [s].
+            Log times and stamps of the scans [s].
         """
         found = []
         for parent, child in pairwise(self.buffer.chain(target, source)):
@@ -248,43 +250,36 @@ class LogTransforms:
         return found
 
     def note_parents(self, target: str, source: str) -> None:
-        """Note frames with several parents on the way from one frame to another."""
+        """Add a note for each frame with several parents between two frames."""
         for frame in self.buffer.chain(target, source):
             if len(parents := [parent for parent, child in self.buffer.pairs if child == frame]) > 1:
-                way = " <- ".join(self.buffer.chain(target, source))
-                self.notes.append(f"{frame} has the parents {', '.join(parents)}: the shortest way counts, {way}")
+                chain = " <- ".join(self.buffer.chain(target, source))
+                self.notes.append(f"{frame} has the parents {', '.join(parents)}: the shortest chain is used, {chain}")
 
     def missing(self, sensor: str, topic: str) -> str:
-        """Return which transforms lack for poses of a sensor, in words."""
+        """Return a description of the transforms that are missing for poses of a sensor."""
         if not (frames := ", ".join(self.buffer.frames)):
             read = " that can be read" * bool(self.lost)
             return f"the log has no transforms (/tf, /tf_static){read} and no odometry"
         if sensor not in self.buffer.frames:
             unnamed = sensor == unnamed_frame(topic)
-            what = f"the scans of {topic} name no" if unnamed else f"no transform leads to {sensor}, the"
+            subject = f"the scans of {topic} name no" if unnamed else f"no transform leads to {sensor}, the"
             way = f"; `setups` with its mount joins it with {_VEHICLE}" * bool(self._named(_VEHICLE))
             of_topic = "" if unnamed else f" of {topic}"
-            return f"{what} frame{of_topic}; there are {frames}{way}"
+            return f"{subject} frame{of_topic}; there are {frames}{way}"
         root = self._root(sensor)
         fixed = [frame for name in FIXED for frame in self._named(name)]
         if root == sensor or not self._joined([root], sensor):
             return f"no transform leads from another frame to {sensor}, the frame of {topic}; there are {frames}"
         if root in fixed:
-            return f"all transforms from {root} to {sensor} are static: if the sensor stands still, give `frame` {root}"
+            return f"all transforms from {root} to {sensor} are static: for a static sensor, give `frame` {root}"
         lacking = f"from {' or '.join(fixed) if fixed else 'a fixed frame (map, odom, world)'} to {root}"
         return f"transforms lead from {root} to {sensor}, the frame of {topic}; one {lacking} is missing"
 
     def missing_vehicle(self, sensors: Iterable[str]) -> str:
-        """Return from which sensors no transform leads to base_link, in words."""
+        """Return a description of the sensors without transforms to base_link."""
         lone = [sensor for sensor in sensors if self.vehicle_frame(sensor) is None]
         return f"no transform leads from {_VEHICLE} to {', '.join(lone)}"
-
-    def chain(self, target: str, sensor: str) -> str:
-        """Return the frames from one to another, in words."""
-        frames, parents = [sensor], self._parents()
-        while frames[-1] != target and frames[-1] in parents and parents[frames[-1]] not in frames:
-            frames.append(parents[frames[-1]])
-        return " <- ".join(reversed(frames)) if frames[-1] == target else f"{target} ... {sensor}"
 
     def _wanted(self, sensor: str, frame: str) -> str:
         while True:
@@ -293,14 +288,14 @@ class LogTransforms:
                 return frame
             except TransformError as error:
                 if not self._read_odometry():
-                    raise OgmError(f"`frame` {frame} has no use: {error}") from error
+                    raise OgmError(f"`frame` {frame} cannot be used: {error}") from error
 
     def _is_moving(self, frame: str, sensor: str) -> bool:
-        """Tell whether transforms join two frames, one of which is not static."""
+        """Return whether transforms join two frames and at least one of them is not static."""
         return self._joined([frame], sensor) is not None and math.isfinite(self.buffer.covers(frame, sensor)[0])
 
     def _joined(self, frames: Iterable[str], sensor: str) -> str | None:
-        """Return the first of some frames that transforms join with a sensor."""
+        """Return the first frame that transforms join with a sensor, or None."""
         for frame in frames:
             try:
                 self.buffer.covers(frame, sensor)
@@ -310,14 +305,14 @@ class LogTransforms:
         return None
 
     def _named(self, name: str) -> list[str]:
-        """Return the frames of a name, also those of a namespace: robot1/base_link."""
+        """Return the frames of a name, also in namespaces (robot1/base_link)."""
         return [frame for frame in self.buffer.frames if frame == name or frame.endswith(f"/{name}")]
 
     def _parents(self) -> dict[str, str]:
         return {child: parent for parent, child in self.buffer.pairs}
 
     def _root(self, sensor: str) -> str:
-        """Return the frame above all others."""
+        """Return the topmost frame above a sensor."""
         parents, frame, passed = self._parents(), sensor, {sensor}
         while frame in parents and parents[frame] not in passed:
             frame = parents[frame]
@@ -325,7 +320,7 @@ class LogTransforms:
         return frame
 
     def _read_odometry(self) -> bool:
-        """Add the poses of the next topic of odometry; return whether there is one."""
+        """Add the poses of the next odometry topic; return False if there is none left."""
         if not self._odometry:
             return False
         name = self._odometry.pop(0)
@@ -342,47 +337,48 @@ class LogTransforms:
         return True
 
     def _of_type(self, *types: str) -> list[str]:
-        """Return the topics of some types."""
+        """Return the topics of the given types."""
         return [name for name, facts in self._log.topics.items() if facts.type in types]
 
     def _add(self, transforms: Sequence[tuple[str, int, StampedTransform]], static: Iterable[str] = ()) -> None:
-        """Add transforms by their topics and log times [ns], except those that are damaged."""
+        """Add transforms, given with topics and log times [ns]; damaged transforms are left out."""
         topics = np.array([name for name, _, _ in transforms])
-        times, stamps = np.array([(1e-9 * time, one.stamp) for _, time, one in transforms]).reshape(-1, 2).T
+        times, stamps = np.array([(1e-9 * time, transform.stamp) for _, time, transform in transforms]).reshape(-1, 2).T
         for name in {*topics} - {*static}:
             stamps[topics == name] = self.clock.on_line(times[topics == name], stamps[topics == name])
-        moving = self._moving([one for name, _, one in transforms if name in static])
-        for (name, _, one), time, stamp in zip(transforms, times.tolist(), stamps.tolist(), strict=True):
-            pair, holds = (one.parent, one.child), name in static and (one.parent, one.child) not in moving
+        moving = self._moving([transform for name, _, transform in transforms if name in static])
+        for (name, _, transform), time, stamp in zip(transforms, times.tolist(), stamps.tolist(), strict=True):
+            pair = transform.parent, transform.child
+            holds = name in static and pair not in moving
             try:
-                self.buffer.add(one._replace(stamp=stamp), holds)
+                self.buffer.add(transform._replace(stamp=stamp), holds)
             except OgmError as error:
                 self.lost.append(str(error))
                 continue
             self._recorded.setdefault(pair, []).append((math.inf if holds else stamp, time))
 
     def _moving(self, transforms: Iterable[StampedTransform]) -> set[tuple[str, str]]:
-        """Return the pairs of frames with three or more different static transforms: these count as those of /tf."""
+        """Return the pairs of frames with three or more different static transforms, which count as moving."""
         poses: dict[tuple[str, str], list[StampedTransform]] = {}
-        for one in transforms:
-            known = poses.setdefault((one.parent, one.child), [])
-            same = (np.allclose(one.T_parent_child, other.T_parent_child, atol=1e-3) for other in known)
-            if len(known) < _SEVERAL and not any(same):
-                known.append(one)
+        for transform in transforms:
+            known = poses.setdefault((transform.parent, transform.child), [])
+            same = (np.allclose(transform.T_parent_child, other.T_parent_child, atol=1e-3) for other in known)
+            if len(known) < _MIN_MOVING_POSES and not any(same):
+                known.append(transform)
         moving = set()
         for (parent, child), known in poses.items():
-            what = f"different static transforms from {child} to {parent}"
-            if len(known) == _SEVERAL == len({one.stamp for one in known}):
+            text = f"there are different static transforms from {child} to {parent}"
+            if len(known) == _MIN_MOVING_POSES == len({transform.stamp for transform in known}):
                 moving.add((parent, child))
-                self.notes.append(f"there are {what}: each counts at its stamp")
+                self.notes.append(f"{text}: each is used at its stamp")
             elif len(known) > 1:
-                self.notes.append(f"there are {what}: the last counts")
+                self.notes.append(f"{text}: the last is used")
         return moving
 
     def _hold_mounts(self) -> None:
-        """Let transforms that never change count at all times, where one above them changes: drivers send some once."""
-        parents, vehicle = self._parents(), self._named(_VEHICLE) + self._named(_FLOOR)
-        changing = {pair for pair in self.buffer.pairs if self.buffer.changes(*pair, by=_SAME)}
+        """Make unchanged transforms below changing ones static, as drivers send some mounts only once."""
+        parents, vehicle = self._parents(), self._named(_VEHICLE) + self._named(_FOOTPRINT)
+        changing = {pair for pair in self.buffer.pairs if self.buffer.changes(*pair, by=_ROUNDING)}
         for (parent, child), static in self.buffer.pairs.items():
             if static or (parent, child) in changing:
                 continue
@@ -397,4 +393,4 @@ class LogTransforms:
             self.buffer.add(StampedTransform(parent, child, 0.0, self.buffer.lookup(parent, child, first)), static=True)
             if len(stamps) == 1 or np.diff(stamps).max() > self.buffer.max_gap:
                 times = f"{len(stamps)} times" if len(stamps) > 1 else "once"
-                self.notes.append(f"the transform from {child} to {parent} comes {times}, unchanged: it counts always")
+                self.notes.append(f"the transform from {child} to {parent} comes {times}, unchanged: used at all times")

@@ -1,4 +1,4 @@
-"""Logs: scans in ROS bags and MCAPs with poses by their transforms, and captures of Velodynes (.pcap)."""
+"""Logs: scans in ROS bags and MCAPs with poses from transforms, and captures of Velodynes (.pcap)."""
 
 import logging
 import threading
@@ -35,18 +35,18 @@ _log = logging.getLogger(__name__)
 
 
 def is_log(paths: Sequence[Path]) -> bool:
-    """Tell whether paths are logs by their names: files, or one folder of such, without scans and other folders."""
+    """Return whether paths are named as logs: files, or one folder of logs without scans and sub-folders."""
     if len(paths) == 1 and paths[0].is_dir():
-        other = any(one.is_dir() or ending_of(one) for one in paths[0].iterdir())
+        other = any(entry.is_dir() or ending_of(entry) for entry in paths[0].iterdir())
         return not other and bool(log_files(paths[0]))
     return bool(paths) and all(map(log_ending, paths))
 
 
 class LogRecording(Recording):
-    """Scans of a log, by the stamps of their headers.
+    """Scans of a log, sorted by header stamp.
 
-    Points are turned to the axes of the vehicle (base_link) if transforms state them. Several sensors give frames in
-    the vehicle's frame, each with its place in it.
+    Points are turned to the axes of the vehicle (base_link) if transforms state them. With several sensors, each
+    sensor has its place in the vehicle's frame.
     """
 
     wanted_labels = "poses of the scans (transforms or odometry in the log)"
@@ -58,10 +58,8 @@ class LogRecording(Recording):
         poses, facts = scans.poses(options.frame)
         position, several = options.sensor_position, len(scans.topics) > 1
         if position is not None and (known := scans.known_place()):
-            raise ValueError(
-                f"`sensor_position` is for points in the vehicle's frame, but those of {path} are in "
-                f"{known}: leave it out"
-            )
+            text = f"points in the vehicle's frame, but those of {path} are in {known}"
+            raise ValueError(f"`sensor_position` is for {text}: leave it out")
         self._turns = _turns(scans, rotation_to_flu(options.axes), position is not None)
         self._places = None if position is not None else scans.places()
         self._in_vehicle = position is None and scans.T_vehicle_sensor is not None
@@ -90,14 +88,14 @@ class LogRecording(Recording):
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "LogRecording | None":
-        """Return the scans of one log, given as a file, its parts, or their folder; None if the paths are no log.
+        """Return the scans of a log, given as a file, its parts, or their folder; None if the paths are no log.
 
         Raises
         ------
         OgmError
-            If a topic or frame does not exist, several topics have scans and none is chosen, or the file is no log.
+            If a topic or frame does not exist, no topic is chosen of several with scans, or the file is no log.
         ValueError
-            If the options state axes, units or a position that the log states.
+            If an option states axes, units or a position that the log itself states.
         """
         if not is_log(paths):
             return None
@@ -108,20 +106,20 @@ class LogRecording(Recording):
         for warning in (*scans.warnings, *scans.transforms.clock.findings):
             _log.warning("%s", warning)
         if "origin" in options.units:
-            raise ValueError(f"`origin` is for files of scans in map coordinates, {scans.path} is a log")
+            raise ValueError(f"`origin` is for files of scans in map coordinates, {scans.path} is a log: leave it out")
         if scans.types != {CLOUD} and options.units:
-            raise ValueError(f"{scans.path} has scans of known units; leave out `intensity_max` and `time_unit`")
+            raise ValueError(f"{scans.path} has scans of known units: leave out `intensity_max` and `time_unit`")
         if len(scans.topics) > 1 and options.sensor_position is not None:
-            raise ValueError("`sensor_position` is for the points of one sensor; choose one `topic`")
+            raise ValueError(f"`sensor_position` is for one sensor, got {len(scans.topics)} topics: choose one `topic`")
         return cls(paths[0], scans, options)
 
     @cached_property
     def log(self) -> LogReader:
-        """The open log."""
+        """Open log."""
         return open_log(self.files)
 
     def read(self, n: int) -> RawFrame:
-        """Read a scan, and turn its points."""
+        """Read a scan and turn its points to the vehicle's axes."""
         ref = self._scans[n]
         message = self.log.message(ref.ref)
         try:
@@ -137,11 +135,11 @@ class LogRecording(Recording):
         return RawFrame(turn_scan(replace(scan, sensor=ref.frame), self._turns[n]))
 
     def _scales(self, n: int) -> Mapping[str, Any]:
-        """Return the units of a point cloud: those that are given, else the drive's range of intensities."""
+        """Return the units of a point cloud: the user's, else the intensity range of the drive."""
         return {"intensity_max": partial(self.intensities, n), **self._units}
 
     def intensity_range(self, n: int) -> IntensityRange | None:
-        """Return the intensities that mean 0 and 1 by the values of one cloud or laser scan, else None."""
+        """Return the intensities that mean 0 and 1, from one cloud or laser scan; None for other messages."""
         message = self.log.message(self._scans[n].ref)
         if message.type in PLANAR_TYPES:
             return laser_intensity_range(message.decode())
@@ -152,12 +150,12 @@ class LogRecording(Recording):
         return SensorPlace() if self._places is None else self._places[n]
 
     def setup(self, n: int) -> SensorSetup:
-        """Return what the user states of the sensor of a scan, by its topic."""
+        """Return the user's setup of the sensor of a scan, by its topic."""
         setup = setup_of(self.setups, self._scans[n].topic)
-        return replace(setup, mount=None) if self._in_vehicle else setup  # as points are turned by it already
+        return replace(setup, mount=None) if self._in_vehicle else setup  # points are already turned by the mount
 
     def height(self, n: int) -> float:
-        """Return the height of a sensor; that of one that shows no ground by the transform from a lidar."""
+        """Return the sensor height [m], by transforms from a lidar if the sensor shows no ground."""
         lidars = (k for k, ref in enumerate(self._scans) if self._shows_ground(ref.topic))
         reference = n if self._shows_ground(self._scans[n].topic) else next(lidars, n)
         return super().height(reference) + self.place(n).above_first - self.place(reference).above_first
@@ -166,12 +164,12 @@ class LogRecording(Recording):
         return self.log.topics[topic].type not in (*RADAR_TYPES, *PLANAR_TYPES, *CONE_TYPES)
 
     def truth(self, n: int) -> NoReturn:
-        """Raise OgmError: scans of several sensors have no truth."""
-        raise OgmError("truth is not made of the scans of several sensors: choose one `topic`")
+        """Raise OgmError, as scans of several sensors have no truth."""
+        raise OgmError(f"{self.path} has scans of several sensors, of which no truth is made: choose one `topic`")
 
 
 def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
-    """Return what a log holds, and what lacks for maps of its scans, as names and values to print.
+    """Return the content of a log and the reasons of missing poses, as names and values to print.
 
     Parameters
     ----------
@@ -181,31 +179,31 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
     """
     log = open_log(path)
     stamps = [t for facts in log.topics.values() for t in (facts.first, facts.last) if facts.count]
-    found = {"format": log.format, "files": ", ".join(one.name for one in log.paths)}
+    found = {"format": log.format, "files": ", ".join(file.name for file in log.paths)}
     if stamps:
         found["recorded"] = f"{max(stamps) - min(stamps):.1f} s, {_date(min(stamps))} to {_date(max(stamps))}"
     for name, facts in log.topics.items():
         rate = "" if np.isnan(facts.rate) else f", {facts.rate:.1f} Hz"
         found[name] = f"{facts.type}, {facts.count} message{'s' * (facts.count != 1)}{rate}"
-    scans = {name: LogScans(log, name) for name in scan_topics(log)}
-    transforms = next((one.transforms for one in scans.values()), None) or LogTransforms(log)
+    topics = {name: LogScans(log, name) for name in scan_topics(log)}
+    transforms = next((scans.transforms for scans in topics.values()), None) or LogTransforms(log)
     pairs = transforms.buffer.pairs.items()
     found["transforms"] = ", ".join(f"{a} <- {b}{' (static)' * static}" for (a, b), static in pairs) or "none"
-    for name, one in scans.items():
+    for name, scans in topics.items():
         try:
-            poses = one.poses(frame)[1]["poses"]
+            poses = scans.poses(frame)[1]["poses"]
         except OgmError as error:
             poses = str(error)
-        if faults := [*one.transforms.clock.findings, *one.pose_findings]:
+        if faults := [*scans.transforms.clock.findings, *scans.pose_findings]:
             found[f"clock of {name}"] = "; ".join(map(str, faults))
         found[f"poses of {name}"] = f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
-    if damage := [warning for one in scans.values() for warning in one.warnings] or log.warnings:
+    if damage := [warning for scans in topics.values() for warning in scans.warnings] or log.warnings:
         found["damage"] = "; ".join(dict.fromkeys(damage))
     return found
 
 
 def _date(stamp: float) -> str:
-    """Return a time as a date, or in seconds where it is no time since 1970."""
+    """Return a time as a date, or in seconds if it is no time since 1970."""
     try:
         return f"{datetime.fromtimestamp(stamp, UTC):%Y-%m-%d %H:%M:%S} UTC" if stamp > 1e8 else f"{stamp:.3f} s"
     except (ValueError, OverflowError, OSError):
@@ -213,7 +211,7 @@ def _date(stamp: float) -> str:
 
 
 def _scan(message: LogMessage, units: Mapping[str, Any]) -> Scan:
-    """Return the scan of a message of any of `SCAN_TYPES` but images."""
+    """Return the scan of a message of any of `SCAN_TYPES` except images."""
     if message.type == CLOUD:
         return scan_from_point_cloud2(message.decode(), **units)
     if message.type in PLANAR_TYPES:
@@ -230,19 +228,19 @@ def _scan(message: LogMessage, units: Mapping[str, Any]) -> Scan:
 
 
 def _turns(scans: LogScans, turn: NDArray[np.float64], in_vehicle: bool) -> NDArray[np.float64]:
-    """Return the rotation of each scan's points to x forward, y left, z up, (K, 3, 3)."""
+    """Return the rotation of the points of each scan to x forward, y left, z up, (K, 3, 3)."""
     T = None if in_vehicle else scans.T_vehicle_sensor
     if T is None:
         return np.tile(turn, (len(scans.refs), 1, 1))
     if not np.array_equal(turn, np.eye(3)):
-        raise ValueError(f"the transforms of {scans.path} state the axes of its points; leave out `axes`")
+        raise ValueError(f"the transforms of {scans.path} state the axes of its points: leave out `axes`")
     return T[:, :3, :3]
 
 
 def _turns_of_poses(poses: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotations by which poses follow the turns of points by a stated mount, (K, 3, 3).
+    """Return the rotations to apply to poses when a stated mount turns the points, (K, 3, 3).
 
-    Poses without the tilt of the mount are those of a level sensor: they take its heading alone.
+    Poses without the tilt of the mount are poses of a level sensor, so only the heading is applied to them.
     """
     turned = poses[:, :3, :3] @ np.swapaxes(turns, 1, 2)
     known = np.isfinite(poses[:, 0, 0])
@@ -252,11 +250,14 @@ def _turns_of_poses(poses: NDArray[np.float64], turns: NDArray[np.float64]) -> N
 
 
 def _moved(scan: Scan, T: NDArray[np.float64], frame: str) -> Scan:
-    """Return a scan in its sensor's frame; directions of beams without echo are not known in another."""
+    """Return a scan in its sensor's frame; a moved scan loses its beams without echo."""
     if np.array_equal(T, np.eye(4)):
         return scan
     if not np.isfinite(T).all():
-        raise OgmError(f"its points are in {frame}, and no transform leads from there to the sensor at its stamp")
+        raise OgmError(
+            f"its points are in {frame}, and no transform leads from there to the sensor at its stamp: give "
+            "`sensor_position`, or choose a `topic` with clouds in the sensor's frame"
+        )
     return replace(scan, points=transform_points(T, scan.points), no_returns=None)
 
 
@@ -267,7 +268,7 @@ def turn_scan(scan: Scan, R: NDArray[np.float64]) -> Scan:
     ----------
     scan : Scan
     R : (3, 3) float64
-        Takes its coordinates to the other axes.
+        Rotation from the axes of the scan to the other axes.
     """
     if np.array_equal(R, np.eye(3)):
         return scan
@@ -281,56 +282,59 @@ CAPTURE_ENDINGS = (".pcap", ".pcapng")
 
 
 class CaptureRecording(Recording):
-    """Scans of a capture of one Velodyne."""
+    """Scans of a Velodyne capture."""
 
     format = "network capture"
-    wanted_labels = "poses of the scans, which a capture has not: estimate them with `ogm fuse --odometry`"
+    wanted_labels = "poses of the scans, which a capture does not hold: estimate them with `ogm fuse --odometry`"
     ego_footprint = None
     stamped = True
     known_axes = False
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "CaptureRecording | None":
-        """Return the scans of a capture; None if no path has the name of a capture.
+        """Return the scans of a capture, or None if no path is named as a capture.
 
         Raises
         ------
         OgmError
-            If there are several files, or the file is no capture of one Velodyne.
+            If there are several files, or the file is no capture of a single Velodyne.
         ValueError
-            If the options state units: those of packets are known.
+            If the options state units, which packets define.
         """
         if not any(path.suffix.lower() in CAPTURE_ENDINGS for path in paths):
             return None
-        path, axes = paths[0], options.axes
-        rotation_to_flu(axes)  # refuses wrong axes
+        path = paths[0]
         if len(paths) > 1:
-            raise OgmError(f"{path} is a network capture; give one alone")
+            raise OgmError(f"{path} is a network capture, got {len(paths)} paths: give one alone")
         if options.units:
-            raise ValueError(f"{path} has scans of known units; leave out `intensity_max` and `time_unit`")
+            raise ValueError(f"{path} has scans of known units: leave out `intensity_max` and `time_unit`")
         stamps = [scan.stamp for scan in scans_from_pcap(path, no_returns=False)]
         refs = [FrameRef(f"{n:06d}", path.stem, stamp) for n, stamp in enumerate(stamps)]
         recording = cls(path, refs, path.stem)
-        recording.axes = axes
+        recording.axes = options.axes
         return recording
 
+    def decode(self) -> Iterator[Scan]:
+        """Decode the scans from the beginning of the capture."""
+        return scans_from_pcap(self.path)
+
     @cached_property
-    def _turns(self) -> "ScanSequence":
-        return ScanSequence(self.path, partial(scans_from_pcap, self.path))
+    def _sequence(self) -> "ScanSequence":
+        return ScanSequence(self.path, self.decode)
 
     def read(self, n: int) -> RawFrame:
-        """Read a scan; quick in the order of the scans."""
-        return RawFrame(turn_scan(self._turns.read(n), rotation_to_flu(self.axes)))
+        """Read a scan; fast only in the order of the scans."""
+        return RawFrame(turn_scan(self._sequence.read(n), rotation_to_flu(self.axes)))
 
 
 class ScanSequence:
-    """The scans of a capture, which is decoded from its beginning: quick in their order, not in another.
+    """Scans of a capture, decoded from the beginning: fast in sequential order, slow in random order.
 
     Parameters
     ----------
     path : Path
     decode : function
-        Returns the scans from the first one on.
+        Returns an iterator over all scans.
     """
 
     def __init__(self, path: Path, decode: Callable[[], Iterator[Scan]]) -> None:
@@ -338,7 +342,7 @@ class ScanSequence:
         self._rewind()
 
     def read(self, n: int) -> Scan:
-        """Decode up to scan n."""
+        """Return scan n; earlier scans are decoded and dropped."""
         with self._lock:
             if n < self._next:
                 self._rewind()
@@ -346,7 +350,7 @@ class ScanSequence:
                 self._next += 1
                 if self._next > n:
                     return scan
-        raise OgmError(f"{self._path} has no scan {n} any more: was it changed?")
+        raise OgmError(f"{self._path} has only {self._next} scans, wanted scan {n}: it was changed, open it again")
 
     def _rewind(self) -> None:
         self._scans: Iterator[Scan] = self._decode()

@@ -1,7 +1,6 @@
-"""Truth of a frame from neighbouring scans of the same drive, and the ground that their heights count from.
+"""Truth of a frame from neighbouring scans of the same drive, with heights above an estimated ground.
 
-The ground is not estimated by a sensor model's estimator, which this truth shall evaluate: `find_ground` shares
-nothing with `ogm.geometric`.
+This truth evaluates sensor models, so `find_ground` shares no code with the ground estimators of `ogm.geometric`.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,34 +17,40 @@ from ogm.truth import TRUTH_SPEC, cells_in_boxes, truth_from_scans
 from ogm.truth.points import height_above_ground
 from ogm.truth.scans import MARGIN, contradicted, ignore_cells
 
-_REACH = 50.0  # [m] scans that were taken farther away hardly see the same cells
+_REACH = 50.0  # [m] scans from farther away show few of the same cells
 _SPAN = 30.0  # [s] before and after: later, parked cars have left and poses have drifted
-_MOST = 40  # scans, spread evenly over those in reach
-_AROUND = 1.0  # [m] beyond the grid, to interpolate the ground at its edge
+_MAX_SCANS = 40  # chosen evenly from the scans in reach
+_MARGIN_GROUND = 1.0  # [m] margin around the grid, to interpolate the ground at its edge
 
-_SQUARE = 1.0  # [m] side of the squares that the ground is estimated on
-_LOW = 0.05  # quantile of the heights in a square that is its ground: ghost returns lie below, objects above
-_MEDIAN = 5  # squares; what lies `_PIT` below the median around it is a ghost
-_PIT = 0.5  # [m]
-_SLOPE = 0.15  # most that ground rises from one square to another ...
-_RADIUS = 5  # ... so many squares away,
-_STEP = 0.1  # [m] and a kerb more
-_BAND = 0.2  # [m] above and below the ground of its square, a point is a ground point
-_DRAWN = 500_000  # points that the ground is estimated from, drawn at random of more
+_SQUARE_SIDE = 1.0  # [m] side of the squares in which the ground is estimated
+_LOW_QUANTILE = 0.05  # quantile of heights that is the ground of a square: ghost returns lie below, objects above
+_MEDIAN_SIZE = 5  # squares, size of the median filter
+_MAX_PIT = 0.5  # [m] squares deeper than this below the median hold ghost returns
+_MAX_SLOPE = 0.15  # largest rise of the ground between two squares, per distance
+_SLOPE_RADIUS = 5  # squares, largest distance at which the slope is checked
+_KERB = 0.1  # [m] height that the ground may rise in addition to the slope
+_GROUND_BAND = 0.2  # [m] largest distance of a ground point from the ground of its square
+_MAX_POINTS = 500_000  # points that are drawn at random to estimate the ground
 
 
 def choose_neighbours(n: int, stamps: NDArray[np.float64], places: NDArray[np.float64], *, later: bool) -> list[int]:
-    """Choose the scans that show the surroundings of scan n: those near it in space and time, never itself.
+    """Choose up to 40 scans near scan n in space and time, without scan n itself.
 
     Parameters
     ----------
     n : int
+        Number of the scan in the drive.
     stamps : (K,) float
         Times of the drive's scans [s].
     places : (K, 3) float
-        Positions of its sensor [m].
+        Sensor positions [m].
     later : bool
-        Only those after scan n.
+        Choose only scans after scan n.
+
+    Returns
+    -------
+    list of int
+        Numbers of the chosen scans, ascending.
     """
     near = np.linalg.norm(places - places[n], axis=1) <= _REACH
     near &= np.abs(stamps - stamps[n]) <= _SPAN
@@ -53,18 +58,18 @@ def choose_neighbours(n: int, stamps: NDArray[np.float64], places: NDArray[np.fl
     if later:
         near[: n + 1] = False
     found = np.flatnonzero(near)
-    if len(found) > _MOST:
-        found = found[np.round(np.linspace(0, len(found) - 1, _MOST)).astype(int)]
-    return [int(one) for one in found]
+    if len(found) > _MAX_SCANS:
+        found = found[np.round(np.linspace(0, len(found) - 1, _MAX_SCANS)).astype(int)]
+    return [int(number) for number in found]
 
 
 def ego_path_cells(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return the cells of `TRUTH_SPEC` that the ego vehicle covered in any of some scans.
+    """Return the cells of `TRUTH_SPEC` that the ego vehicle covered in any scan, (nx, ny) bool.
 
     Parameters
     ----------
     poses : (K, 4, 4) float
-        Of its sensor in those scans, in the frame of the grid.
+        Sensor poses of the scans, in the frame of the grid.
     """
     car = Boxes(np.zeros(3), np.array([EGO[1] - EGO[0], EGO[3] - EGO[2], 1.0]), np.zeros(1))
     result = np.zeros(TRUTH_SPEC.shape, bool)
@@ -83,28 +88,30 @@ def truth_from_neighbours(
     map_ground: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
     min_scans: int = 2,
 ) -> Truth:
-    """Return the truth that neighbouring scans agree on, in the frame of one scan.
+    """Return the truth on which neighbouring scans agree, in the frame of one scan.
+
+    Heights are above the map's ground if `map_ground` is given, else above labelled ground points, else above the
+    ground points that `find_ground` finds in all clouds together.
 
     Parameters
     ----------
     clouds : sequence of (N, 4) float32
-        Points of each [m], without what moves.
+        Points of each neighbouring scan [m], without moving objects.
     spec : GridSpec
     moving : Boxes
-        Moving objects in the scan: the cells under them and `MARGIN` around are ignored.
+        Moving objects in the scan. Cells under them and within `MARGIN` of them are ignored.
     own : (N, 4) float32, optional
-        Points of the scan itself. They do not make cells known, but cells in which they show the opposite of the
-        neighbours are ignored: `contradicted`.
+        Points of the scan itself. They do not make cells known, but cells in which they contradict the neighbours are
+        ignored, see `contradicted`.
     is_ground : sequence of (N,) bool, optional
-        Points of each cloud that are labelled as ground. Heights are then above these.
+        Masks of the points of each cloud that are labelled as ground.
     map_ground : function, optional
-        (N, 3) places -> (N,) z of a map's ground there [m], NaN where it is not known. Heights are then above this;
-        without map and labels, above the ground points that `find_ground` finds in all clouds together.
+        Maps positions (N, 3) to the height of the map's ground (N,) [m], NaN if unknown.
     min_scans : int
-        As in `truth_from_scans`.
+        See `truth_from_scans`.
     """
     x0, x1, y0, y1 = spec.extent
-    edges = x0 - _AROUND, x1 + _AROUND, y0 - _AROUND, y1 + _AROUND
+    edges = x0 - _MARGIN_GROUND, x1 + _MARGIN_GROUND, y0 - _MARGIN_GROUND, y1 + _MARGIN_GROUND
     kept = [_within(cloud, edges) for cloud in clouds]
     near = [cloud[keep] for cloud, keep in zip(clouds, kept, strict=True)]
     own = np.empty((0, 4), np.float32) if own is None else own[_within(own, edges)]
@@ -116,22 +123,22 @@ def truth_from_neighbours(
         if is_ground is None:
             flags[: len(xyz) - len(own)] = find_ground(xyz[: len(xyz) - len(own)])
         else:
-            labelled = [one[keep] for one, keep in zip(is_ground, kept, strict=True)]
+            labelled = [mask[keep] for mask, keep in zip(is_ground, kept, strict=True)]
             flags[: len(xyz) - len(own)] = np.concatenate(labelled)
         high = height_above_ground(xyz, flags)
     *above, own_above = np.split(high, np.cumsum([len(cloud) for cloud in near]))
-    truth = truth_from_scans(
-        near, above, spec, min_scans=min_scans, moving=cells_in_boxes(moving.widened(MARGIN), spec)
-    )
+    moving_cells = cells_in_boxes(moving.widened(MARGIN), spec)
+    truth = truth_from_scans(near, above, spec, min_scans=min_scans, moving=moving_cells)
     return ignore_cells(truth, contradicted(truth, own, own_above)) if len(own) else truth
 
 
 def find_ground(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which points of aggregated scans are ground points, (N,); of many, only of those that are drawn.
+    """Return a mask of the ground points in aggregated scans, (N,).
 
-    The ground of a square of 1 m is the 5 % quantile of its points' heights. Squares far below the median around
-    them hold ghost returns, and squares that rise more than 15 % and a kerb above a lower one within 5 m hold
-    objects; neither has ground points. In the others, points within 0.2 m of that height are ground points.
+    The ground height of a square of 1 m is the 5 % quantile of its heights, and points within 0.2 m of it are ground
+    points. Squares more than 0.5 m below the local median hold ghost returns. Squares that rise more than 15 % plus a
+    kerb of 0.1 m above a lower square within 5 m hold objects. Neither kind has ground points. Of more than 500,000
+    points, only a random sample of this size can be ground points.
 
     Parameters
     ----------
@@ -141,25 +148,25 @@ def find_ground(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
     result = np.zeros(len(xyz), bool)
     if not len(xyz):
         return result
-    drawn = np.random.default_rng(0).choice(len(xyz), min(len(xyz), _DRAWN), replace=False)
-    square = np.floor(xyz[drawn, :2] / _SQUARE).astype(np.int64)
+    drawn = np.random.default_rng(0).choice(len(xyz), min(len(xyz), _MAX_POINTS), replace=False)
+    square = np.floor(xyz[drawn, :2] / _SQUARE_SIDE).astype(np.int64)
     square -= square.min(axis=0)
     shape = tuple(square.max(axis=0) + 1)
     flat, z = np.ravel_multi_index(tuple(square.T), shape), xyz[drawn, 2]
     order = np.lexsort((z, flat))
     squares, first, count = np.unique(flat[order], return_index=True, return_counts=True)
     low = np.full(shape, np.nan)
-    low.flat[squares] = z[order][first + (_LOW * count).astype(int)]
+    low.flat[squares] = z[order][first + (_LOW_QUANTILE * count).astype(int)]
 
     ndimage = import_extra("scipy.ndimage", "evaluate")
     ground = low[tuple(ndimage.distance_transform_edt(np.isnan(low), return_distances=False, return_indices=True))]
-    usual = ndimage.median_filter(ground, _MEDIAN)
-    ground = np.where(ground < usual - _PIT, usual, ground)
-    steps = np.arange(-_RADIUS, _RADIUS + 1)
-    cone = -_SLOPE * _SQUARE * np.hypot(*np.meshgrid(steps, steps))
-    ceiling = ndimage.grey_erosion(ground, structure=cone) + _STEP  # how high ground may lie by the squares around
-    known = (low >= usual - _PIT) & (low <= ceiling)
-    result[drawn] = known.flat[flat] & (np.abs(z - low.flat[flat]) <= _BAND)
+    usual = ndimage.median_filter(ground, _MEDIAN_SIZE)
+    ground = np.where(ground < usual - _MAX_PIT, usual, ground)
+    steps = np.arange(-_SLOPE_RADIUS, _SLOPE_RADIUS + 1)
+    cone = -_MAX_SLOPE * _SQUARE_SIDE * np.hypot(*np.meshgrid(steps, steps))
+    ceiling = ndimage.grey_erosion(ground, structure=cone) + _KERB  # highest ground allowed by the squares around
+    known = (low >= usual - _MAX_PIT) & (low <= ceiling)
+    result[drawn] = known.flat[flat] & (np.abs(z - low.flat[flat]) <= _GROUND_BAND)
     return result
 
 

@@ -1,4 +1,4 @@
-"""nuScenes: key frames of its own tables, or of mmdetection3d's info as JSON."""
+"""nuScenes: key frames from the official tables, or from an mmdetection3d info file (JSON)."""
 
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ from ogm.storage.files import OgmError
 
 
 class NuScenesRecording(Recording):
-    """Folder with the tables of nuScenes (``v1.0-*/``), or mmdetection3d's info: a ``.json`` beside ``.pcd.bin``."""
+    """Folder with nuScenes tables (``v1.0-*/``), or with an mmdetection3d info file next to ``.pcd.bin`` files."""
 
     wanted_labels = "boxes of nuScenes (sample_annotation.json, instance.json, category.json)"
     known_height = True
@@ -37,12 +37,12 @@ class NuScenesRecording(Recording):
         if not files or not (path.suffix == ".json" or sorted(path.glob("*.pcd.bin"))):
             return None
         if len(files) > 1:
-            raise OgmError(f"{path} has {len(files)} files that end in .json, wanted one info file: give it")
+            raise OgmError(f"{path} has {len(files)} .json files, wanted one info file: give the info file itself")
         return cls(path, files[0])
 
     @cached_property
     def content(self) -> NuScenes:
-        """Key frames and boxes; large tables take seconds to read."""
+        """Key frames and boxes. Reading large tables takes seconds."""
         return read_nuscenes(self.path) if self._info is None else read_mmdet3d(self._info)
 
     def read(self, n: int) -> RawFrame:
@@ -54,6 +54,6 @@ class NuScenesRecording(Recording):
         return self.content.boxes(n)
 
     def estimate_height(self, n: int) -> float:
-        """Return the height of the sensor above the ground that a scan shows, or above the vehicle's origin."""
+        """Return the sensor height above the ground in a scan, or above the vehicle's origin without ground."""
         estimate = super().estimate_height(n)
         return self.content.frames[n].height if estimate is None else estimate

@@ -1,37 +1,34 @@
-"""Captures of Ouster lidars, ``.osf`` and ``.pcap`` with metadata, as a recording."""
+"""Captures of Ouster lidars as recordings: ``.osf``, or ``.pcap`` with metadata."""
 
-from collections.abc import Sequence
-from functools import cached_property, partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ogm.datasets.frames import FrameRef, RawFrame
-from ogm.datasets.logs import CAPTURE_ENDINGS, ScanSequence, turn_scan
-from ogm.datasets.recording import OpenOptions, Recording
+from ogm.datasets.frames import FrameRef
+from ogm.datasets.logs import CAPTURE_ENDINGS, CaptureRecording
+from ogm.datasets.recording import OpenOptions
 from ogm.datasets.scans import pose_files, poses_of
 from ogm.io.ouster import is_ouster_capture, ouster_metadata, scans_from_ouster
-from ogm.io.scan_table import rotation_to_flu
+from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
 OUSTER_ENDING = ".osf"
 
 
-class OusterRecording(Recording):
-    """Scans of a capture of one Ouster, with the poses in a file ``NAME_poses*`` beside it if there is one."""
+class OusterRecording(CaptureRecording):
+    """Scans of an Ouster capture, with poses if a file ``NAME_poses*.txt`` lies next to it."""
 
     format = "capture of an Ouster"
-    wanted_labels = "poses of the scans (NAME_poses*.txt beside the capture)"
-    ego_footprint = None
-    stamped = True
-    known_axes = False
+    wanted_labels = "poses of the scans (NAME_poses*.txt next to the capture)"
+    intensity_max: float | None = None
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "OusterRecording | None":
-        """Return the scans of a capture; None if no path is one of an Ouster.
+        """Return the scans of a capture, or None if no path is an Ouster capture.
 
         Raises
         ------
         OgmError
-            If there are several files, or the metadata of the sensor are missing.
+            If there are several files, or the sensor's metadata are missing.
         ImportError
             If ouster-sdk is missing.
         """
@@ -43,16 +40,14 @@ class OusterRecording(Recording):
                 if not is_ouster_capture(path):
                     return None
                 raise OgmError(
-                    f"{path} has packets of an Ouster, which its metadata decode: wanted {path.stem}.json beside it, "
-                    "as http://SENSOR/api/v1/sensor/metadata gives it, or `ouster-cli source SENSOR save`"
+                    f"{path} has packets of an Ouster, but no metadata to decode them: wanted {path.stem}.json next to "
+                    "it, from http://SENSOR/api/v1/sensor/metadata or `ouster-cli source SENSOR save`"
                 )
         if len(paths) > 1:
-            raise OgmError(f"{path} is a capture of an Ouster; give one alone")
+            raise OgmError(f"{path} is a capture of an Ouster, got {len(paths)} paths: give one alone")
         if options.units.keys() - {"intensity_max"}:
-            raise ValueError(
-                f"{path} has times of known units in its sensor's frame; leave out `time_unit` and `origin`"
-            )
-        rotation_to_flu(options.axes)  # refuses wrong axes
+            raise ValueError(f"{path} is a capture of an Ouster: leave out `time_unit` and `origin`, which it states")
+
         stamps = [scan.stamp for scan in scans_from_ouster(path, no_returns=False)]
         names = [f"{n:06d}" for n in range(len(stamps))]
         poses = poses_of([*sorted(path.parent.glob(f"{path.stem}_poses*.txt")), *pose_files(path.parent)], names)
@@ -61,12 +56,6 @@ class OusterRecording(Recording):
         recording.axes, recording.intensity_max = options.axes, options.units.get("intensity_max")
         return recording
 
-    intensity_max: float | None = None
-
-    @cached_property
-    def _scans(self) -> ScanSequence:
-        return ScanSequence(self.path, partial(scans_from_ouster, self.path, intensity_max=self.intensity_max))
-
-    def read(self, n: int) -> RawFrame:
-        """Read a scan; quick in the order of the scans."""
-        return RawFrame(turn_scan(self._scans.read(n), rotation_to_flu(self.axes)))
+    def decode(self) -> Iterator[Scan]:
+        """Decode the scans from the beginning of the capture."""
+        return scans_from_ouster(self.path, intensity_max=self.intensity_max)

@@ -1,4 +1,4 @@
-"""Where and when each frame was taken: poses of a file matched with scans, or estimated from them."""
+"""Poses of a dataset: read from a file, estimated by odometry, or refined by scan matching."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -17,10 +17,10 @@ from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import Trajectory, pose
 from ogm.storage.files import FilePath
 
-_SAVED = "ogm.poses/1"  # the format of what --save-poses writes: always x forward, y left
-_GAP = 2.0  # [s] between two poses, beyond which nothing is known of what lies between them
-_RANGE = 2.5, 100.0  # [m] of points that odometry uses: the near ones are the ego vehicle's
-_FEWEST = 200  # of them, below which a scan is left out
+_OWN_FORMAT = "ogm.poses/1"  # format of --save-poses, always x forward, y left
+_MAX_GAP = 2.0  # [s] between two poses, up to which poses are interpolated
+_RANGE = 2.5, 100.0  # [m] range of the points that odometry uses; nearer points are of the ego vehicle
+_MIN_POINTS = 200  # points in that range that a scan must have
 _UNREADABLE = (ValueError, TypeError, OSError)
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -29,31 +29,31 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 def with_poses(
     dataset: Dataset, path: FilePath, calibration: FilePath | None = None, rate: float = 10.0, progress: Progress = iter
 ) -> Dataset:
-    """Return a dataset with the poses of a file: by frame number, by stamp, or by order, in this order.
+    """Return a dataset with poses from a file, matched by frame number, stamp or order.
 
-    Its frames are one sequence. Where a frame gets no pose, its pose and stamp are None. How poses were matched
-    stands in ``facts["poses"]``.
+    The first possible way of matching is used and recorded in ``facts["poses"]``. The frames are one sequence. A frame
+    without a matching pose has the pose and stamp None.
 
     Parameters
     ----------
     dataset : Dataset
     path : path
-        KITTI, KITTI-360, TUM or our own format, see `ogm.io.read_poses`; in the files' own axes, as the points are.
+        Poses in KITTI, KITTI-360, TUM or ogm format, see `ogm.io.read_poses`, in the axes of the scans on disk.
     calibration : path, optional
-        KITTI's calib.txt, where the poses are those of its camera.
+        KITTI's calib.txt, for poses of its camera.
     rate : float
-        Rate of the scans [1/s], where neither scans nor poses have stamps.
+        Rate of the scans [1/s] if neither scans nor poses have stamps.
     progress : function
-        Iterates over numbers, and may draw how far the reading of stamps is, as ``rich.progress.track`` does.
+        Wraps an iterable of numbers and may show the progress of reading stamps, see ``rich.progress.track``.
 
     Raises
     ------
     ValueError
-        If nothing tells which pose belongs to which scan, or the dataset states its poses itself.
+        If the poses cannot be matched with the scans, or the dataset states its poses itself.
     """
     _check_one_sensor(dataset)
     if dataset.recording.known_mount:
-        raise ValueError(f"{dataset.name} knows its poses; leave out `poses` (or estimate some with `odometry`)")
+        raise ValueError(f"{dataset.name} states its poses: leave out `poses`, or estimate poses with `odometry`")
     T_camera_sensor = None if calibration is None else read_calibration(calibration)
     try:
         poses = read_poses(path, T_camera_sensor=T_camera_sensor)
@@ -65,18 +65,19 @@ def with_poses(
 
 
 def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter) -> Dataset:
-    """Return a dataset with poses that are estimated from its scans alone; its frames are one sequence.
+    """Return a dataset with poses estimated from its scans by lidar odometry, as a single sequence.
 
-    A scan that cannot be read, or has too few points between 2.5 and 100 m, gets no pose.
+    A scan that cannot be read, or has fewer than 200 points between 2.5 and 100 m, gets no pose.
 
     Parameters
     ----------
     dataset : Dataset
     method : {"kiss-icp", "small-gicp"}
+        Package that estimates the poses.
     rate : float
-        Rate of the scans [1/s], where the scans have no stamps.
+        Rate of the scans [1/s] if the scans have no stamps.
     progress : function
-        Iterates over the numbers of the frames, and may draw how far it is, as ``rich.progress.track`` does.
+        Wraps an iterable of frame numbers and may show the progress, see ``rich.progress.track``.
 
     Raises
     ------
@@ -99,17 +100,17 @@ def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0
 
 
 def with_matching(dataset: Dataset, progress: Progress = iter, rate: float = 10.0) -> Dataset:
-    """Return a dataset of a planar laser whose poses are taken for odometry, and refined by scan matching.
+    """Return a dataset of a planar laser with its poses, used as odometry, refined by scan matching.
 
-    See `ogm.fusion.match_scans`. A frame without pose, or with a scan that cannot be read, gets no pose.
+    See `ogm.fusion.match_scans`. A frame without pose, or with an unreadable scan, gets no pose.
 
     Parameters
     ----------
     dataset : Dataset
     progress : function
-        Iterates over the numbers of the frames, and may draw how far it is, as ``rich.progress.track`` does.
+        Wraps an iterable of frame numbers and may show the progress, see ``rich.progress.track``.
     rate : float
-        Rate of the scans [1/s], where the scans have no stamps.
+        Rate of the scans [1/s] if the scans have no stamps.
 
     Raises
     ------
@@ -126,7 +127,7 @@ def with_matching(dataset: Dataset, progress: Progress = iter, rate: float = 10.
         placed[numbers[k]] = T
         matched += found
     if not numbers:
-        raise ValueError("the scans have no poses that matching could refine: give `poses`, or a log with odometry")
+        raise ValueError(f"{dataset.name} has no poses, which `match` refines: give `poses`, or a log with odometry")
     stamps = _stamps(dataset, rate, iter)
     t, first = np.unique(stamps[numbers], return_index=True)
     if not np.isfinite(t).all():
@@ -138,15 +139,15 @@ def with_matching(dataset: Dataset, progress: Progress = iter, rate: float = 10.
 def _planar_scans(
     dataset: Dataset, progress: Progress, numbers: list[int]
 ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
-    """Yield points and pose of each planar scan that has one, and append its number."""
+    """Yield points and pose of each planar scan with a pose, and append its number to `numbers`."""
     for k in progress(range(len(dataset))):
         frame = dataset[k]
         try:
             scan = frame.scan
         except _UNREADABLE:
-            continue  # the mapping reports it
+            continue  # reported by the mapping
         if scan.kind != "planar":
-            raise ValueError(f"{frame.name} is not of a planar laser, whose scans `match` matches: leave it out")
+            raise ValueError(f"`match` is for planar lasers, {frame.name} is of another sensor: leave out `match`")
         if frame.T_map_sensor is not None:
             numbers.append(k)
             yield scan.points, frame.T_map_sensor
@@ -155,16 +156,16 @@ def _planar_scans(
 def _usable(
     dataset: Dataset, clock: NDArray[np.float64] | None, progress: Progress, numbers: list[int]
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield points, stamp and times of each scan that can be registered, and append its number."""
+    """Yield points, stamp and times of each scan that odometry can use, and append its number to `numbers`."""
     last = -np.inf
     for k in progress(range(len(dataset))):
         try:
             scan = dataset[k].scan
         except _UNREADABLE:
-            continue  # the mapping reports it
+            continue  # reported by the mapping
         stamp = scan.stamp if clock is None else float(clock[k])
         distance = np.linalg.norm(scan.points[:, :3], axis=1)
-        enough = np.count_nonzero((distance > _RANGE[0]) & (distance < _RANGE[1])) >= _FEWEST
+        enough = np.count_nonzero((distance > _RANGE[0]) & (distance < _RANGE[1])) >= _MIN_POINTS
         if enough and stamp is not None and stamp > last:
             last = stamp
             numbers.append(k)
@@ -172,12 +173,11 @@ def _usable(
 
 
 def _to_flu(poses: Poses, axes: Axes) -> Poses:
-    """Return the poses of a sensor with x forward and y left, as its points are read.
+    """Return sensor poses in the axes of the points in memory, x forward and y left.
 
-    A file of poses has the axes of the scans on disk; the map keeps its own. A file that ``--save-poses`` wrote is left
-    as it is.
+    A file of poses has the axes of the scans on disk, except a file of ``--save-poses``. The axes of the map are kept.
     """
-    if poses.format == _SAVED:
+    if poses.format == _OWN_FORMAT:
         return poses
     T_flu_file = np.eye(4)
     T_flu_file[:3, :3] = rotation_to_flu(axes)
@@ -187,7 +187,7 @@ def _to_flu(poses: Poses, axes: Axes) -> Poses:
 def _check_one_sensor(dataset: Dataset) -> None:
     recording = dataset.recording
     if len({recording.place(n).name for n in range(len(recording.frames))}) > 1:
-        raise ValueError(f"{dataset.name} has scans of several sensors, poses are of one: choose one `topic`")
+        raise ValueError(f"{dataset.name} has scans of several sensors, wanted one for these poses: choose one `topic`")
 
 
 def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress: Progress) -> Dataset:
@@ -200,8 +200,8 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
         rows = np.array([row.get(int(number), -1) for number in numbers])
         if (rows < 0).all():
             raise ValueError(
-                f"no scan has a pose in {source}: its frame numbers are {_span(poses.numbers)}, those of the scans "
-                f"{_span(numbers)}"
+                f"no scan has a pose in {source}, which has the frame numbers {_span(poses.numbers)}; the scans have "
+                f"{_span(numbers)}: give the poses of this drive"
             )
     elif poses.stamps is not None and (dataset.recording.stamped or _clock(dataset, rate) is None):
         return _by_stamp(dataset, poses, source, _stamps(dataset, rate, progress))
@@ -211,8 +211,8 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
         how, rows = "row by frame number, counted from 0", numbers
     else:
         raise ValueError(
-            f"{source} has {total} poses for {count} scans, and nothing tells which belongs to which: give as many, "
-            "poses with frame numbers (KITTI-360) or stamps (TUM) that the scans have too, or `odometry`"
+            f"{source} has {total} poses for {count} scans, without common frame numbers or stamps: give one pose per "
+            "scan, poses with frame numbers (KITTI-360) or stamps (TUM), or `odometry`"
         )
     has = rows >= 0
     placed = np.where(has[:, None, None], poses.poses[rows], np.nan)
@@ -221,7 +221,7 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
     known = np.isfinite(stamps) & has
     t, first = np.unique(stamps[known], return_index=True)
     if not len(t):
-        raise ValueError("no scan has both a pose and a time")
+        raise ValueError(f"no scan of {dataset.name} has both a pose in {source} and a time: give poses with stamps")
     how = f"{_counted(has)}, {total} poses of {source} ({poses.format}), {how}"
     return _placed(dataset, stamps, placed, how, Trajectory(t, placed[known][first]))
 
@@ -233,11 +233,11 @@ def _by_stamp(dataset: Dataset, poses: Poses, source: str, stamps: NDArray[np.fl
         inside = (stamps >= t[0]) & (stamps <= t[-1])
     after = np.clip(np.searchsorted(t, stamps), 1, max(len(t) - 1, 1))
     if len(t) > 1:
-        inside &= (t[after] - t[after - 1] <= _GAP) | np.isin(stamps, t)
+        inside &= (t[after] - t[after - 1] <= _MAX_GAP) | np.isin(stamps, t)
     if not inside.any():
         raise ValueError(
-            f"no scan lies between two poses of {source} that are at most {_GAP:g} s apart: its stamps are {_span(t)} "
-            f"s, those of the scans {_span(stamps[np.isfinite(stamps)])} s; are they of one clock?"
+            f"no scan lies between two poses of {source} that are at most {_MAX_GAP:g} s apart: it has the stamps "
+            f"{_span(t)} s, the scans have {_span(stamps[np.isfinite(stamps)])} s; give poses of the same clock"
         )
     placed = np.full((len(dataset), 4, 4), np.nan)
     placed[inside] = known.at(stamps[inside])
@@ -248,7 +248,7 @@ def _by_stamp(dataset: Dataset, poses: Poses, source: str, stamps: NDArray[np.fl
 def _placed(
     dataset: Dataset, stamps: NDArray[np.float64], poses: NDArray[np.float64], how: str, known: Trajectory
 ) -> Dataset:
-    """Return the dataset with poses of the frame of its points, which is the sensor's or the vehicle's."""
+    """Return the dataset with poses of the frame of its points, the sensor frame or the vehicle frame."""
     position = dataset.recording.sensor_position
     T_points_sensor = np.eye(4) if position is None else pose(*position)
     trajectory = Trajectory(known.stamps, known.poses @ T_points_sensor)
@@ -256,7 +256,7 @@ def _placed(
 
 
 def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
-    """Return when the scans were taken [s]: stated, or counted by a rate; None if the scans state them."""
+    """Return the times of the scans [s], stated or counted at a rate; None if the scans hold stamps."""
     if not 0 < rate < np.inf:
         raise ValueError(f"`rate` must be above 0 [Hz], got {rate}")
     refs = dataset.refs
@@ -266,7 +266,7 @@ def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
         try:
             if frame.scan.stamp is not None:
                 return None
-            break  # the first that can be read decides
+            break  # the first readable scan decides
         except _UNREADABLE:
             continue
     numbers = frame_numbers([ref.name for ref in refs])
@@ -274,7 +274,7 @@ def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
 
 
 def _stamps(dataset: Dataset, rate: float, progress: Progress) -> NDArray[np.float64]:
-    """Return when the scans were taken [s], NaN where one cannot be read, or has no stamp."""
+    """Return the times of the scans [s]; NaN for a scan that is unreadable or has no stamp."""
     if (clock := _clock(dataset, rate)) is not None:
         return clock
     stamps = np.full(len(dataset), np.nan)
@@ -282,7 +282,7 @@ def _stamps(dataset: Dataset, rate: float, progress: Progress) -> NDArray[np.flo
         try:
             stamps[k] = dataset[k].scan.stamp
         except _UNREADABLE:
-            continue  # the mapping reports it
+            continue  # reported by the mapping
     return stamps
 
 

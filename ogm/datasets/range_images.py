@@ -18,7 +18,7 @@ _KNOWN = {  # names of the classes, axes, intensity that means 1, ego vehicle
 
 
 class RangeImagesRecording(ScanFiles):
-    """Range images with classes, ``.npy``, in a folder named after their dataset, or one of them."""
+    """Folder of range images with classes (``.npy``), named after the dataset, or one such file."""
 
     wanted_labels = "classes"
     labelled = ("classes",)
@@ -30,7 +30,7 @@ class RangeImagesRecording(ScanFiles):
 
     @classmethod
     def find(cls, path: Path) -> "RangeImagesRecording | None":
-        """Return the range images of a folder."""
+        """Return the range images of a folder, or None if there is no range image."""
         files = [path] if path.is_file() else sorted(path.iterdir())
         files = [file for file in files if ending_of(file) == ".npy" and file.is_file()]
         if not files or not _is_range_image(files[0]):
@@ -38,9 +38,8 @@ class RangeImagesRecording(ScanFiles):
         folder = path.resolve() if path.is_dir() else path.resolve().parent
         if folder.name not in _KNOWN:
             raise OgmError(
-                f"{path} may hold labelled range images, but nothing in them tells what their classes mean and which "
-                f"way their axes point: wanted a folder named {' or '.join(_KNOWN)}, after their data set, got "
-                f"{folder.name}"
+                f"{path} may hold labelled range images, which do not state their classes and axes: wanted a folder "
+                f"named {' or '.join(_KNOWN)} after the dataset, got {folder.name}"
             )
         return cls(path, files, folder.name)
 
@@ -51,9 +50,9 @@ class RangeImagesRecording(ScanFiles):
 
 
 def _is_range_image(path: Path) -> bool:
-    """Tell whether an array has the shape of a range image with classes."""
+    """Return whether an array has the shape of a range image with classes."""
     try:
         parse_array(read_bytes(path)[0], path, lambda shape: len(shape) == 3 and shape[2] == 6, "a range image")
-    except ValueError:  # another array, or a damaged one, which its reader reports
+    except ValueError:  # an array of another shape, or a damaged file, which its reader reports
         return False
     return True

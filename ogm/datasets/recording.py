@@ -1,12 +1,13 @@
-"""Base class of all datasets and logs: which frames a path holds, and how their parts are read.
+"""Base class of all datasets and logs: frame references and reader methods for the parts of a frame.
 
-A dataset is added by a subclass in a module of its own, as in `ogm.datasets.sustech`, and an entry of `RECORDINGS` in
-`ogm.datasets.opening`.
+To add a dataset, write a subclass in a new module, see `ogm.datasets.sustech` for an example, and list it in
+`RECORDINGS` of `ogm.datasets.opening`.
 """
 
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -40,10 +41,10 @@ from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
 from ogm.storage.files import OgmError
 
-_HEIGHTS = 5  # scans of a sequence whose median is the height of its sensor
-_INDOORS = 0.25  # [m]
-_KEPT = 64  # scans in memory, some 2 MB each: the truth of a frame takes many of its neighbours
-_KEPT_UNLABELLED = 16
+_MAX_SAMPLES = 5  # scans of a sequence from which heights and intensity ranges are estimated
+_INDOOR_SQUARE = 0.25  # [m] side of ground squares for depth cameras
+_MAX_KEPT = 64  # scans in memory, about 2 MB each; the truth of a frame takes many of its neighbours
+_MAX_KEPT_UNLABELLED = 16
 _UNREADABLE = (ValueError, TypeError, OSError)
 
 
@@ -68,55 +69,56 @@ class OpenOptions(NamedTuple):
 class Recording(ABC):
     """Frames of a dataset or a log: their references, and methods that read a part of frame n.
 
-    Opening a recording reads no points. Pickled or copied, it goes without the values of its cached properties, which
-    are read again when they are needed; an open file or a large table is therefore a cached property.
+    Opening a recording reads no points. Pickling and copying drop the values of cached properties, which are read
+    again when needed. Open files and large tables are therefore cached properties.
 
     Attributes
     ----------
     path : Path or ObjectPath
+        File, folder or object store of the recording.
     frames : tuple of FrameRef
-        With unique names.
+        References to the frames, with unique names.
     name : str
+        Name of the recording.
     files : list of Path
         Files and folders that the recording is read from.
     facts : dict
-        Further facts, as JSON can hold them; the format and the number of frames if empty.
+        Further facts that JSON can hold; if empty, the format and the number of frames.
     format : str
-        The format, in words.
+        Name of the format.
     wanted_labels : str
-        Labels that this format may have, for the error if there are none.
+        Labels that this format may have, named in the error if there are none.
     labelled : tuple of str
         Labels of the frames: "boxes" (`read_boxes`), "classes" (`RawFrame.kinds`), "map" (`hd_map`).
     ego_footprint : Footprint or None
-        Returns inside of it are dropped. None keeps all: sensor models drop them by their mount.
+        Region around the sensor in which returns are dropped. None keeps them; sensor models drop them by the mount.
     view : str
-        View or range in which labels were made, as the description of the truth states it.
+        View or range with labels, for the description of the truth.
     view_angle : float or None
-        Objects are labelled up to this angle to either side of straight ahead [rad], below π/2. None for all around.
+        Half angle of the view ahead with labelled objects [rad], below π/2. None for all around.
     axes : Axes
         Axes of the files.
     stamped : bool
         Whether the stamps of the frames are stated, not counted from their names at 10 Hz.
     aggregated : bool
-        Whether truth may be made of neighbouring scans; a radar shows no ground.
+        Whether truth may be made of neighbouring scans; not for radars, which show no ground.
     motion_distorted : bool
-        Whether points may be shifted by the ego motion during a scan, so that de-skewing makes sense.
+        Whether points may be shifted by the ego motion during a scan and should be de-skewed.
     known_axes, known_height, known_mount, known_truth : bool
-        Whether the dataset states its axes and units, the sensor's height, its whole mount, the truth itself. The user
-        cannot choose axes, mounts and truths that are known.
+        Whether the dataset states its axes and units, the sensor's height, the whole mount, the truth. The user cannot
+        override known axes, mounts and truths.
     warnings : sequence of str
-        Damage that was found when the recording was opened.
+        Damage found when the recording was opened.
     clock_findings : sequence of ClockFinding
-        Faults of the clock that were found when the recording was opened.
+        Clock faults found when the recording was opened.
     frame_notes : sequence of (str, str)
-        What is unusual about the frames of the points, and the way out, "" where nothing need be done.
+        Unusual properties of the frames of the points, each with the way out, or "" if no action is needed.
     transform_delays : (len(frames),) float64 array or None
-        Time from the recording of a scan to that of the transforms that its pose needs [s]: above 0 where these came
-        later; NaN where unknown.
+        Delay from the recording of a scan to the recording of the transforms for its pose [s]; NaN if unknown.
     shards : (len(frames),) int array or None
-        Shard of each frame in an object store, where reading a shard costs little more than reading a frame.
+        Shard of each frame in an object store. Reading a shard costs little more than reading one frame.
     assumed_height : bool
-        Whether `known_height` is assumed, as the scans show no ground and nothing states it.
+        Whether the known height is an assumption, because the scans show no ground and no height is stated.
     main_sequence : str
         Sequence that commands use by default; "" for the first.
     own_options : tuple of str
@@ -133,7 +135,7 @@ class Recording(ABC):
     stamped: bool = False
     aggregated: bool = True
     motion_distorted: bool = True
-    description: str = ""  # of a known truth
+    description: str = ""  # description of a known truth
     known_axes: ClassVar[bool] = True
     known_mount: ClassVar[bool] = False
     known_height: bool = False
@@ -164,31 +166,31 @@ class Recording(ABC):
         cached = {name for name in vars(self) if isinstance(getattr(type(self), name, None), cached_property)}
         return {name: _absolute(value) for name, value in vars(self).items() if name not in cached}
 
-    # --- Which frames there are ----------------------------------------------------------------------
+    # --- References to frames ------------------------------------------------------------------------
 
     @classmethod
     def open(cls, paths: Sequence[Any], options: OpenOptions) -> "Recording | None":
-        """Return the recording at some paths, or None if they are of another format."""
+        """Return the recording at the paths, or None if they have another format."""
         return cls.find(paths[0]) if len(paths) == 1 else None
 
     @classmethod
     def find(cls, path: Path) -> "Recording | None":
-        """Return the recording at one path that exists, or None if it is of another format."""
+        """Return the recording at one existing path, or None if it has another format."""
         return None
 
     @cached_property
     def groups(self) -> dict[str, list[int]]:
-        """Numbers of the frames of each sequence; a single frame is a group. Sensors of a group keep their heights."""
+        """Numbers of the frames of each sequence or single frame; sensor heights are constant in a group."""
         groups: dict[str, list[int]] = {}
         for n, ref in enumerate(self.frames):
             groups.setdefault(ref.sequence or ref.name, []).append(n)
         return groups
 
-    # --- What a format implements --------------------------------------------------------------------
+    # --- Methods of a format -------------------------------------------------------------------------
 
     @abstractmethod
     def read(self, n: int) -> RawFrame:
-        """Read a scan, in the sensor's frame."""
+        """Read scan n, in the sensor's frame."""
 
     def read_boxes(self, n: int) -> Boxes:
         """Read the boxes around a scan, in the sensor's frame; for recordings that are labelled with boxes."""
@@ -203,15 +205,15 @@ class Recording(ABC):
         return SensorPlace()
 
     def estimate_height(self, n: int) -> float | None:
-        """Return the height of the sensor above ground [m] by one scan, or None if it shows no ground."""
+        """Estimate the height of the sensor above ground from one scan [m]; None if it shows no ground."""
         return io.estimate_sensor_height(self.levelled_points(n), self.square(n))
 
     def square(self, n: int) -> float:
-        """Return the side of the squares in which a scan shows its ground [m], see `ogm.io.ground_plane`."""
-        return _INDOORS if self.raw(n).scan.kind == "depth" else 1.0
+        """Return the side of the squares for estimating the ground [m], see `ogm.io.ground_plane`."""
+        return _INDOOR_SQUARE if self.raw(n).scan.kind == "depth" else 1.0
 
     def intensity_range(self, n: int) -> IntensityRange | None:
-        """Return the intensities that mean 0 and 1 by the values of one scan; None if the format states them."""
+        """Return the intensities that mean 0 and 1, found from one scan; None if the format states them."""
         return None
 
     def truth(self, n: int) -> Truth:
@@ -223,26 +225,26 @@ class Recording(ABC):
         return True
 
     def setup(self, n: int) -> SensorSetup:
-        """Return what the user states of the sensor of a frame."""
+        """Return the user's setup of the sensor of a frame."""
         return setup_of(self.setups, "")
 
-    # --- What all formats share ----------------------------------------------------------------------
+    # --- Methods of all formats ----------------------------------------------------------------------
 
     def scan(self, n: int) -> Scan:
-        """Return a scan, without the returns from inside the ego footprint."""
+        """Return scan n without the returns inside the ego footprint."""
         return self.raw(n).scan
 
     @cached_property
     def raw(self) -> Callable[[int], RawFrame]:
-        """Function that reads a frame without the returns from inside the ego footprint; it keeps the last frames."""
-        return lru_cache(_KEPT if self.labelled else _KEPT_UNLABELLED)(self._read_without_ego)
+        """Cached function that reads a frame without the returns inside the ego footprint."""
+        return lru_cache(_MAX_KEPT if self.labelled else _MAX_KEPT_UNLABELLED)(self._read_without_ego)
 
     def boxes(self, n: int) -> Boxes | None:
         """Return the boxes around a scan, in the sensor's frame; None if there are no labelled boxes."""
         return self.read_boxes(n) if "boxes" in self.labelled else None
 
     def mount(self, n: int) -> Mount:
-        """Return the mount of the sensor, above the ground below it."""
+        """Return the mount of the sensor, with z = 0 on the ground below it."""
         height, position, place = self.height(n), self.sensor_position, self.place(n)
         if position is not None:
             return Mount(height, pose(*position), points_in="vehicle")
@@ -251,10 +253,10 @@ class Recording(ABC):
         return Mount(height, T, place.ego_footprint)  # type: ignore[arg-type]
 
     def levelling(self, n: int) -> NDArray[np.float64]:
-        """Return the rotation by which the pose of a frame levels its points, (3, 3).
+        """Return the rotation that levels the points of a frame, (3, 3), from its pose or the stated mount.
 
-        Identity where the dataset states the axes of the points, and where the ground in the scans is more level
-        without the tilt of the poses: that of the road.
+        The tilt of the poses is not used if the dataset states the axes of the points, or if the ground in the scans
+        is more level without it, as on an inclined road.
         """
         ref = self.frames[n]
         if ref.T_map_sensor is None or self.known_axes or not self._levelled(ref.sequence or ref.name):
@@ -274,25 +276,22 @@ class Recording(ABC):
         return lru_cache(None)(self._is_levelled)
 
     def _is_levelled(self, group: str) -> bool:
-        """Return whether the poses of a group tell the tilt of its scans: by the ground in some of them."""
+        """Return whether the poses of a group level the ground in its scans, by up to five scans."""
         poses = {k: T for k in self.groups[group] if (T := self.frames[k].T_map_sensor) is not None}
         tilted = [k for k, T in poses.items() if tilt_of(T) > LEVEL]
         gains = []
         for k in _sample(tilted):
-            try:
-                points = self.raw(k).scan.points
-            except _UNREADABLE:
-                continue
-            gains.append(levelling_gain(points, levelling(poses[k])))
+            with suppress(*_UNREADABLE):  # reported by the mapping
+                gains.append(levelling_gain(self.raw(k).scan.points, levelling(poses[k])))
         return bool(tilted) and (not gains or float(np.median(gains)) >= -LEVEL_MARGIN)
 
     def used_mount(self, n: int) -> Mount:
-        """Return the mount of the sensor with the ego footprint that the user states."""
+        """Return the mount of the sensor, with the user's ego footprint if there is one."""
         mount, footprint = self.mount(n), self.setup(n).ego_footprint
         return mount if footprint is None else replace(mount, ego_footprint=footprint)
 
     def height(self, n: int) -> float:
-        """Return the height of the sensor above ground [m]: given, stated, or the median of some scans' estimates."""
+        """Return the sensor height above ground [m]: the user's, the dataset's, or a median of estimates."""
         ref, place = self.frames[n], self.place(n)
         if self.sensor_height is not None:
             return self.sensor_height + place.above_first
@@ -319,28 +318,29 @@ class Recording(ABC):
             except _UNREADABLE as error:
                 unreadable = unreadable or str(error)
         if not estimates and unreadable and not reasons:
-            raise OgmError(f"no scan of {group} can be read: {unreadable}")
+            raise OgmError(f"no scan of {group} can be read: {unreadable}; repair or leave out the files")
         if not estimates:
             why = next(filter(None, reasons), "")
             raise OgmError(
-                f"no scan of {group} in {self.path} shows the ground around the sensor{why}, so its height "
-                "is not known: give `sensor_height` [m]"
+                f"no scan of {group} in {self.path} shows the ground around the sensor{why}, so its height is not "
+                "known: give `sensor_height` [m]"
             )
         return plausible_sensor_height(float(np.median(estimates)), f"{group} in {self.path}", side)
 
     def intensities(self, n: int, own: IntensityRange) -> IntensityRange:
-        """Return the intensities that mean 0 and 1 in all scans of a drive and sensor.
+        """Return the intensities that mean 0 and 1 in all scans of a sensor in a drive.
 
         Parameters
         ----------
         n : int
+            Number of a scan.
         own : (float, float)
-            Range by the values of scan n alone.
+            Intensity range of scan n alone.
 
         Returns
         -------
         (float, float)
-            0 and 1 if most of up to five scans stay between, else their widest range.
+            0 and 1 if most of up to five sampled scans are within, else the widest range of the sampled scans.
         """
         ref = self.frames[n]
         return (self._intensities(ref.sequence, self.place(n).name) if ref.sequence else None) or own
@@ -350,14 +350,11 @@ class Recording(ABC):
         return lru_cache(None)(self._widest_range)
 
     def _widest_range(self, group: str, sensor: str) -> IntensityRange | None:
-        members = [k for k in self.groups[group] if self.place(k).name == sensor]
-        ranges = []
-        for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
-            try:
-                ranges.append(self.intensity_range(members[k]))
-            except _UNREADABLE:
-                continue  # the mapping reports it
-        known = [one for one in ranges if one is not None]
+        known: list[IntensityRange] = []
+        for k in _sample([k for k in self.groups[group] if self.place(k).name == sensor]):
+            with suppress(*_UNREADABLE):  # reported by the mapping
+                if (limits := self.intensity_range(k)) is not None:
+                    known.append(limits)
         if 2 * known.count((0.0, 1.0)) > len(known) or not known:
             return (0.0, 1.0) if known else None
         return min(low for low, _ in known), max(high for _, high in known)
@@ -371,13 +368,14 @@ class Recording(ABC):
 
 
 class ScanFiles(Recording):
-    """Recording of files that `ogm.io.read_scan` reads, in the axes of the recording.
+    """Recording of scan files that `ogm.io.read_scan` reads, in the axes of the recording.
 
     Attributes
     ----------
     scans : list of Path
+        Scan file of each frame.
     units : mapping of str to number
-        Given ``intensity_max``, ``time_unit`` and ``origin`` of `ogm.io.read_scan`.
+        User-defined ``intensity_max``, ``time_unit`` and ``origin`` of `ogm.io.read_scan`.
     """
 
     def __init__(self, path: Path, scans: Sequence[tuple[FrameRef, Path]], name: str = "") -> None:
@@ -386,7 +384,7 @@ class ScanFiles(Recording):
         self.units: Mapping[str, Any] = {}
 
     def read(self, n: int) -> RawFrame:
-        """Read a scan from its file; with an origin, points in map coordinates come to the sensor by its pose."""
+        """Read a scan from its file; with `origin`, points in map coordinates are transformed by the pose."""
         T = self.frames[n].T_map_sensor if "origin" in self.units else None
         if T is None:
             return RawFrame(io.read_scan(self.scans[n], self.axes, **self.scales(n)))
@@ -396,22 +394,23 @@ class ScanFiles(Recording):
         return RawFrame(replace(scan, points=points, no_returns=None))
 
     def scales(self, n: int) -> Mapping[str, Any]:
-        """Return the units of a scan: those that are given, else the drive's range of intensities."""
+        """Return the units of a scan: the user's, else the intensity range of the drive."""
         return {"intensity_max": partial(self.intensities, n), **self.units}
 
     def intensity_range(self, n: int) -> IntensityRange | None:
-        """Return the intensities that mean 0 and 1 by the values of one file."""
+        """Return the intensities that mean 0 and 1, found from one file."""
         return stated_range(read_table(self.scans[n]))
 
 
 def why_no_height(points: NDArray[np.float32]) -> str:
-    """Return the reason why points do not tell the sensor's height, in brackets; "" where they show no ground at all.
+    """Return the reason for an unknown sensor height, in brackets; "" if no ground is visible.
 
     Parameters
     ----------
     points : (N, 4) float32
+        Points of a scan [m].
     """
-    from ogm.geometric.inputs import explain_coordinates, extent_text  # compiles kernels, which most callers need not
+    from ogm.geometric.inputs import explain_coordinates, extent_text  # late, as it compiles kernels
 
     finite = points[np.isfinite(points[:, :3]).all(axis=1), :3]
     if len(finite) and (cause := explain_coordinates(finite)):
@@ -420,7 +419,8 @@ def why_no_height(points: NDArray[np.float32]) -> str:
     if plane is not None and plane.incline > MAX_INCLINE:
         return (
             f" (the ground is inclined by {np.degrees(plane.incline):.0f} degrees: the sensor is tilted, and neither "
-            "transforms from base_link nor poses tell it; `ogm check --write vehicle.yaml` estimates it for --sensors)"
+            "transforms from base_link nor poses state it; `ogm check --write vehicle.yaml` estimates the tilt for "
+            "--sensors)"
         )
     axes = ground_side(points) if plane is None or plane.height <= 0 else None
     return f" (the ground lies {SIDES[axes]} the sensor: give axes, --axes={axes})" if axes else ""
@@ -430,11 +430,11 @@ def _sample(numbers: Sequence[int]) -> list[int]:
     """Return up to five numbers, evenly spaced."""
     if not numbers:
         return []
-    return [numbers[k] for k in np.unique(np.round(np.linspace(0, len(numbers) - 1, _HEIGHTS)).astype(int))]
+    return [numbers[k] for k in np.unique(np.round(np.linspace(0, len(numbers) - 1, _MAX_SAMPLES)).astype(int))]
 
 
 def _absolute(value: Any) -> Any:
-    """Return a path or a list of paths as absolute ones: another process may run in another folder."""
+    """Return a path or list with absolute paths, as another process may have another working folder."""
     if isinstance(value, list):
         return [_absolute(item) for item in value]
     return value.absolute() if isinstance(value, Path) else value

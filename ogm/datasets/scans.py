@@ -1,4 +1,4 @@
-"""Files of scans: their names, numbers, times and poses; one, several, or a folder of them as a recording."""
+"""Files of scans as a recording, with names, numbers, times and poses."""
 
 import logging
 import re
@@ -14,14 +14,16 @@ from ogm.io import Axes, read_poses
 from ogm.io.scan_table import rotation_to_flu
 from ogm.storage.files import OgmError
 
+_log = logging.getLogger(__name__)
+
 SCAN_ENDINGS = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather")
 _PACKED = (".xz", ".gz")
-_LIDAR = (".bin", ".pcd", ".ply", ".las", ".laz")  # of the scans of public datasets
-_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # [s] of one, by how large numbers are since 1970
+_LIDAR_ENDINGS = (".bin", ".pcd", ".ply", ".las", ".laz")  # endings of scans in public datasets
+_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # smallest number of a time since 1970, and its unit [s]
 
 
 def ending_of(path: Path) -> str:
-    """Return the ending that tells a scan's format, "" for what is no scan."""
+    """Return the ending that gives the format of a scan; "" if the file is no scan."""
     name = path.name.lower()
     for packed in _PACKED:
         name = name.removesuffix(packed)
@@ -29,7 +31,7 @@ def ending_of(path: Path) -> str:
 
 
 def scan_name(path: Path) -> str:
-    """Return a file's name without the endings that tell its format."""
+    """Return the name of a file without the endings of its format and compression."""
     name = path.name
     for ending in (*_PACKED, *SCAN_ENDINGS):
         name = name.removesuffix(ending) or name
@@ -37,13 +39,13 @@ def scan_name(path: Path) -> str:
 
 
 def scan_paths(folder: Path) -> list[Path]:
-    """Return the scans of a public dataset in a folder, by number or by name."""
+    """Return the scans in a folder of a public dataset, in the order of their names."""
     files = sorted(folder.iterdir()) if folder.is_dir() else []
-    return in_order([path for path in files if ending_of(path) in _LIDAR and path.is_file()])
+    return in_order([path for path in files if ending_of(path) in _LIDAR_ENDINGS and path.is_file()])
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Sort files by their names, with 2 before 10."""
+    """Sort files by name, with 2 before 10."""
 
     def key(path: Path) -> list[tuple[int, str]]:
         parts = re.split(r"(\d+)", scan_name(path))
@@ -53,7 +55,7 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
 
 
 def clock_stamps(names: Sequence[str]) -> list[float] | None:
-    """Return times [s] where names are those of a clock: milli-, micro- or nanoseconds since 1970."""
+    """Return times [s] if all names are milli-, micro- or nanoseconds since 1970, else None."""
     if not names or not all(_is_number(name) for name in names):
         return None
     unit = next((unit for least, unit in _UNITS if max(map(int, names)) >= least), None)
@@ -69,32 +71,32 @@ def drive_of(
     axes: Axes = "flu",
     T_camera_sensor: NDArray[np.float64] | None = None,
 ) -> list[tuple[FrameRef, Path]]:
-    """Return the scans of one drive as frames, each with its file.
+    """Return the scans of a drive as frames, each with its file.
 
     Parameters
     ----------
     name : str
-        Sequence of the frames.
+        Name of the sequence.
     scans : sequence of Path
+        Scan files.
     files : iterable of Path
         Possible files of poses, see `pose_files`.
     stamps : sequence of float, optional
-        Times of the scans [s]. By default their names give the time: a clock's, or numbers that count tenths of a
-        second.
+        Times of the scans [s]. By default the file names are times since 1970, or else count tenths of a second.
     axes, T_camera_sensor
         See `poses_of`.
     """
     names = [scan_name(scan) for scan in scans]
     poses = poses_of(files, names, axes=axes, T_camera_sensor=T_camera_sensor)
     if stamps is None:
-        counts = [int(one) for one in names] if all(map(_is_number, names)) else range(len(names))
+        counts = [int(number) for number in names] if all(map(_is_number, names)) else range(len(names))
         stamps = clock_stamps(names) or [0.1 * count for count in counts]
     rows = zip(names, stamps, poses, scans, strict=True)
-    return [(FrameRef(one, name, float(stamp), T), scan) for one, stamp, T, scan in rows]
+    return [(FrameRef(title, name, float(stamp), T), scan) for title, stamp, T, scan in rows]
 
 
 def pose_files(folder: Path) -> list[Path]:
-    """Return where the poses of a drive may be: ``derived/poses*``, ``poses.txt``, ``poses.csv``."""
+    """Return the possible files of poses of a drive: ``derived/poses*``, ``poses.txt``, ``poses.csv``."""
     return [*sorted(folder.glob("derived/poses*")), folder / "poses.txt", folder / "poses.csv"]
 
 
@@ -105,20 +107,26 @@ def poses_of(
     axes: Axes = "flu",
     T_camera_sensor: NDArray[np.float64] | None = None,
 ) -> list[NDArray[np.float64] | None]:
-    """Read the poses of scans from the first of some files that is there; None for all where none is.
+    """Read the poses of scans from the first existing file.
 
     Parameters
     ----------
     files : iterable of Path
-        See `pose_files`.
+        Possible files of poses, see `pose_files`.
     names : sequence of str
-        Of the scans. Where the file of poses has frame numbers, each scan gets the one in its name.
+        Names of the scans; if the file has frame numbers, each scan gets the pose with the number in its name.
     axes : Axes
-        Which way the poses' axes point, as for `read_points`: the scans' own.
+        Axes of the poses, the same as the axes of the scans.
     T_camera_sensor : (4, 4) array, optional
-        Where poses are a camera's, as those of KITTI odometry are. Those in ``derived/`` are the lidar's.
+        Transform from the lidar to the camera, for camera poses such as KITTI odometry's. Poses in ``derived/`` and
+        CSV files are always lidar poses.
+
+    Returns
+    -------
+    list of (4, 4) float64 array or None
+        ``T_map_sensor`` of each scan; None without a pose, or without a file.
     """
-    if (path := next((one for one in files if one.is_file()), None)) is None:
+    if (path := next((file for file in files if file.is_file()), None)) is None:
         return [None] * len(names)
     camera = None if path.parent.name == "derived" or path.suffix == ".csv" else T_camera_sensor
     found = read_poses(path, T_camera_sensor=camera)
@@ -128,8 +136,8 @@ def poses_of(
     if found.numbers is None:
         if len(poses) != len(names):
             raise OgmError(
-                f"{path} has {len(poses)} poses, but there are {len(names)} scans: wanted as many, or the number of "
-                "the scan at the beginning of each line"
+                f"{path} has {len(poses)} poses for {len(names)} scans: wanted one pose per scan, or the number of the "
+                "scan at the beginning of each line"
             )
         return list(poses)
     of = {int(number): T for number, T in zip(found.numbers, poses, strict=True)}
@@ -140,34 +148,28 @@ def _is_number(name: str) -> bool:
     return name.isascii() and name.isdigit() and len(name) < 20
 
 
-log: logging.Logger = logging.getLogger(__name__)
-
-_POSES = "poses of the scans (poses.txt, poses.csv, derived/poses*.txt)"
-
-
 class ScansRecording(ScanFiles):
-    """Files of scans in the order of their names, with 2 before 10, or one folder of them, which may hold poses."""
+    """Files of scans in the order of their names, or one folder of scans with optional poses."""
 
     format = "scans"
-    wanted_labels = _POSES
+    wanted_labels = "poses of the scans (poses.txt, poses.csv, derived/poses*.txt)"
     ego_footprint: Footprint | None = None
     known_axes = False
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "ScansRecording | None":
-        """Return the scans of files or of a folder; None if it holds no scans.
+        """Return the scans of files or of a folder, or None if the folder holds no scans.
 
         Raises
         ------
         FileNotFoundError
-            If none of the files exists.
+            If no file exists.
         ValueError
-            If a folder is not the only path, or it holds several formats.
+            If a folder is not the only path, or holds several formats.
         """
-        rotation_to_flu(options.axes)  # refuses wrong axes, before any scan is read
         folder = next((path for path in paths if path.is_dir()), None)
         if folder is not None and len(paths) > 1:
-            raise ValueError(f"{folder} is a folder; give one folder alone, or files")
+            raise ValueError(f"{folder} is a folder, got {len(paths)} paths: give one folder alone, or files")
         if not (files := in_order(paths if folder is None else _files_in(folder))):
             return None
         axes = options.axes
@@ -195,12 +197,12 @@ class ScansRecording(ScanFiles):
         names, sequence = [scan_name(path) for path in files], folder.resolve().name
         if len(set(names)) < len(names):
             double = next(name for name in names if names.count(name) > 1)
-            raise OgmError(f"{folder} holds {double} twice; give the files one by one")
+            raise OgmError(f"{folder} holds {double} twice: give the files one by one")
         recording = cls(folder, _without_poses(files, names, sequence))
         try:
             placed = drive_of(sequence, files, pose_files(folder), axes=axes)
-        except ValueError as error:  # the poses may be given otherwise, or not be needed
-            log.warning("the poses beside the scans of %s are not used: %s", folder, error)
+        except ValueError as error:  # poses may come from another file, or not be needed
+            _log.warning("the poses next to the scans of %s are not used: %s", folder, error)
             recording.wanted_labels += f", which are not used: {error}"
             return recording
         if any(ref.T_map_sensor is not None for ref, _ in placed):
@@ -210,13 +212,13 @@ class ScansRecording(ScanFiles):
 
 
 def _without_poses(files: list[Path], names: list[str], sequence: str) -> list[tuple[FrameRef, Path]]:
-    """Return scans as frames, stamped by their names if these are a clock's."""
+    """Return scans as frames without poses; stamps are taken from file names that are times since 1970."""
     stamps: Sequence[float | None] = clock_stamps(names) or [None] * len(names)
     return [(FrameRef(name, sequence, stamp), file) for file, name, stamp in zip(files, names, stamps, strict=True)]
 
 
 def _is_one_drive(files: Sequence[Path]) -> bool:
-    """Tell whether files lie in one folder and their names differ in numbers alone."""
+    """Return whether files lie in one folder and their names differ only in numbers."""
     alike = {(path.parent, re.sub(r"\d+", "0", scan_name(path))) for path in files}
     return len(files) > 1 and len(alike) == 1
 
@@ -228,5 +230,5 @@ def _files_in(folder: Path) -> list[Path]:
             if path.is_file() and not path.name.startswith(".") and (ending := ending_of(path)):
                 formats.setdefault(ending, []).append(path)
     if len(formats) > 1:
-        raise OgmError(f"{folder} holds scans of several formats ({', '.join(formats)}); give the files of one")
+        raise OgmError(f"{folder} holds scans of several formats ({', '.join(formats)}): give the files of one format")
     return next(iter(formats.values()), [])

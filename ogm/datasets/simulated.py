@@ -1,4 +1,4 @@
-"""The simulator's store: samples with truth, boxes and poses."""
+"""Recording of a simulated dataset: samples with truth, boxes and poses."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -23,27 +23,27 @@ from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath
 from ogm.truth.scans import ignore_cells
 
-_SPLITS = ("validation", "sequences", "test", "training")  # the first that has samples is taken
-_SHORT = {"train": "training", "val": "validation"}
+_SPLITS = ("validation", "sequences", "test", "training")  # by default the first split with samples is used
+_SPLIT_ALIASES = {"train": "training", "val": "validation"}
 _RAYS = {
-    "aimed": "rays from the sensor's place, aimed at every cell,",
-    "hd": "the rays of a lidar with thousands of layers at the sensor's place",
+    "aimed": "rays from the sensor's position, aimed at every cell,",
+    "hd": "the rays of a lidar with thousands of layers at the sensor's position",
 }
-LIDAR, RADAR = "lidar", "radar"  # words for all lidars, all radars
+LIDAR, RADAR = "lidar", "radar"  # names of the lidar and of all radars in the option `sensors`
 
 
 class _Source(NamedTuple):
-    """Source of a frame: a scan of a sample's lidar, or a sweep of a radar."""
+    """Source of a frame: the lidar scan of a sample, or a radar sweep."""
 
-    sample: int  # number in the split
-    sweep: int = -1  # of the sample's sweeps; -1 for the lidar
-    radar: int = -1  # number among the dataset's radars
+    sample: int  # number of the sample among the finished samples
+    sweep: int = -1  # number among the sample's sweeps; -1 for the lidar
+    radar: int = -1  # number among the dataset's radars; -1 for the lidar
 
 
 class SimulatedRecording(Recording):
-    """Finished samples of a split of a dataset that `ogm simulate` made: scans of lidars, and sweeps of radars."""
+    """Finished samples of a split of a simulated dataset: lidar scans and radar sweeps."""
 
-    format = "simulated data set"
+    format = "simulated dataset"
     labelled = ("boxes",)
     ego_footprint = None
     known_mount = True
@@ -60,14 +60,14 @@ class SimulatedRecording(Recording):
         poses[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
         self._T_world_lidar, self._T_vehicle_lidar = poses
         self._lidar_place = self._T_vehicle_lidar[:, :2, 3].copy()
-        self._T_vehicle_lidar[:, :2, 3] = 0.0  # the grids lie around the lidar, those of radars too
-        kinds = [one.kind for one in store.beams]
+        self._T_vehicle_lidar[:, :2, 3] = 0.0  # all grids, also of radars, are centred on the lidar
+        kinds = [beams.kind for beams in store.beams]
         self._kinds = [kinds[int(n)] for n in facts[:, FACTS.index("lidar")]]
         self._stamps = facts[:, FACTS.index("stamp")].tolist()
         scenarios = facts[:, FACTS.index("scenario")].astype(int).tolist()
         lidar, radars = LIDAR in (options.sensors or (LIDAR,)), _radars_of(store, options.sensors)
         frames = [row for k in range(len(numbers)) for row in self._frames_of(k, scenarios[k], lidar, radars)]
-        if self.stamped and radars:  # sequences are one after the other, and sorting is stable
+        if self.stamped and radars:  # frames in the order of time within each sequence; sorting is stable
             order = {ref.sequence: k for k, (ref, _) in reversed([*enumerate(frames)])}
             frames.sort(key=lambda frame: (order[frame[0].sequence], frame[0].stamp))
         super().__init__(path, [ref for ref, _ in frames], f"{path.name or path.absolute().name}, {split}")
@@ -83,34 +83,33 @@ class SimulatedRecording(Recording):
         else:
             self.files = [path / "zarr.json", path / split]
         if self._observed:
-            rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
+            rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's position")
             self.description = (
-                f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
+                f"Simulated: surfaces that {rays} hit; all cells of participants with 50 returns or more; cells "
+                "without a hit are unknown."
             )
             if self._unknown_ignored:
                 self.description += " Maps may know such cells from other frames: they are left out."
 
     @classmethod
     def open(cls, paths: Sequence[Any], options: OpenOptions) -> "SimulatedRecording | None":
-        """Return the finished samples of a split; None if the path is no simulated dataset.
+        """Return the finished samples of a split, or None if the path is no simulated dataset.
 
         Raises
         ------
         FileNotFoundError
             If a path lies in an object store, and is no simulated dataset.
         ValueError
-            If there is no such split or sensor, or no sample in it.
+            If the split or the sensor does not exist, or the split has no sample.
         """
         path = paths[0]
         if len(paths) > 1 or not is_simulated(path):
-            if remote := [one for one in paths if isinstance(one, ObjectPath)]:
-                raise FileNotFoundError(
-                    f"{remote[0]} is no data set that `ogm simulate` made; others are no object stores'"
-                )
+            if remote := [place for place in paths if isinstance(place, ObjectPath)]:
+                raise FileNotFoundError(f"{remote[0]} is no dataset of `ogm simulate`: copy other data to a folder")
             return None
         store = Store.open(path)
         split = options.default_split if options.split is None else options.split
-        wanted = None if split is None else _SHORT.get(split, split)
+        wanted = None if split is None else _SPLIT_ALIASES.get(split, split)
         found = {name: store[name].finished for name in store.counts if wanted in (None, name)}
         if (chosen := next((name for name in (*_SPLITS, *found) if len(found.get(name, ()))), None)) is None:
             raise OgmError(_no_sample(store, wanted))
@@ -119,7 +118,7 @@ class SimulatedRecording(Recording):
     def _frames_of(self, k: int, scenario: int, lidar: bool, radars: list[int]) -> Iterator[tuple[FrameRef, _Source]]:
         """Yield the frames of a sample."""
         drive, name, n = self.stamped, self._split.name, int(self._numbers[k])
-        # samples of a drive that are no sequence are too far apart to be fused
+        # outside of sequences, the samples of a drive are too far apart to be fused
         title = f"sequence {n // SEQUENCE} frame {n % SEQUENCE}" if drive else f"{name} {n}"
         group = f"sequence {n // SEQUENCE}" if drive else f"drive {scenario}"
         if lidar:
@@ -140,17 +139,17 @@ class SimulatedRecording(Recording):
         return lru_cache(2)(self._split.sweeps)
 
     def read(self, n: int) -> RawFrame:
-        """Read a scan of a lidar, or a sweep of a radar."""
+        """Read the lidar scan or radar sweep of a frame."""
         source = self._sources[n]
         number = int(self._numbers[source.sample])
         if source.radar < 0:
             return RawFrame(_scan(self._sample(number)))
         sweep, radar = self._sweeps(number)[source.sweep], self._radars[source.radar]
-        spec = RADARS.get(radar.radar)  # None for one of a later version
+        spec = RADARS.get(radar.radar)  # None for a radar of a later version
         return RawFrame(sweep.detections.scan(sweep.stamp, radar.name, spec.doppler_interval if spec else None))
 
     def mount(self, n: int) -> Mount:
-        """Return the mount of the sensor; all sensors of a sample have one vehicle frame."""
+        """Return the mount of the sensor; all sensors of a sample share one vehicle frame."""
         source = self._sources[n]
         if source.radar < 0:
             T, (x, y) = self._T_vehicle_lidar[source.sample], self._lidar_place[source.sample]
@@ -160,7 +159,7 @@ class SimulatedRecording(Recording):
         return Mount(radar.z, pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw), EGO)
 
     def has_truth(self, n: int) -> bool:
-        """Return whether there is truth at the time of a scan."""
+        """Return whether there is truth at the time of a frame."""
         stamp = self.frames[n].stamp
         return self._observed and (stamp is None or abs(stamp - self._stamps[self._sources[n].sample]) < 1e-6)
 
@@ -173,15 +172,15 @@ class SimulatedRecording(Recording):
             If the dataset was made without truth, or the frame is a sweep between the lidar's scans.
         """
         if not self._observed:
-            raise OgmError("the data set was made without truth: make one with it in a new folder")
+            raise OgmError(f"{self.path} was made without truth: simulate a dataset with truth in a new folder")
         if not self.has_truth(n):
             name = self.frames[n].name
-            raise OgmError(f"{name} lies between the lidar's turns, whose truth is known: there is none")
+            raise OgmError(f"{name} lies between lidar scans and has no truth: use the frames of `Dataset.with_truth`")
         truth = self._sample(int(self._numbers[self._sources[n].sample])).truth
         return ignore_cells(truth, truth.state == CellState.UNKNOWN) if self._unknown_ignored else truth
 
     def read_boxes(self, n: int) -> Boxes:
-        """Read the objects in the frame of the sensor, at the time of the lidar's scan."""
+        """Read the boxes of objects in the sensor's frame, at the time of the lidar scan."""
         source = self._sources[n]
         found = _boxes(self._split.objects(int(self._numbers[source.sample])))
         if source.radar < 0:
@@ -190,24 +189,24 @@ class SimulatedRecording(Recording):
 
 
 def is_simulated(path: Any) -> bool:
-    """Return whether a path is a dataset that `ogm simulate` made, in a folder or an object store."""
+    """Return whether a folder or object store holds a dataset that `ogm simulate` made."""
     return bool((path / "zarr.json").exists())
 
 
 def _radars_of(store: Store, sensors: Sequence[str]) -> list[int]:
-    """Return the numbers of the radars that are wanted, or raise OgmError where there is no such sensor."""
-    names = [one.name for one in store.radars]
-    if unknown := [one for one in sensors if one not in (LIDAR, RADAR, *names)]:
+    """Return the numbers of the chosen radars; raise OgmError for an unknown sensor."""
+    names = [radar.name for radar in store.radars]
+    if unknown := [name for name in sensors if name not in (LIDAR, RADAR, *names)]:
         has = f"{LIDAR}, {RADAR} for all radars, {', '.join(names)}" if names else f"{LIDAR} alone"
         raise OgmError(f"{store.path} has no sensor {unknown[0]!r}; it has {has}")
     if RADAR in sensors and not names:
-        raise OgmError(f"{store.path} has no radar; `ogm simulate ... --radar ars548` makes data sets with radars")
-    return [k for k, one in enumerate(names) if RADAR in sensors or one in sensors]
+        raise OgmError(f"{store.path} has no radar; `ogm simulate ... --radar ars548` makes datasets with radars")
+    return [k for k, name in enumerate(names) if RADAR in sensors or name in sensors]
 
 
 def _no_sample(store: Store, name: str | None) -> str:
-    """Return why there is no sample of a split, and the way out."""
-    path, resume = store.path, f"go on with `ogm simulate {store.path} --resume`"
+    """Return the error text for a split without samples."""
+    path, resume = store.path, f"resume with `ogm simulate {store.path} --resume`"
     if name is None:
         return f"{path} has no finished sample; {resume}"
     begin = f"; `ogm simulate {path} --resume --sequences 1` makes one (100 scans at 10 Hz)"
@@ -218,7 +217,7 @@ def _no_sample(store: Store, name: str | None) -> str:
 
 
 def _scan(sample: SimulatedSample) -> Scan:
-    """Return a sample's scan; beams of its range image without range are those without echo, but of depth cameras."""
+    """Return the scan of a sample; beams without range are beams without echo, except for depth cameras."""
     beams, echo = sample.beams, sample.steps > 0
     if beams.kind == "depth":
         return replace(_depth_scan(sample), sensor=sample.lidar)
@@ -236,7 +235,7 @@ def _scan(sample: SimulatedSample) -> Scan:
 
 
 def _depth_scan(sample: SimulatedSample) -> Scan:
-    """Return the scan of a depth camera: rows from the highest on, as its image has them."""
+    """Return the scan of a depth camera, with image rows from top to bottom."""
     beams = sample.beams
     rows, columns = beams.shape
     depth = sample.steps * np.float32(RANGE_STEP) * beams.directions[..., 0]
@@ -252,5 +251,5 @@ def _boxes(objects: NDArray[Any]) -> Boxes:
         return structured_to_unstructured(objects[list(names)], np.float64)
 
     center, size, yaw = columns("x", "y", "z"), columns("length", "width", "height"), columns("yaw")
-    labels, tracks = [LABELS[one] for one in objects["label"]], [str(one) for one in objects["track"]]
+    labels, tracks = [LABELS[label] for label in objects["label"]], [str(track) for track in objects["track"]]
     return Boxes(center, size, yaw, columns("vx", "vy"), labels, tracks)

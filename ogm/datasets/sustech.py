@@ -1,4 +1,4 @@
-"""SUSTechPOINTS: scans with boxes, in the axes of its example."""
+"""SUSTechPOINTS: scans with boxes, in the axes of its example data."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ class SustechRecording(ScanFiles):
 
     @classmethod
     def find(cls, path: Path) -> "SustechRecording | None":
-        """Return the scans that have a file of labels, with their poses if there are any."""
+        """Return the scans that have a label file, with poses if the folder has poses."""
         scans = [scan for scan in scan_paths(path / "lidar") if _label(path, scan).is_file()]
         return cls(path, drive_of(path.name, scans, pose_files(path), axes=cls.axes)) if scans else None
 

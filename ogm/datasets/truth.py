@@ -1,4 +1,4 @@
-"""Truth of recordings, made of boxes, classes, a map's road and neighbours, and motion of labelled objects."""
+"""Truth of recordings from boxes, classes, map and neighbouring scans, and motion of labelled objects."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,52 +31,52 @@ from ogm.truth.points import truth_from_points
 from ogm.truth.scans import MARGIN, combine_truths, ignore_cells
 
 SOURCES = ("boxes", "classes", "map", "aggregated")
-ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
-_AT_MOVING_POINTS = 0.3  # [m] around points whose class tells that they move, neighbours do not decide
-_FEW = 3  # neighbouring scans, below which one is enough to know a cell; else two must agree
-_KEPT = 128  # truths in memory: some 0.4 MB each
+ABOVE_BOTTOM = 0.15  # [m] returns lower than this above a box's bottom may be of the road
+_MOVING_MARGIN = 0.3  # [m] cells within this distance of points of a moving class take no state from neighbours
+_MIN_NEIGHBOURS = 3  # scans; with fewer neighbours one scan makes a cell known, otherwise two must agree
+_MAX_KEPT = 128  # truths in memory, about 0.4 MB each
 
 _DESCRIPTIONS = {
     "boxes": f"occupied: all cells of boxes with {MIN_RETURNS} returns or more in this scan (with fewer: never free)",
     "classes": "free and occupied: cells in which this scan hit labelled ground, or an obstacle 0.05 to 2 m above it",
-    "map": "free: drivable area of the map that is in sight and where nothing stands",
-    "aggregated": "free and occupied: what {which} scans agree on and this one does not contradict, {movers}, heights "
-    "above {ground}",
+    "map": "free: visible drivable area of the map without obstacles",
+    "aggregated": "free and occupied: states on which {which} scans agree and which this one does not contradict, "
+    "{movers}, heights above {ground}",
 }
 
 
 class RecordedTruth:
-    """Makes the truth of the frames of a recording. Pickled, it goes without the truths that it made.
+    """Maker of the truth of the frames of a recording; recent truths are kept, but not pickled.
 
     Parameters
     ----------
     recording : Recording
     wanted : sequence of str
-        Some of `SOURCES`; all that exist if empty.
+        Some of `SOURCES`; empty for every available source.
     others : {"all", "later"}
-        Neighbouring scans that are taken.
+        Neighbouring scans to use, see `open_dataset`.
     """
 
     def __init__(self, recording: Recording, wanted: Sequence[str] = (), others: str = "all") -> None:
         if unknown := [name for name in wanted if name not in SOURCES]:
-            raise ValueError(f"truth must be of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
+            raise ValueError(f"truth must be some of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
         self.recording, self._options = recording, (tuple(wanted), others)
         there = self._there()
         if missing := [name for name in wanted if name not in there]:
             raise ValueError(
-                f"{recording.path} ({recording.format}) has no {' and '.join(missing)} to make truth of; has "
-                f"{', '.join(there) or 'no labels'}. Give `truth={','.join(there)}` or less"
+                f"{recording.path} ({recording.format}) has no {' and '.join(missing)} to make truth of; it has "
+                f"{', '.join(there) or 'no labels'}: give `truth={','.join(there)}` or less"
             )
         self.sources = tuple(name for name in SOURCES if name in (wanted or there))
         self._later = others == "later"
         self._moving_tracks = lru_cache(None)(self._find_moving)
-        self._made = lru_cache(_KEPT)(self._make)
+        self._made = lru_cache(_MAX_KEPT)(self._make)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return RecordedTruth, (self.recording, *self._options)
 
     def truth(self, n: int) -> Truth:
-        """Return the truth of frame n, on `TRUTH_SPEC`: free, occupied, or ignored.
+        """Return the truth of frame n on `TRUTH_SPEC`, with free, occupied and ignored cells.
 
         Raises
         ------
@@ -86,25 +86,25 @@ class RecordedTruth:
         if not self.sources:
             path, kind, wanted = self.recording.path, self.recording.format, self.recording.wanted_labels
             raise OgmError(
-                f"{path} ({kind}) has nothing to make truth of; looked for: {wanted}. add them, or give a folder that "
-                "has them; poses of the scans are enough for aggregated truth. Without truth, "
+                f"{path} ({kind}) has no labels and no poses to make truth of; wanted {wanted}: add them, or give a "
+                "folder that has them. Poses of the scans are enough for aggregated truth. Without truth, "
                 "`ogm evaluate --agreement` compares methods with each other"
             )
         return self._made(n)
 
     @property
     def description(self) -> str:
-        """What the truth is made of, in one sentence; "this scan" is the frame's own. "" where there is no truth."""
+        """Sources of the truth, in one sentence; "" if there is no truth. "This scan" is the frame's scan."""
         if not self.sources:
             return ""
         recording, labelled = self.recording, self.recording.labelled
         which = "later" if self._later else "other"
         objects = "boxes" in labelled or "classes" in labelled
-        movers = "labelled objects that move taken out" if objects else "without labels of what moves"
+        movers = "without labelled moving objects" if objects else "without labels of moving objects"
         ground = "the map's ground" if "map" in labelled else "the lowest returns per square metre"
         ground = "labelled ground" if "classes" in labelled else ground
-        parts = [_DESCRIPTIONS[one].format(which=which, movers=movers, ground=ground) for one in self.sources]
-        end = "ignored: everything else, and where these contradict each other (boxes win)"
+        parts = [_DESCRIPTIONS[name].format(which=which, movers=movers, ground=ground) for name in self.sources]
+        end = "ignored: all other cells, and contradictions between these (boxes win)"
         view = f" ({recording.view})" if recording.view else ""
         return f"{recording.format}{view}; {'; '.join(parts)}; {end}."
 
@@ -116,7 +116,7 @@ class RecordedTruth:
 
     def _make(self, n: int) -> Truth:
         makers = {"classes": self._from_classes, "map": self._from_map, "aggregated": self._from_neighbours}
-        parts = [makers[one](n) for one in self.sources if one in makers]
+        parts = [makers[name](n) for name in self.sources if name in makers]
         labelled, boxes, uncertain = self.recording.boxes(n), None, None
         if "boxes" in self.sources and labelled is not None:
             returns = count_returns(self.recording.scan(n).points, labelled, above_bottom=ABOVE_BOTTOM)
@@ -135,7 +135,7 @@ class RecordedTruth:
         return truth_from_points(raw.scan.points, kinds, TRUTH_SPEC, unobserved=self._ego_cells())
 
     def _from_map(self, n: int) -> Truth:
-        """Return the free road. Where the map has no ground, it is taken to be as low as under the vehicle."""
+        """Return the free road of the map; cells without map ground get the ground height under the vehicle."""
         hd_map, raw = self.recording.hd_map(n), self.recording.raw(n)
         low = -self.recording.height(n)
         x, y = np.broadcast_arrays(*TRUTH_SPEC.cell_centers)
@@ -153,7 +153,7 @@ class RecordedTruth:
         )
 
     def _from_neighbours(self, n: int) -> Truth:
-        """Return what neighbouring scans of the sequence agree on around scan n."""
+        """Return the truth on which neighbouring scans of the sequence agree around scan n."""
         recording, frame = self.recording, self.recording.frames[n]
         nothing = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, np.uint8(CellState.IGNORE)))
         if frame.T_map_sensor is None:
@@ -181,15 +181,15 @@ class RecordedTruth:
             own=here.scan.points,
             is_ground=is_ground or None,
             map_ground=recording.hd_map(n).ground if "map" in recording.labelled else None,
-            min_scans=1 if len(chosen) < _FEW else 2,
+            min_scans=1 if len(chosen) < _MIN_NEIGHBOURS else 2,
         )
         if here.moving is not None and here.moving.any():
             truth = ignore_cells(truth, _near(here.scan.points[here.moving]))
-        # No static object stands where the ego vehicle was at any time: another road user followed it
+        # No static object is in the path of the ego vehicle: occupied cells there are of road users that followed it
         return ignore_cells(truth, ego_path_cells(T_here_other) & (truth.state == CellState.OCCUPIED))
 
     def _find_moving(self, sequence: str) -> frozenset[str]:
-        """Return the tracks of a sequence that move."""
+        """Return the names of the moving tracks of a sequence."""
         stamps, boxes = [], []
         for n in self.recording.groups[sequence]:
             ref = self.recording.frames[n]
@@ -199,7 +199,7 @@ class RecordedTruth:
         return moving_tracks(stamps, boxes)
 
     def _moving_boxes(self, n: int) -> Boxes:
-        """Return the boxes of objects that move, in scan n and its frame, and of those without a track."""
+        """Return the boxes of moving objects and of objects without a track, in the frame of scan n."""
         if (boxes := self.recording.boxes(n)) is None:
             return Boxes.empty()
         moving = self._moving_tracks(self.recording.frames[n].sequence)
@@ -207,24 +207,24 @@ class RecordedTruth:
 
 
 def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the cells that lie near points."""
+    """Return a mask of the cells within `_MOVING_MARGIN` of points, (nx, ny)."""
     result = np.zeros(TRUTH_SPEC.shape, bool)
     inside = TRUTH_SPEC.contains(points[:, 0], points[:, 1])
     result[TRUTH_SPEC.index(points[inside, 0], points[inside, 1])] = True
-    reach = int(np.ceil(_AT_MOVING_POINTS / TRUTH_SPEC.resolution))
+    reach = int(np.ceil(_MOVING_MARGIN / TRUTH_SPEC.resolution))
     return np.asarray(import_extra("scipy.ndimage", "evaluate").binary_dilation(result, iterations=reach))
 
 
-_NEXT = 0.15  # [s] the frames before and after at 10 Hz
-_KEPT_FRAMES = 16  # frames in memory: a few kB each
+_NEXT = 0.15  # [s] reach of the frames before and after at 10 Hz
+_KEPT_FRAMES = 16  # frames in memory, a few kB each
 
 
 class MotionReader:
-    """Finds the motion of objects in the frames of a recording. Pickled, it goes without the motion that it found.
+    """Reader of the motion of objects in the frames of a recording; results are kept, but not pickled.
 
-    Velocities are stated by the dataset, and yaw rates follow from the frames before and after; or else both are
-    slopes of the objects' tracks over 0.5 to 0.7 s (`ogm.truth.motion.track_motion`): the first and the last 0.3 s
-    of a track have none.
+    If the dataset states velocities, only yaw rates are computed, from the frames before and after. Otherwise both
+    are slopes of the objects' tracks over 0.5 to 0.7 s, see `ogm.truth.motion.track_motion`; the first and the last
+    0.3 s of a track then have no motion.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ class MotionReader:
         return MotionReader, (self.recording,)
 
     def boxes(self, n: int) -> Boxes | None:
-        """Return the boxes around a scan, in the sensor's frame, with velocities where there are any."""
+        """Return the boxes around a scan, in the sensor's frame, with velocities if they are known."""
         boxes = self.recording.boxes(n)
         if boxes is None or boxes.velocity is not None:
             return boxes
@@ -249,9 +249,9 @@ class MotionReader:
         return boxes if found is None else replace(boxes, velocity=found.velocity)
 
     def cells(self, n: int, spec: GridSpec) -> Motion | None:
-        """Return the motion of the cells around a scan; None where that of objects cannot be known.
+        """Return the motion of the cells around a scan, or None if the motion of objects is not known.
 
-        Nothing is known of cells under the ego vehicle, and outside the view in which objects are labelled.
+        Cells under the ego vehicle and outside the labelled view are unknown.
         """
         boxes, found = self.boxes(n), self._found(n)
         if boxes is None or found is None:
@@ -263,7 +263,7 @@ class MotionReader:
         return motion_of_boxes(boxes, found.yaw_rate, spec, unknown=unknown)
 
     def _find(self, n: int) -> BoxMotion | None:
-        """Return the motion of a scan's boxes in the sensor's frame, None where no tracks can be followed."""
+        """Return the motion of the boxes of a scan in the sensor's frame, or None without poses or stamps."""
         frame, boxes = self.recording.frames[n], self.recording.boxes(n)
         if boxes is None or frame.stamp is None or frame.T_map_sensor is None or not frame.sequence:
             return None
@@ -278,7 +278,7 @@ class MotionReader:
         return BoxMotion(found.velocity @ inverse(frame.T_map_sensor)[:2, :2].T, found.yaw_rate)
 
     def _of_sequence(self, sequence: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the frames of a sequence that have a pose and a stamp: their numbers and their stamps."""
+        """Return numbers and stamps [s] of the frames of a sequence that have a pose and a stamp."""
         refs = [(k, self.recording.frames[k]) for k in self.recording.groups[sequence]]
         known = [(k, ref.stamp) for k, ref in refs if ref.T_map_sensor is not None and ref.stamp is not None]
         return np.array([k for k, _ in known], np.int64), np.array([stamp for _, stamp in known], np.float64)

@@ -16,24 +16,22 @@ from ogm.storage.files import OgmError
 
 
 def grid_files(folder: Path) -> dict[str, Path]:
-    """Return the grids of a folder by the names of their frames; none where it is no folder."""
+    """Return the grid files of a folder by frame name; empty if it is no folder."""
     found: dict[str, Path] = {}
     for file in sorted(folder.iterdir()) if folder.is_dir() else []:
         if file.suffix.lower() in GRID_ENDINGS and file.is_file():
             if file.stem in found:
-                raise OgmError(f"{folder} holds two grids of {file.stem}: {found[file.stem].name} and {file.name}")
+                names = f"{found[file.stem].name} and {file.name}"
+                raise OgmError(f"{folder} holds two grids of {file.stem}, {names}: remove one")
             found[file.stem] = file
     return found
 
 
 class TruthGridsRecording(Recording):
-    """Grids of a folder: frames with a truth and without scans."""
+    """Folder of grids: frames with truth and without scans."""
 
     format = "truth grids"
-    description = (
-        "Grids of a folder: a cell has the state with most mass, unknown included; where pictures show none, it is "
-        "unknown."
-    )
+    description = "Grids of a folder: each cell has the state with the largest mass; unlabelled pixels are unknown."
     known_mount = True
     known_truth = True
 
@@ -43,19 +41,19 @@ class TruthGridsRecording(Recording):
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "TruthGridsRecording | None":
-        """Return the grids of a folder, if `OpenOptions.spec` states their cells.
+        """Return the grids of a folder, or None without `OpenOptions.spec`.
 
-        States and pictures do not state their cells, and masses must fit those of the spec.
+        States and pictures do not state their cells; the cells of masses must fit the spec.
         """
         if len(paths) > 1 or options.spec is None or not (grids := grid_files(paths[0])):
             return None
         return cls(paths[0], grids, options.spec)
 
     def read(self, n: int) -> NoReturn:
-        """Raise OgmError: there are no scans."""
+        """Raise OgmError, as there are no scans."""
         raise OgmError(
-            f"{self.path} holds grids of truth, no scans: compare them by `ogm evaluate --grids FOLDER`, or give a "
-            "dataset that has scans"
+            f"{self.path} holds grids of truth and no scans: compare them with `ogm evaluate --grids FOLDER`, or give "
+            "a dataset with scans"
         )
 
     mount = read
@@ -80,11 +78,8 @@ def _truth(path: Path, spec: GridSpec) -> Truth:
     ratio = grid.spec.resolution / spec.resolution
     places = np.array([ratio, *(np.array(grid.spec.origin) - spec.origin) / spec.resolution])
     if round(ratio) < 1 or not np.allclose(places, np.rint(places), rtol=0, atol=1e-3):
-        has, wanted = (
-            f"cells of {s.resolution:g} m from x {s.origin[0]:g}, y {s.origin[1]:g} m" for s in (grid.spec, spec)
-        )
-        raise OgmError(
-            f"{path} has {has} on, but wanted are {wanted} on; a truth is not resampled: save it on those, or on whole "
-            "multiples of them"
-        )
+        specs = grid.spec, spec
+        cells = [f"cells of {s.resolution:g} m from x {s.origin[0]:g} m, y {s.origin[1]:g} m" for s in specs]
+        way = "a truth is not resampled: save it on the wanted cells, or on whole multiples of them"
+        raise OgmError(f"{path} has {cells[0]}, wanted {cells[1]}; {way}")
     return Truth(grid.spec, predict_state(grid.mass))

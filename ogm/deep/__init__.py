@@ -1,11 +1,11 @@
-"""Deep inverse sensor models: networks, losses, training; the trained models are `DeepISM` and `DeepRadarISM`.
+"""Deep inverse sensor models `DeepISM` and `DeepRadarISM`, their networks, losses and training.
 
-They run exported networks without torch. All else that is named here needs torch and is loaded on first use.
+The models run exported networks without torch. The other names here need torch and are loaded on first use.
 
 >>> import numpy as np
 >>> from ogm import Mount, Scan
 >>> from ogm.deep import DeepISM
->>> deep = DeepISM.load("lite", mount=Mount(sensor_height=1.9))             # the network that ogm ships
+>>> deep = DeepISM.load("lite", mount=Mount(sensor_height=1.9))             # weights in the package
 >>> deep(Scan(np.zeros((0, 4), np.float32))).mass.shape
 (512, 352, 2)
 """
@@ -32,8 +32,8 @@ def __getattr__(name: str) -> object:
         value = getattr(importlib.import_module("ogm.deep.network"), name)
     except ImportError as error:
         raise ImportError(
-            f"networks to train lack a package ({error}): {install_line('train')}; "
-            "on a machine without an NVIDIA GPU install PyTorch's CPU build first"
+            f"{name} needs a package that is missing ({error}): {install_line('train')}; on a machine without an "
+            "NVIDIA GPU install PyTorch's CPU build first"
         ) from error
     globals()[name] = value
     return value

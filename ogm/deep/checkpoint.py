@@ -1,7 +1,7 @@
-"""A trained network on disk: NAME.safetensors holds the weights, NAME.json what they are for and where they come from.
+"""Trained networks on disk: weights in NAME.safetensors, network, grid and provenance in NAME.json.
 
-Nothing is unpickled. Sizes and names must match the description, and the bytes of both files the SHA-256 that it
-states under ``sha256``; files of older versions state none.
+Nothing is unpickled. Names, shapes and types of the weights must match the description. Both files must match the
+checksums under ``sha256`` in the description, if it has them; files of older versions have no checksums.
 """
 
 import hashlib
@@ -29,20 +29,20 @@ Made = TypeVar("Made", bound=nn.Module)
 
 
 def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNetwork, facts: Mapping[str, Any]) -> Path:
-    """Write a network's weights and description, each in one step.
+    """Write weights and description of a network, each atomically.
 
     Parameters
     ----------
     path : path
-        Name of the weights, ending in ``.safetensors``. The description has the same name, ending in ``.json``.
+        File name of the weights, ending in ``.safetensors``. The description has the same name, ending in ``.json``.
     network : PillarNetwork or RadarNetwork
     facts : mapping
-        More for the description, as JSON holds it: provenance, recipe, results.
+        Further entries of the description that JSON can hold: provenance, recipe, results.
 
     Returns
     -------
     Path
-        Of the weights.
+        File of the weights.
     """
     path = _checked_path(path)
     weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
@@ -56,7 +56,7 @@ def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNet
     data = save(weights, {"format": FORMAT})
     description |= {"sha256": {"weights": hashlib.sha256(data).hexdigest()}}
     description["sha256"]["description"] = description_checksum(description)
-    text = json.dumps(description, indent=1)  # before anything is written: facts may not be JSON
+    text = json.dumps(description, indent=1)  # before any file is written, as facts may not be JSON
     with atomic_write(path) as file:
         file.write(data)
     with atomic_write(path.with_suffix(".json"), "w") as file:
@@ -65,32 +65,32 @@ def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNet
 
 
 def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str, Any]]:
-    """Read a network that `save_network` wrote.
+    """Read a lidar network that `save_network` wrote.
 
     Returns
     -------
     network : PillarNetwork
-        In evaluation mode, on the CPU.
+        Network in evaluation mode, on the CPU.
     description : dict
-        All of the JSON file.
+        Content of the JSON file.
 
     Raises
     ------
     FileNotFoundError
-        If one of the two files is not there.
+        If one of the two files is missing.
     OgmError
-        If a file is damaged, of another kind, or does not fit the other.
+        If a file is damaged, of another kind, or does not fit the other file.
     """
     return _load(path, _pillar_network)
 
 
 def load_radar_network(path: str | os.PathLike[str]) -> tuple[RadarNetwork, dict[str, Any]]:
-    """Read a network of radars that `save_network` wrote; see `load_network` for results and errors."""
+    """Read a radar network that `save_network` wrote; see `load_network` for results and errors."""
     return _load(path, _radar_network)
 
 
 def load_any_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork | RadarNetwork, dict[str, Any]]:
-    """Read a network of lidars or radars that `save_network` wrote; see `load_network` for results and errors."""
+    """Read a lidar or radar network that `save_network` wrote; see `load_network` for results and errors."""
     return _load(path, _any_network)
 
 
@@ -103,7 +103,7 @@ def _pillar_network(description: dict[str, Any]) -> PillarNetwork:
 def _radar_network(description: dict[str, Any]) -> RadarNetwork:
     config, place = RadarConfig.from_dict(description["network"]), description["spec"]
     if not (_are_sizes([], config.blocks) and 0 <= config.dropout < 1):
-        raise ValueError(f"a size is out of its limits in {config}")
+        raise ValueError(f"a size is out of range in {config}")
     return RadarNetwork(config, RadarGrid(tuple(place["shape"]), place["range_step"], place["azimuth_step"]))
 
 
@@ -112,18 +112,18 @@ def _any_network(description: dict[str, Any]) -> PillarNetwork | RadarNetwork:
 
 
 def _load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) -> tuple[Made, dict[str, Any]]:
-    """Read the weights and the description of a network that `make` makes of the description."""
+    """Read weights and description; `make` makes the network from the description."""
     path = _checked_path(path)
     beside = path.with_suffix(".json")
     for file in (path, beside):
         if not file.is_file():
-            raise FileNotFoundError(f"{file} is not there: `ogm train` writes two files, {path.name} and {beside.name}")
+            raise FileNotFoundError(f"there is no {file}: `ogm train` writes two files, {path.name} and {beside.name}")
     description = read_description(beside)
     try:
-        with torch.device("meta"):  # its names and shapes, without memory for them
+        with torch.device("meta"):  # names and shapes without memory
             wanted = make(description).state_dict()
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError) as error:
-        raise OgmError(f"{beside} describes no network that can be made: {error}") from error
+        raise OgmError(f"{beside} describes no valid network: {error}; restore both files") from error
     weights = _read_weights(path, wanted)
     _check_sums(path, beside, description)
     network = make(description)
@@ -132,28 +132,28 @@ def _load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) 
 
 
 def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Read the weights of these names, shapes and types."""
+    """Read weights and check their names, shapes, types and values."""
     try:
-        weights = load(read_bytes(path)[0])  # not mapped: a file that is cut meanwhile would end the process
+        weights = load(read_bytes(path)[0])  # not memory-mapped: truncation of a mapped file would end the process
     except OgmError:
         raise
     except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
-        raise OgmError(f"{path} is not a whole file of weights (.safetensors): {error}") from error
+        raise OgmError(f"{path} is no complete file of weights (.safetensors): {error}; restore it") from error
     if odd := sorted(set(weights) ^ set(wanted)):
-        text = f"does not hold the weights of its description: {len(odd)} names differ, such as {odd[0]}"
-        raise OgmError(f"{path} {text}")
+        differing = f"{len(odd)} names differ, such as {odd[0]}"
+        raise OgmError(f"{path} has other weights than its description: {differing}; restore both files")
     for name, value in weights.items():
         if value.shape != wanted[name].shape:
             raise OgmError(f"{path} has {name} of shape {list(value.shape)}, wanted {list(wanted[name].shape)}")
         if value.dtype != wanted[name].dtype:
             raise OgmError(f"{path} has {name} as {value.dtype}, wanted {wanted[name].dtype}")
         if not torch.isfinite(value).all() or (name.endswith("running_var") and (value < 0).any()):
-            raise OgmError(f"{path} has variances below 0, or weights that are NaN or infinite, in {name}")
+            raise OgmError(f"{path} has variances below 0, or NaN or infinite weights, in {name}: restore it")
     return weights
 
 
 def _check_sums(path: Path, beside: Path, description: Mapping[str, Any]) -> None:
-    """Compare the checksums of the description, if it has some, with both files."""
+    """Compare both files with the checksums in the description, if it has checksums."""
     if "sha256" not in description:
         return
     for file, part, found in (
@@ -162,11 +162,11 @@ def _check_sums(path: Path, beside: Path, description: Mapping[str, Any]) -> Non
     ):
         wanted = description["sha256"]
         if not isinstance(wanted, dict) or wanted.get(part) != found:
-            raise OgmError(f"{file} is damaged: its SHA-256 is not that of {beside} under sha256, {part}; restore both")
+            raise OgmError(f"{file} is damaged: its SHA-256 differs from sha256, {part} in {beside}; restore both")
 
 
 def _check_config(config: NetworkConfig) -> None:
-    """Refuse sizes that would fill the memory before the weights are read."""
+    """Raise ValueError for sizes that would exhaust the memory, before the weights are read."""
     low, high = config.z_range
     good = (
         _are_sizes([config.pillar, config.up], config.blocks)
@@ -178,17 +178,17 @@ def _check_config(config: NetworkConfig) -> None:
         and 0 <= config.dropout < 1
     )
     if not good:
-        raise ValueError(f"a size, a range or a choice is out of its limits in {config}")
+        raise ValueError(f"a size, a range or a choice is invalid in {config}")
 
 
 def _are_sizes(others: list[int], blocks: tuple[tuple[int, int], ...]) -> bool:
     sizes = [*others, *(n for block in blocks for n in block)]
-    few = 0 < len(blocks) <= 8 and all(count <= 64 for _, count in blocks)
-    return few and all(type(n) is int and 0 < n <= 4096 for n in sizes)
+    small = 0 < len(blocks) <= 8 and all(count <= 64 for _, count in blocks)
+    return small and all(type(n) is int and 0 < n <= 4096 for n in sizes)
 
 
 def _checked_path(path: str | os.PathLike[str]) -> Path:
     path = Path(path)
     if path.suffix != ".safetensors":
-        raise OgmError(f"weights are kept as .safetensors, got {path}")
+        raise OgmError(f"weights must be named .safetensors, got {path}: rename the file")
     return path

@@ -1,10 +1,10 @@
-"""Training data: frames of a data set, augmented, as pillars and truth.
+"""Training data of lidars: augmented frames of a dataset as pillars and truth.
 
-The augmentation of a frame follows from the seed, the epoch and the frame's number alone: a training that is
-resumed, or that runs on more processes, sees the same.
+The augmentation of a frame depends only on the seed, the epoch and the frame's number. A resumed training, or a
+training on more processes, therefore gets the same data.
 
 >>> from ogm.deep.data import PLAIN, Augmentation
->>> PLAIN.turn, Augmentation().turn, Augmentation(sector=0.25).sector       # shares of the frames
+>>> PLAIN.turn, Augmentation().turn, Augmentation(sector=0.25).sector       # shares of frames
 (0, 0.5, 0.25)
 """
 
@@ -30,31 +30,31 @@ __all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "FrameDataset", "Pillar
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How a frame is changed before a network is trained on it. Zeros change nothing.
+    """Random changes of the frames that a network is trained on. Zero disables a change.
 
     Parameters
     ----------
     turn : float
-        Share of frames that are turned by any angle; the rest keep their heading.
+        Share of frames that are rotated by a random angle around the vertical axis.
     mirror : float
         Share of frames with left and right exchanged.
     gain : float
         Standard deviation of the logarithm of a factor on all intensities.
     no_intensity : float
-        Share of frames whose intensities are all 0, as of a sensor that has none.
+        Share of frames with all intensities set to 0, as from a sensor without intensities.
     layers : float
-        Share of frames that lose layers, each with a probability between 0 and 1/2. Frames whose scan has no
-        rings keep all.
+        Share of frames that lose layers, each with a probability drawn from 0 to 1/2. Scans without rings lose no
+        layers.
     points : float
-        Share of frames that lose points, each with a probability between 0 and 0.3.
+        Share of frames that lose points, each with a probability drawn from 0 to 0.3.
     noise : float
-        Largest standard deviation of an error in range [m]; each frame has its own.
+        Largest standard deviation of the range error [m]; the standard deviation of each frame is drawn from 0 to it.
     height : float
         Standard deviation of the error in the sensor's height [m].
     tilt : float
-        Standard deviation of errors in pitch and in roll [rad].
+        Standard deviation of the errors in pitch and in roll [rad].
     sector : float
-        Share of frames of which a sector of 60 to 270 degrees is left; the truth outside becomes unknown.
+        Share of frames cut to a sector of 60 to 270 degrees; the truth outside becomes unknown.
     """
 
     turn: float = 0.5
@@ -69,20 +69,21 @@ class Augmentation:
     sector: float = 0.0
 
 
-ROTATION = Augmentation(1, 0, 0, 0, 0, 0, 0, 0, 0, 0)  # van Kempen et al. 2021: rotation alone
+ROTATION = Augmentation(1, 0, 0, 0, 0, 0, 0, 0, 0, 0)  # van Kempen et al. 2021: only rotation
 PLAIN = Augmentation(0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 class Batch(NamedTuple):
-    """Some frames, ready for a network.
+    """Batch of lidar frames for a network.
 
     Attributes
     ----------
     pillars : Pillars
+        Points of the frames, sorted by cell.
     state : (batch, nx, ny) uint8
         True states, values of `ogm.state.CellState`.
     numbers : list of int
-        The frames' numbers in their data set.
+        Numbers of the frames in their dataset.
     """
 
     pillars: Pillars
@@ -90,24 +91,24 @@ class Batch(NamedTuple):
     numbers: list[int]
 
     def inputs(self, device: torch.device) -> Pillars:
-        """Return what the network takes, on a device."""
+        """Return the network's input on a device."""
         return self.pillars.to(device)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what the network takes, to be saved."""
+        """Return the network's input as arrays to save."""
         return {name: getattr(self.pillars, name).numpy() for name in ("features", "lengths", "cells")}
 
     @classmethod
     def joined(cls, batches: "Sequence[Batch]") -> "Batch":
-        """Make one batch of some batches of one."""
+        """Join batches to a larger batch."""
         nx, ny = batches[0].state.shape[1:]
         pillars, states, numbers = zip(*batches, strict=True)
-        return cls(collate(pillars, nx * ny), torch.cat(states), [number for some in numbers for number in some])
+        return cls(collate(pillars, nx * ny), torch.cat(states), sum(numbers, []))
 
 
 @dataclass(eq=False)
 class FrameDataset(Dataset[Any]):
-    """Frames as batches of one, for a network.
+    """Base class of datasets that give each frame as a batch.
 
     Parameters
     ----------
@@ -122,28 +123,30 @@ class FrameDataset(Dataset[Any]):
 
     @property
     def shards(self) -> NDArray[np.int64] | None:
-        """The shard of each frame, if their data set knows it."""
+        """Shard of each frame, (N,), if the dataset has shards."""
         return getattr(self.frames, "shards", None)
 
 
 @dataclass(eq=False)
 class PillarDataset(FrameDataset):
-    """Frames of lidars as batches of one.
+    """Lidar frames, each as a batch.
 
     Parameters
     ----------
     frames : sequence of Frame
         See `FrameDataset`.
     spec : GridSpec
-        The network's grid, around the sensor.
+        Grid of the network, around the sensor.
     augmentation : Augmentation
+        Random changes of the frames.
     z_range : (float, float)
-        Heights above the ground that are kept [m].
+        Heights above the ground of the points to keep [m].
     seed : int
+        Seed of the random changes.
     most_pillars, most_points : int
-        If above 0, the paper's limits; see `ogm.deep.pillars.cap_pillars`.
+        Limits of pillars per scan and points per pillar, see `ogm.deep.pillars.cap_pillars`; 0 for no limit.
     rays : bool
-        Whether the network takes the masses of rays.
+        Whether the network takes the masses of `ogm.geometric.RayISM` as input.
     """
 
     spec: GridSpec
@@ -155,7 +158,7 @@ class PillarDataset(FrameDataset):
     rays: bool = False
 
     def __getitem__(self, key: "int | tuple[int, int]") -> Batch:
-        """Return frame i, as augmented in an epoch if the key is (epoch, i)."""
+        """Return frame i with the augmentation of epoch 0, or of the epoch in a key (epoch, i)."""
         epoch, i = key if isinstance(key, tuple) else (0, key)
         rng = np.random.default_rng((self.seed, epoch, i))
         frame = self.frames[i]
@@ -171,20 +174,20 @@ class PillarDataset(FrameDataset):
 
 
 def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple[float, float]]:
-    """Return the ranges of a data set that `DeepISM` compares scans with.
+    """Return ranges of the training data, with which `DeepISM` compares scans.
 
     Parameters
     ----------
     dataset : PillarDataset
     count : int
-        Frames that are read at most, evenly spread; of data sets in object stores, evenly spread shards of frames.
+        Largest number of frames to read, evenly spaced; from object stores, frames of evenly spaced shards.
 
     Returns
     -------
-    dict
-        ``height``: of the sensor above ground [m]. ``points``: in a scan. ``intensity``: a scan's mean on the grid, of
-        98 % of the scans, widened by two standard deviations of the augmentation's factor. ``ground``: 1 for a scan
-        that shows the ground, else 0.
+    dict of str to (float, float)
+        ``height``: sensor height above ground [m]. ``points``: number of points of a scan. ``intensity``: central
+        98 % of the mean intensities of scans on the grid, widened by two standard deviations of the augmentation's
+        gain. ``ground``: 1 for a scan that shows the ground, else 0.
     """
     rows, shards = [], dataset.shards
     chosen = np.linspace(0, len(dataset) - 1, count).astype(int)
@@ -208,29 +211,30 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
 def augment(
     frame: Frame, spec: GridSpec, augmentation: Augmentation, rng: np.random.Generator
 ) -> tuple[Scan, float, NDArray[np.uint8]]:
-    """Change a frame as another drive, another sensor or another calibration would.
+    """Return a randomly changed frame, as from another drive, sensor or calibration.
 
-    Turning, mirroring and cutting to a sector change points and truth alike; all else changes the points alone.
+    Rotating, mirroring and cutting to a sector change points and truth alike; the other changes affect only points.
 
     Parameters
     ----------
     frame : Frame
-        Its sensor hardly tilts. A truth of the extent `ogm.truth.TRUTH_SPEC` keeps all cells known at any angle;
-        cells from outside its extent become `CellState.IGNORE`.
+        Frame of a nearly level sensor. A truth of the extent of `ogm.truth.TRUTH_SPEC` covers `spec` at any angle;
+        cells from outside the extent of the truth become `CellState.IGNORE`.
     spec : GridSpec
-        The grid to fill, around the sensor.
+        Grid of the returned truth, around the sensor.
     augmentation : Augmentation
+        Random changes.
     rng : Generator
 
     Returns
     -------
     scan : Scan
-        Points with x, y [m] around the sensor, z above the ground under it [m], intensity [0, 1]; and the directions of
-        beams without echo.
+        Points with x, y relative to the sensor [m], z above the ground below it [m], intensity [0, 1]; and the
+        directions of beams without echo.
     height : float
-        Of the sensor, which is at x = y = 0, above the ground [m].
+        Height of the sensor, which is at x = y = 0, above the ground [m].
     state : (nx, ny) uint8
-        The truth on `spec`.
+        Truth on `spec`.
 
     Raises
     ------
@@ -239,9 +243,9 @@ def augment(
     """
     a, scan, truth = augmentation, frame.scan, frame.truth
     if truth is None:
-        raise ValueError(f"frame {frame.name!r} has no truth to train on; open a data set that has")
+        raise ValueError(f"frame {frame.name!r} has no truth to train on: open a dataset with truth")
     T, _ = to_ground_frame(frame.mount)
-    # All numbers are drawn whether they are used or not: a share of 0 leaves the others' as they are.
+    # All numbers are drawn, used or not, so a share of 0 does not change the other random numbers.
     yaw = rng.uniform(-np.pi, np.pi) if rng.random() < a.turn else 0.0
     mirrored = rng.random() < a.mirror
     gain = float(np.exp(a.gain * rng.standard_normal())) * (rng.random() >= a.no_intensity)
@@ -260,7 +264,7 @@ def augment(
     points = scan.points[keep] if lost_layers or lost_points else scan.points.copy()
     errors = noise * rng.standard_normal(len(points), np.float32) if noise else np.zeros(len(points), np.float32)
     c, s, flip = np.cos(yaw), np.sin(yaw), -1.0 if mirrored else 1.0
-    # Small angles: z changes by -pitch x + roll y, x and y hardly; so too with the tilt that the mount has.
+    # Small angles: z changes by -pitch x + roll y; changes of x and y are neglected, also for the tilt of the mount.
     matrix = np.zeros((3, 4))
     matrix[:2, :2] = [[c, -s * flip], [s, c * flip]]
     matrix[:2, 3] = matrix[:2, :2] @ T[:2, 3]
@@ -279,14 +283,14 @@ def augment(
 
 
 def _in_sector(x: NDArray[Any], y: NDArray[Any], middle: float, half: float) -> NDArray[np.bool_]:
-    """Return whether places are within an angle of a bearing, as seen from x = y = 0."""
+    """Return whether positions are within `half` of the azimuth `middle` [rad], seen from x = y = 0."""
     inside: NDArray[np.bool_] = np.cos(np.arctan2(y, x) - middle) >= np.cos(half)
     return inside
 
 
 @kernel
 def _disturb(points: NDArray[Any], errors: NDArray[Any], T: NDArray[Any], gain: np.float32) -> None:
-    """Add errors along the rays, apply T, and scale the intensities, in place."""
+    """Add range errors, apply T, and scale the intensities, in place."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         stretch = 1 + errors[i] / max(np.sqrt(x * x + y * y + z * z), np.float32(0.5))

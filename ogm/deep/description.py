@@ -1,4 +1,4 @@
-"""The description of weights: NAME.json of NAME.safetensors, and in an exported network."""
+"""Description of weights: NAME.json next to NAME.safetensors, or metadata of an exported network."""
 
 import hashlib
 import json
@@ -24,11 +24,11 @@ def read_description(path: Path) -> dict[str, Any]:
     """
     try:
         if path.stat().st_size > _MAX_SIZE:
-            raise ValueError(f"it has {path.stat().st_size} bytes")
+            raise ValueError(f"it has {path.stat().st_size} bytes, wanted at most {_MAX_SIZE}")
         description: dict[str, Any] = json.loads(path.read_bytes())
         found = description["format"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise OgmError(f"{path} is no description of a network ({error!r})") from error
+        raise OgmError(f"{path} is no description of a network ({error!r}): restore the file") from error
     if found != FORMAT:
         hint = update_hint(found, FORMAT)
         raise OgmError(f"{path} has the format {found!r}, this version of ogm reads {FORMAT}{hint}")
@@ -40,13 +40,13 @@ def read_description(path: Path) -> dict[str, Any]:
 
 
 def description_checksum(description: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a description but its entry ``sha256``, as JSON with sorted keys."""
+    """Return the SHA-256 of a description without its entry ``sha256``, as JSON with sorted keys."""
     rest = {name: value for name, value in description.items() if name != "sha256"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def check_description(description: dict[str, Any]) -> None:
-    """Raise a ValueError if the ranges of the training data are impossible: `DeepISM` compares scans with them."""
+    """Raise ValueError if the ranges of the training data, which `DeepISM` uses, are impossible."""
     ranges = description.get("seen", {})
     good = isinstance(ranges, dict) and set(ranges) <= {"height", "points", "intensity", "ground"}
     for pair in ranges.values() if isinstance(ranges, dict) else ():
@@ -57,6 +57,6 @@ def check_description(description: dict[str, Any]) -> None:
 
 
 def grid_of(description: dict[str, Any]) -> GridSpec:
-    """Return the grid of the training; a ValueError, KeyError or TypeError if there is none."""
+    """Return the grid of the training; raise ValueError, KeyError or TypeError without a valid grid."""
     place = description["spec"]
     return GridSpec(place["resolution"], tuple(place["shape"]), tuple(place["origin"]))

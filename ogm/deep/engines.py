@@ -1,4 +1,4 @@
-"""Weights by name or by path, and the engine that runs them: ONNX Runtime, OpenVINO or torch.
+"""Weights by name or path, and engines to run them: ONNX Runtime, OpenVINO or torch.
 
 >>> from ogm.deep.engines import weights_of
 >>> with weights_of("lite") as path:
@@ -13,22 +13,23 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ogm.deep.onnx_engine import OnnxEngine
+from ogm.deep.onnx_file import exported_from
 from ogm.extras import install_line
 from ogm.storage.files import OgmError
 
 if TYPE_CHECKING:
-    from ogm.deep.onnx_engine import OnnxEngine
     from ogm.deep.torch_engine import TorchEngine
 
     Engine = OnnxEngine | TorchEngine
 
 __all__ = ["ENGINES", "SHIPPED", "load_engine", "weights_of"]
 
-SHIPPED = ("lite", "radar")  # weights in the package, also exported
+SHIPPED = ("lite", "radar")  # names of the weights in the package, which are also exported
 ENGINES = ("onnxruntime", "openvino", "torch")
 _TORCH = (
-    f"{install_line('train')} adds it (on a machine without an NVIDIA GPU install PyTorch's CPU build first), "
-    "or export the weights where it is: ogm export WEIGHTS --out NAME.onnx"
+    f"{install_line('train')} (on a machine without an NVIDIA GPU install PyTorch's CPU build first), or export the "
+    "weights on a machine with torch: ogm export WEIGHTS --out NAME.onnx"
 )
 
 
@@ -41,23 +42,23 @@ def load_engine(
     device: Any = "cpu",
     compile: bool = False,
 ) -> "Engine":
-    """Return a network that is ready to run.
+    """Load a network into an engine that runs it.
 
     Parameters
     ----------
     source : "lite", or path
-        Weights that come with the package, a file of weights (``.safetensors``) or a run's folder, for its best ones,
-        or an exported network (``.onnx``).
+        Weights in the package, a file of weights (``.safetensors``), the folder of a run (its best weights), or an
+        exported network (``.onnx``).
     engine : "onnxruntime", "openvino" or "torch", optional
-        Package that computes. By default ONNX Runtime if the weights are exported, as the weights in the package are;
-        else, and for another `device` or `compile`, torch.
+        Package that runs the network. By default ONNX Runtime if the weights are exported, such as the weights in the
+        package; otherwise, and for another `device` or `compile`, torch.
     precision : "int8", "float32" or "bfloat16", optional
-        Number format of the convolutions. ONNX Runtime computes in float32, or in 8-bit integers where such an export
-        lies next to the weights (``NAME.int8.onnx``), which is then the default. The others compute in float32, the
-        default, or bfloat16.
+        Number format of the convolutions. ONNX Runtime computes in float32, or in 8-bit integers if such an export
+        lies next to the weights (``NAME.int8.onnx``), which is then the default. The other engines compute in float32,
+        the default, or bfloat16.
     threads, device, compile
-        See `ogm.deep.onnx_engine.OnnxEngine` and `ogm.deep.torch_engine.TorchEngine`. ``threads`` is not torch's
-        (``torch.set_num_threads``), the last two are torch's alone.
+        See `ogm.deep.exported.ExportedNetwork` and `ogm.deep.torch_engine.TorchEngine`. `threads` is not for torch
+        (see ``torch.set_num_threads``); `device` and `compile` are only for torch.
 
     Returns
     -------
@@ -72,13 +73,13 @@ def load_engine(
     ValueError
         If there is no such engine, or it lacks an option.
     ImportError
-        If the engine is not installed; the message holds the pip command that adds it.
+        If the engine is not installed; the message holds the pip command to install it.
     """
     if engine is not None and engine not in ENGINES:
-        raise ValueError(f"the engine is {', '.join(ENGINES)}, got {engine!r}")
+        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
     of_torch = compile or str(device) != "cpu"
     if of_torch and engine not in (None, "torch"):
-        raise ValueError(f"device and compile are torch's, got the engine {engine!r}; leave them out")
+        raise ValueError(f"device and compile are for the engine torch, got {engine!r}: leave them out")
     with weights_of(source) as path:
         if engine != "torch" and not of_torch:
             exported = _export_of(path, engine, precision)
@@ -89,25 +90,24 @@ def load_engine(
         if precision == "int8":
             raise ValueError("torch computes in float32 or bfloat16, got the precision 'int8': use onnxruntime")
         if path.suffix == ".onnx":
-            raise OgmError(f"{path} is exported: torch takes weights (.safetensors)")
+            raise OgmError(f"{path} is an exported network, wanted weights (.safetensors) for the engine torch")
         if threads is not None:
-            raise ValueError("threads are not for the engine torch: torch.set_num_threads sets them")
+            raise ValueError("threads is not for the engine torch: leave it out and call torch.set_num_threads")
         load_network, TorchEngine = _of_torch()
         network, description = load_network(path)
-        of_weights: Engine = TorchEngine(
-            network, device=device, compile=compile, precision=precision or "float32", description=description
-        )
-        return of_weights
+        options: dict[str, Any] = {"device": device, "compile": compile, "precision": precision or "float32"}
+        torch_engine: Engine = TorchEngine(network, description=description, **options)
+        return torch_engine
 
 
 @contextmanager
 def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
-    """Return the file of weights that a name, a run's folder, or a file stands for.
+    """Yield the file of weights for a name, the folder of a run, or a file.
 
     Raises
     ------
     FileNotFoundError
-        If `source` is none of them.
+        If `source` is no name, folder or file of weights.
     """
     if str(source) in SHIPPED:
         with as_file(files("ogm") / "data") as folder:
@@ -117,11 +117,8 @@ def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
     if path.is_dir():
         path /= "best.safetensors"
     elif path.suffix not in (".safetensors", ".onnx"):
-        known = (
-            f"{' or '.join(map(repr, SHIPPED))}, the .safetensors file or the folder that `ogm train` wrote, or the "
-            ".onnx file that `ogm export` wrote"
-        )
-        raise FileNotFoundError(f"there are no weights {str(source)!r}: give {known}")
+        known = f"{' or '.join(map(repr, SHIPPED))}, the folder or .safetensors file of `ogm train`"
+        raise FileNotFoundError(f"there are no weights {str(source)!r}: give {known}, or the .onnx of `ogm export`")
     yield path
 
 
@@ -130,8 +127,6 @@ _ENDINGS = {"int8": ".int8.onnx", "float32": ".onnx"}  # of exports
 
 def _export_of(path: Path, engine: str | None, precision: str | None) -> Path | None:
     """Return the exported network for weights: the file itself, or one in its folder that was exported from it."""
-    from ogm.deep.onnx_file import exported_from
-
     if path.suffix == ".onnx" and path.is_file():
         return path
     allowed = ("int8", "float32") if precision is None and engine != "openvino" else (_stored(precision),)
@@ -147,10 +142,8 @@ def _stored(precision: str | None) -> str:
     return "int8" if precision == "int8" else "float32"
 
 
-def _opened(path: Path, engine: str, precision: str | None, threads: int | None) -> "OnnxEngine":
+def _opened(path: Path, engine: str, precision: str | None, threads: int | None) -> OnnxEngine:
     """Return the engine of an exported network."""
-    from ogm.deep.onnx_engine import OnnxEngine
-
     computed = "bfloat16" if precision == "bfloat16" else "float32"
     if engine == "openvino" and precision == "int8":
         raise ValueError("openvino computes in float32 or bfloat16, got the precision 'int8': use onnxruntime")
@@ -175,5 +168,5 @@ def _of_torch() -> tuple[Any, Any]:
         from ogm.deep.checkpoint import load_network
         from ogm.deep.torch_engine import TorchEngine
     except ImportError as error:
-        raise ImportError(f"the engine torch lacks a package ({error}): {_TORCH}") from error
+        raise ImportError(f"the engine torch needs a package that is missing ({error}): {_TORCH}") from error
     return load_network, TorchEngine

@@ -1,4 +1,4 @@
-"""The parts of networks that are exported: modules of operations that ONNX has, their arrays and metadata."""
+"""Parts of an exported network: module of ONNX operations, example inputs and metadata."""
 
 import json
 import math
@@ -19,24 +19,24 @@ from ogm.deep.torch_engine import folded, fused
 
 
 class ExportParts(NamedTuple):
-    """A network as it is exported.
+    """Parts of a network for the export.
 
     Attributes
     ----------
     module : Module
-        Computes the output from the inputs.
+        Module that computes the output from the inputs.
     inputs : dict of str to Tensor
         Example inputs by name.
     output : str
         Name of the output.
     shapes : dict, optional
-        Axes that are not fixed, as `torch.onnx.export` takes them.
+        Axes of variable length, the ``dynamic_shapes`` of `torch.onnx.export`.
     metadata : dict of str to str
-        Metadata of the file. Entries with the name of an input or output become its documentation, too.
+        Metadata of the file. An entry with the name of an input or output is also its documentation.
     about : str
         Documentation of the model.
     facts : dict of str to str
-        Names and values that describe the file, to be printed.
+        Names and values that describe the file, to print.
     """
 
     module: nn.Module
@@ -49,7 +49,7 @@ class ExportParts(NamedTuple):
 
 
 def lidar_parts(network: PillarNetwork, given: Mapping[str, str]) -> ExportParts:
-    """Return the parts of a network of lidars, from the feature map to belief masses.
+    """Return the parts of a lidar network, from the feature map to belief masses.
 
     Parameters
     ----------
@@ -58,7 +58,8 @@ def lidar_parts(network: PillarNetwork, given: Mapping[str, str]) -> ExportParts
         Further metadata: description and checksum of the weights.
     """
     module = _Masses(network).eval()
-    config, spec, channels = network.config, network.spec, _channels(network)
+    config, spec = network.config, network.spec
+    channels = config.pillar + 2 * config.rays
     kx, ky = torch.export.Dim("nx"), torch.export.Dim("ny")  # in units of the multiple
     multiple = config.stride
     nx, ny = 4 * multiple, 2 * multiple
@@ -78,7 +79,7 @@ def lidar_parts(network: PillarNetwork, given: Mapping[str, str]) -> ExportParts
 
 
 def radar_parts(network: RadarNetwork, given: Mapping[str, str]) -> ExportParts:
-    """Return the parts of a network of radars, from polar features to evidence; see `lidar_parts`."""
+    """Return the parts of a radar network, from polar features to evidence; see `lidar_parts`."""
     polar, shape = network.spec, (1, len(CHANNELS), *network.spec.shape)
     metadata = {
         "format": RADAR_FORMAT,
@@ -100,12 +101,12 @@ def radar_parts(network: RadarNetwork, given: Mapping[str, str]) -> ExportParts:
 
 
 class _Masses(nn.Module):
-    """From the feature map to belief masses, of operations that ONNX has."""
+    """Module from the feature map to belief masses, built of ONNX operations."""
 
     def __init__(self, network: PillarNetwork) -> None:
         super().__init__()
         if isinstance(network.pillar.norm, nn.Identity):
-            raise ValueError("the network is fused already: give the one that load_network returns")
+            raise ValueError("the network is already fused, wanted the network of load_network")
         self.network = fused(network).cpu()
 
     def forward(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
@@ -117,7 +118,7 @@ class _Masses(nn.Module):
 
 
 class _Evidence(nn.Module):
-    """From polar features to evidence, of operations that ONNX has."""
+    """Module from polar features to evidence, built of ONNX operations."""
 
     def __init__(self, network: RadarNetwork) -> None:
         super().__init__()
@@ -128,58 +129,47 @@ class _Evidence(nn.Module):
 
 
 def _softplus(x: torch.Tensor) -> torch.Tensor:
-    """Return ln(1 + exp(x)), of operations that the runtimes have vectorised."""
-    return torch.relu(torch.relu(x) + torch.log(1 + torch.exp(-torch.abs(x))))  # OpenVINO's ln(1) is -1e-6
+    """Return ln(1 + exp(x)), built of operations that runtimes vectorise."""
+    return torch.relu(torch.relu(x) + torch.log(1 + torch.exp(-torch.abs(x))))  # outer relu: OpenVINO's ln(1) is -1e-6
 
 
 def _input(network: PillarNetwork) -> dict[str, str]:
-    """Return the metadata from which the feature map is made; of a fused network."""
+    """Return the metadata to compute the feature map, from a fused network."""
     linear = network.pillar.linear
     numbers = {
         "weight": [[float(f"{value:.9g}") for value in row] for row in linear.weight.detach().T.tolist()],
         "bias": [float(f"{value:.9g}") for value in linear.bias.detach().tolist()],
-        "rays": _has_rays(network),
+        "rays": network.config.rays,
         "z_range": list(network.config.z_range),
         "multiple": network.config.stride,
     }
     return {"input": json.dumps(numbers)}
 
 
-def _channels(network: PillarNetwork) -> int:
-    """Return the channels of the feature map: the inputs of the first convolution."""
-    block: Any = network.blocks[0]
-    first = block[0][0]
-    return int(getattr(first, "conv", first).in_channels)
-
-
-def _has_rays(network: PillarNetwork) -> bool:
-    return _channels(network) == network.config.pillar + 2
-
-
 def _documentation(network: PillarNetwork) -> dict[str, str]:
-    """Return the metadata that explain the arrays."""
+    """Return the metadata that document the arrays."""
     spec, (nx, ny), (low, high) = network.spec, network.spec.shape, network.config.z_range
     return {
         "format": FORMAT,
         "features": (
-            "Of each point: x, y, z [m], intensity [0, 1]; x, y, z less the mean of all points in the point's cell "
-            "[m]; x, y less the center of the cell [m]. x is forward, y left, z up; x = y = 0 at the sensor, z = 0 "
-            f"on the ground below it. Only points with {low} <= z < {high}, on the grid, finite, and not of the ego "
-            f"vehicle. The cell: ix = floor((x - ({spec.origin[0]})) / {spec.resolution}) in 0 ... {nx - 1}, "
+            "For each point: x, y, z [m], intensity [0, 1]; x, y, z minus the mean of all points in the point's cell "
+            "[m]; x, y minus the center of the cell [m]. x is forward, y left, z up; x = y = 0 at the sensor, z = 0 "
+            f"on the ground below it. Only finite points on the grid with {low} <= z < {high} that are not on the ego "
+            f"vehicle. Cell: ix = floor((x - ({spec.origin[0]})) / {spec.resolution}) in 0 ... {nx - 1}, "
             f"iy = floor((y - ({spec.origin[1]})) / {spec.resolution}) in 0 ... {ny - 1}; other grids of the same "
-            f"resolution may be given, of whole multiples of {network.config.stride} cells."
+            f"resolution are allowed, with sides of multiples of {network.config.stride} cells."
         ),
         "feature_map": (
-            "[0, ix, iy, c]: of the points in the cell the largest max(0, features @ weight[:, c] + bias[c]), with "
-            "weight and bias from the metadata 'input'; 0 where no point is. If its 'rays' is true, two more channels: "
-            "the masses free and occupied of ogm.geometric.RayISM."
+            "[0, ix, iy, c]: maximum over the points in the cell of max(0, features @ weight[:, c] + bias[c]), with "
+            "weight and bias from the metadata 'input'; 0 in cells without points. If its 'rays' is true, two more "
+            "channels: the masses free and occupied of ogm.geometric.RayISM."
         ),
         "sensor_coords": (
-            "[0, k, ix // 4, iy // 4]: of each 4 x 4 cells r / 40 m, ln(r / 10 m), x / r and y / r, with x, y and "
-            "r = sqrt(x**2 + y**2), at least one cell's side, of their middle. Wanted by networks with bearings."
+            "[0, k, ix // 4, iy // 4]: for each block of 4 x 4 cells r / 40 m, ln(r / 10 m), x / r and y / r, with the "
+            "center (x, y) of the block and r = sqrt(x**2 + y**2), at least one cell. For networks with bearings."
         ),
         "mass": (
-            "Belief masses of each cell, [ix, iy, state]: free, then occupied. Unknown is 1 less both. "
+            "Belief masses of each cell, [ix, iy, state]: free, then occupied. Unknown is 1 minus their sum. "
             "Evidence is 2 * mass / unknown."
         ),
     }

@@ -1,19 +1,17 @@
-"""An exported network, opened by ONNX Runtime or by OpenVINO: inference without torch."""
+"""Exported networks run by ONNX Runtime or OpenVINO, without torch."""
 
 import hashlib
-import importlib
 import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from types import ModuleType
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.extras import install_line
+from ogm.extras import import_extra
 from ogm.storage.files import OgmError
 
 Inputs = Mapping[str, NDArray[np.float32]]
@@ -21,18 +19,18 @@ Run = Callable[[Inputs], NDArray[np.float32]]
 
 
 class ExportedNetwork(ABC):
-    """An exported network that is ready to run: of lidars (`OnnxEngine`) or of radars (`RadarOnnxEngine`).
+    """Base class of `OnnxEngine` (lidar) and `RadarOnnxEngine`, which run an exported network.
 
     Parameters
     ----------
     path : path
-        File that `ogm.deep.export.export_onnx` wrote.
+        File of `ogm.deep.export.export_onnx`.
     runtime : "onnxruntime" or "openvino"
-        Package that computes.
+        Package that runs the network.
     precision : "float32" or "bfloat16"
         Number format of the convolutions of a network that was exported in float32. bfloat16 needs OpenVINO.
     threads : int, optional
-        Number of threads that compute one scan. By default `default_threads`.
+        Number of threads for one scan. By default `default_threads`.
 
     Attributes
     ----------
@@ -46,14 +44,14 @@ class ExportedNetwork(ABC):
     OgmError
         If the file is damaged or of another kind.
     ValueError
-        If the runtime lacks the precision.
+        If the runtime does not support the precision.
     ImportError
-        If the runtime is not installed; the message holds the pip command that adds it.
+        If the runtime is not installed; the message holds the pip command to install it.
 
     Notes
     -----
-    Threads may share a network. It is pickled by its path. The same scan gives the same result, bit by bit, on the same
-    machine with the same number of threads.
+    Networks are thread-safe and pickled by path. The same scan gives the same result bit by bit, on the same machine
+    with the same number of threads.
     """
 
     description: dict[str, Any]
@@ -70,9 +68,9 @@ class ExportedNetwork(ABC):
         threads: int | None = None,
     ) -> None:
         if precision not in ("float32", "bfloat16"):
-            raise ValueError(f"the precision is float32 or bfloat16, got {precision!r}")
+            raise ValueError(f"precision must be float32 or bfloat16, got {precision!r}")
         if runtime == "onnxruntime" and precision != "float32":
-            raise ValueError(f"ONNX Runtime computes in float32, got {precision!r}; openvino and torch know it")
+            raise ValueError(f"ONNX Runtime computes in float32, got {precision!r}: use the engine openvino or torch")
         threads = default_threads() if threads is None else threads
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
@@ -86,7 +84,7 @@ class ExportedNetwork(ABC):
                 self._session, self._names = _onnxruntime(data, self.output, threads)
         except ImportError:
             raise
-        except Exception as error:  # those of the runtimes have no other parent
+        except Exception as error:  # the runtimes' errors have no common class
             raise OgmError(f"{path} cannot be run by {runtime}: {error}") from error
         if self._names not in self.inputs:
             wanted = ", or ".join(" and ".join(sorted(names)) for names in self.inputs)
@@ -97,11 +95,11 @@ class ExportedNetwork(ABC):
         """Read and check the file, keep its description, and return its bytes."""
 
     def _run(self, inputs: Inputs, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return the output of the network, an array of a shape; raise OgmError if it gives something else."""
+        """Return the output of the network; raise OgmError if it has another shape or type."""
         try:
             result = self._session(inputs)
-        except Exception as error:  # those of the runtimes have no other parent
-            raise OgmError(f"{self._path} does not fit the input that it describes: {error}") from error
+        except Exception as error:  # the runtimes' errors have no common class
+            raise OgmError(f"{self._path} does not accept the input that it describes: {error}") from error
         if result.shape != shape or result.dtype != np.float32:
             raise OgmError(f"{self._path} gives {result.dtype} {result.shape}, wanted float32 {shape}")
         return result
@@ -117,12 +115,12 @@ class ExportedNetwork(ABC):
 
 @lru_cache(4)
 def _reopened(kind: type[ExportedNetwork], path: str, runtime: str, precision: str, threads: int) -> ExportedNetwork:
-    """Return a pickled network in another process, which opens its file once."""
+    """Return an unpickled network; each process opens its file once."""
     return kind(path, runtime=runtime, precision=precision, threads=threads)
 
 
 def default_threads() -> int:
-    """Return the number of threads for a scan: ``OMP_NUM_THREADS``, as for torch, or the cores of the process."""
+    """Return the default number of threads: ``OMP_NUM_THREADS``, or the number of cores of the process."""
     given = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
     if given.isdecimal() and int(given) > 0:
         return int(given)
@@ -130,12 +128,12 @@ def default_threads() -> int:
 
 
 def _onnxruntime(data: bytes, output: str, threads: int) -> tuple[Run, set[str]]:
-    runtime = _package("onnxruntime", "deep")
+    runtime = import_extra("onnxruntime", "deep")
     options = runtime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    options.log_severity_level = 3  # errors; they are raised as well
-    # Threads that wait sleep: spinning, the default, takes the cores from whatever else runs on the vehicle.
+    options.log_severity_level = 3  # only errors
+    # Waiting threads sleep: spinning, the default, takes the cores from other programs on the vehicle.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
@@ -143,11 +141,11 @@ def _onnxruntime(data: bytes, output: str, threads: int) -> tuple[Run, set[str]]
         result: NDArray[np.float32] = session.run([output], inputs)[0]
         return result
 
-    return run, {one.name for one in session.get_inputs()}
+    return run, {node.name for node in session.get_inputs()}
 
 
 def _openvino(data: bytes, output: str, precision: str, threads: int) -> tuple[Run, set[str]]:
-    openvino = _package("openvino", "openvino")
+    openvino = import_extra("openvino", "openvino")
     core = openvino.Core()
     options = {
         "INFERENCE_PRECISION_HINT": {"float32": "f32", "bfloat16": "bf16"}[precision],
@@ -163,13 +161,4 @@ def _openvino(data: bytes, output: str, precision: str, threads: int) -> tuple[R
             result: NDArray[np.float32] = request.infer(dict(inputs), share_inputs=True)[output].copy()
             return result
 
-    return run, {one.any_name for one in compiled.inputs}
-
-
-def _package(name: str, extra: str) -> ModuleType:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ImportError(
-            f"the engine {name} needs its package, which is missing ({error}): {install_line(extra)}"
-        ) from error
+    return run, {node.any_name for node in compiled.inputs}

@@ -1,4 +1,4 @@
-"""A trained network as an inverse sensor model, with the same interface as the geometric ones."""
+"""Trained lidar network as an inverse sensor model, with the interface of the geometric models."""
 
 import logging
 import os
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ogm.deep.engines import load_engine
 from ogm.deep.points import to_ground_frame
-from ogm.geometric import shows_ground
+from ogm.geometric import RayISM, shows_ground
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.scan import Mount, Scan, as_scan, check_mount
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 
 DEFAULT_MOUNT = Mount(1.9)
-MAX_MOUNTS = 8  # for which a model keeps its parts
+MAX_MOUNTS = 8  # mounts of which a model keeps the parts
 
 _log = logging.getLogger(__name__)
-_warned: set[tuple[str, str]] = set()  # names of models and reasons, of this process
+_warned: set[tuple[str, str]] = set()  # (model name, reason) of the warnings of this process
 
 
 class DeepISM:
-    """An inverse sensor model learned from simulated scans (van Kempen et al. 2021).
+    """Inverse sensor model learned from simulated lidar scans (van Kempen et al. 2021).
 
-    One scan in, one evidential grid out, without memory from scan to scan::
+    Maps one scan to one evidential grid, without memory from scan to scan::
 
         deep = DeepISM.load("lite", mount=Mount(sensor_height=1.9))
         grid = deep(scan)
@@ -39,40 +39,43 @@ class DeepISM:
     Parameters
     ----------
     network : OnnxEngine, TorchEngine, or PillarNetwork
-        What computes, as `ogm.deep.engines.load_engine` returns it; or a network as `ogm.deep.checkpoint.load_network`
-        returns it, for torch.
+        Engine, see `ogm.deep.engines.load_engine`; or a network to run by torch, see
+        `ogm.deep.checkpoint.load_network`.
     spec : GridSpec, optional
-        The grid to fill, in the vehicle frame. By default the grid of the training, around the sensor of `mount`.
-        Another needs the same resolution; far beyond the extent of the training the network extrapolates.
+        Output grid in the vehicle frame. By default the grid of the training, around the sensor of `mount`. It must
+        have the resolution of the training; far beyond the extent of the training the network extrapolates.
     mount : Mount, optional
-        Where the sensor is mounted; by default each scan's own, `Scan.mount`, or else 1.9 m above ground. Returns from
-        the ego footprint are dropped, and its cells are unknown.
+        Mount of the sensor. By default the mount of each scan (`Scan.mount`), else 1.9 m above ground. Returns in the
+        ego footprint are dropped, and cells in it are unknown.
     description : mapping, optional
-        The JSON of the weights; its entry ``seen`` holds the ranges of the training data. By default the engine's.
+        Description of the weights, with the ranges of the training data under ``seen``. By default the engine's.
 
     Attributes
     ----------
     spec : GridSpec
-        The grid that the model fills, in the vehicle frame.
+        Output grid in the vehicle frame.
     engine : OnnxEngine or TorchEngine
+        Engine that runs the network.
 
     Raises
     ------
     TypeError, ValueError
-        If `mount` is no `Mount`, or the network cannot fill `spec`.
+        If `mount` is no `Mount`, or the network does not fit `spec`.
 
     Notes
     -----
-    Points are normalised as in training: heights are counted from the ground below the sensor, x and y from the
-    sensor. Intensities are in [0, 1], Velodyne's calibrated value / 255. A scan without intensities (three columns, or
-    all 0) is mapped without them.
+    Points are normalised as in training: heights are relative to the ground below the sensor, x and y to the sensor.
+    Intensities are in [0, 1], Velodyne's calibrated value / 255. A scan without intensities (three columns, or all 0)
+    is mapped without them.
 
-    A scan unlike the training scans is mapped too, with one warning in the log of a process for each reason and
-    name of a model. Intensities whose mean lies outside the training's range are left out, since manufacturers
-    calibrate differently. A scan of over 1.2 times the most points of the training is thinned to that number, by the
-    same random choice every time. A scan of a tenth of the fewest points of the training, or less, gives an unknown
-    grid. A scan that does not show the ground, as of a lidar of few layers, gives the masses of rays, or an unknown
-    grid by a network without them, unless the training had such scans.
+    Scans unlike the training data are mapped too, with one warning per process for each reason and model name:
+
+    * Intensities with a mean outside the training's range are ignored, since manufacturers calibrate differently.
+    * A scan with more than 1.2 times the largest number of points in training is thinned to that number, with a fixed
+      random seed.
+    * A scan with at most a tenth of the smallest number of points in training gives an unknown grid.
+    * A scan that does not show the ground, such as from a lidar with few layers, gives the masses of rays, or an
+      unknown grid if the network does not take rays. This does not apply if the training had such scans.
     """
 
     mount: Mount | None
@@ -94,7 +97,7 @@ class DeepISM:
         self.engine = engine
         self.description = dict(engine.description if description is None else description)
         x, y = (0.0, 0.0) if mount is None else map(float, mount.origin[:2])
-        self.spec = _moved(self.engine.spec, x, y) if spec is None else spec
+        self.spec = _shifted(self.engine.spec, x, y) if spec is None else spec
         ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf), "ground": (1.0, 1.0)}
         ranges |= self.description.get("seen", {})
         self._point_range, self._intensity_range, self._height_range, self._ground_range = ranges.values()
@@ -102,7 +105,7 @@ class DeepISM:
         if mount is not None:
             self._at(mount)
         elif self.spec != self.engine.spec:
-            self.engine.on(self.spec)  # raises what is wrong with the grid
+            self.engine.on(self.spec)  # raises an error for a grid that does not fit
 
     @classmethod
     def load(
@@ -117,31 +120,32 @@ class DeepISM:
         device: Any = "cpu",
         compile: bool = False,
     ) -> Self:
-        """Load weights: shipped weights by name, or a file of `ogm train` or `ogm export`.
+        """Load shipped weights by name, or weights from a file of `ogm train` or `ogm export`.
 
         Parameters
         ----------
         source : "lite", or path
-            A ``.safetensors`` file with its ``.json``, or a run's folder, for its best weights, or an
-            exported network, ``.onnx``.
+            Weights in the package, a ``.safetensors`` file next to its ``.json``, the folder of a run (its best
+            weights), or an exported network (``.onnx``).
         spec, mount
-            As of the class.
+            See `DeepISM`.
         engine : "onnxruntime", "openvino" or "torch", optional
-            What computes. By default ONNX Runtime for what is exported, as ``"lite"`` is; else torch.
+            Package that runs the network. By default ONNX Runtime for exported weights, such as ``"lite"``; else torch.
         precision : "int8", "float32" or "bfloat16", optional
             Number format of the convolutions; see `ogm.deep.engines.load_engine`. By default 8-bit integers for
             ``"lite"`` by ONNX Runtime, else float32.
         threads : int, optional
-            Of ONNX Runtime and OpenVINO. By default ``OMP_NUM_THREADS``, or the cores of the process.
+            Number of threads of ONNX Runtime and OpenVINO. By default ``OMP_NUM_THREADS``, or the number of cores of
+            the process.
         device : str or torch.device
-            Where torch runs: ``"cpu"`` or ``"cuda"``.
+            Device of torch: ``"cpu"`` or ``"cuda"``.
         compile : bool
-            Make torch faster by ``torch.compile``. The first call takes half a minute and needs a C++ compiler.
+            Whether to use ``torch.compile``. The first call takes half a minute and needs a C++ compiler.
 
         Raises
         ------
         FileNotFoundError, OgmError, ValueError, ImportError
-            As of `ogm.deep.engines.load_engine`.
+            See `ogm.deep.engines.load_engine`.
         """
         options: dict[str, Any] = {"precision": precision, "threads": threads, "device": device, "compile": compile}
         return cls(load_engine(source, engine=engine, **options), spec, mount)
@@ -152,27 +156,33 @@ class DeepISM:
         Parameters
         ----------
         scan : Scan, or (N, 4) or (N, 3) float array
-            Points that are NaN or infinite are left out.
+            Points in the sensor's frame. NaN and infinite points are left out.
         rays : (nx, ny, 2) float32, optional
-            Masses of the scan by a model that `takes_rays_of` accepts; by default they are computed.
+            Masses of the scan from a model that `takes_rays_of` accepts; by default they are computed.
         """
         return self.batch([scan], None if rays is None else [rays])[0]
 
     def takes_rays_of(self, model: "InverseSensorModel") -> bool:
-        """Return whether another model computes the same masses of rays that the network takes as input."""
-        from ogm.geometric import RayISM
-
+        """Return whether the masses of another model are the masses of rays that the network takes as input."""
         return bool(self.engine.rays) and type(model) is RayISM and vars(model) == vars(RayISM(self.spec, self.mount))
 
     def batch(
         self, scans: Sequence[Scan | NDArray[np.float32]], rays: Sequence[NDArray[np.float32]] | None = None
     ) -> list[EvidentialGrid]:
-        """Map some scans at once, which is faster on an accelerator; `rays` holds masses of each, as of a call."""
+        """Map several scans together, which is faster on an accelerator.
+
+        Parameters
+        ----------
+        scans : sequence of Scan or array
+            See `__call__`.
+        rays : sequence of (nx, ny, 2) float32, optional
+            Masses of rays of each scan, see `__call__`.
+        """
         if not scans:
             return []
         given = [as_scan(scan) for scan in scans]
         mounts = [self.mount or scan.mount or DEFAULT_MOUNT for scan in given]
-        if len(set(mounts)) > 1:  # one engine has one place of the sensor in the grid
+        if len(set(mounts)) > 1:  # an engine has a fixed sensor position in the grid
             return [self(scan, None if rays is None else rays[k]) for k, scan in enumerate(given)]
         placed = self._at(mounts[0])
         pillars = [self._pillars(scan.points, placed) for scan in given]
@@ -181,29 +191,29 @@ class DeepISM:
         elif rays is None:
             rays = [placed.rays(scan).mass for scan in given]
         mass = placed.engine.masses(pillars, rays)
-        # The network was not trained on scans that do not show the ground: the masses of rays, or unknown
+        # Scans that do not show the ground, unlike the training data: masses of rays, or unknown
         for k, scan in enumerate(given):
             if self._ground_range[0] > 0 and not shows_ground(scan, mounts[0]):
                 mass[k] = 0 if rays is None else rays[k]
-        # Nor on cells under the ego vehicle, nor on scans without points: unknown
+        # Cells under the ego vehicle and scans without points: unknown
         mass[:, *placed.ego_cells] = 0
-        mass[[self._has_too_few(one) for one in pillars]] = 0
-        return [EvidentialGrid.trusted(self.spec, one) for one in mass]
+        mass[[self._has_too_few(scan_pillars) for scan_pillars in pillars]] = 0
+        return [EvidentialGrid.trusted(self.spec, scan_mass) for scan_mass in mass]
 
     def __repr__(self) -> str:
         return f"DeepISM({self.engine!r}, {self.spec}, {self.mount})"
 
     def _at(self, mount: Mount) -> "_Placed":
-        """Return the parts of the model for a mount; they are kept for the last mounts."""
+        """Return the parts of the model for a mount; recent mounts are cached."""
         if mount not in self._placed:
             low, high = self._height_range
             if not low - 0.1 <= mount.sensor_height <= high + 0.1:
-                height = f"sensor_height {mount.sensor_height:g} m, but in training {low:.2f} to {high:.2f} m"
+                height = f"sensor_height {mount.sensor_height:g} m, in training {low:.2f} to {high:.2f} m"
                 self._warn("height", height)
             x, y = (float(value) for value in mount.origin[:2])
-            around = _moved(self.spec, -x, -y)  # the same cells around the sensor
-            engine = self.engine if self.spec == _moved(self.engine.spec, x, y) else self.engine.on(around)
-            rays = _ray_model(self.spec, mount) if engine.rays else None
+            around = _shifted(self.spec, -x, -y)  # the same cells around the sensor
+            engine = self.engine if self.spec == _shifted(self.engine.spec, x, y) else self.engine.on(around)
+            rays = RayISM(self.spec, mount) if engine.rays else None
             if len(self._placed) >= MAX_MOUNTS:
                 self._placed.clear()
             cells = _cells_of(self.spec, mount.ego_footprint)
@@ -211,36 +221,36 @@ class DeepISM:
         return self._placed[mount]
 
     def _pillars(self, points: NDArray[np.float32], placed: "_Placed") -> Any:
-        """Normalise a scan as the training data was: SortedPoints or Pillars, as the engine takes them."""
-        most = self._point_range[1]
-        if len(points) > 1.2 * most:
+        """Normalise a scan like the training data; return SortedPoints or Pillars, depending on the engine."""
+        max_points = self._point_range[1]
+        if len(points) > 1.2 * max_points:
             points = points[np.isfinite(points).all(axis=1)]
-        if len(points) > 1.2 * most:
-            text = f"a scan of {len(points)} points, but in training at most {most:.0f}: such scans are thinned to that"
+        if len(points) > 1.2 * max_points:
+            text = f"a scan of {len(points)} points, in training at most {max_points:.0f}: such scans are thinned"
             self._warn("points", text)
-            points = points[np.random.default_rng(0).random(len(points)) < most / len(points)]
+            points = points[np.random.default_rng(0).random(len(points)) < max_points / len(points)]
         pillars: Any = placed.engine.pillars(points, placed.ego_footprint, placed.T)
         self._compare(pillars)
         return pillars
 
     def _has_too_few(self, pillars: Any) -> bool:
-        """Return whether a scan has a tenth of the fewest points of the training, or less."""
+        """Return whether a scan has at most a tenth of the smallest number of points in training."""
         return len(pillars.features) <= 0.1 * self._point_range[0]
 
     def _compare(self, pillars: Any) -> None:
-        """Compare a scan with the training scans; leave out intensities of another calibration."""
+        """Compare a scan with the training data; ignore intensities of another calibration."""
         features = pillars.features
         if self._has_too_few(pillars):
             self._warn("few", f"a scan with {len(features)} points on the grid: all cells are unknown")
             return
         intensity = features[:, 3]
-        least, most, mean = float(intensity.min()), float(intensity.max()), float(intensity.mean())
-        if most > 1 or least < 0:
-            given = f"got {least:g} ... {most:g}; divide them by their greatest value"
+        smallest, largest, mean = float(intensity.min()), float(intensity.max()), float(intensity.mean())
+        if largest > 1 or smallest < 0:
+            given = f"got {smallest:g} ... {largest:g}: divide them by their greatest value"
             raise ValueError(f"intensities must lie in [0, 1], {given}")
         low, high = self._intensity_range
-        if most > 0 and not low <= mean <= high:
-            text = f"intensities of {mean:.3f} on average, but in training {low:.3f} to {high:.3f}: they are left out"
+        if largest > 0 and not low <= mean <= high:
+            text = f"intensities of {mean:.3f} on average, in training {low:.3f} to {high:.3f}: they are left out"
             self._warn("intensity", text)
             features[:, 3] = 0
         near = features[:: max(1, len(features) // 2000), :3]
@@ -249,13 +259,11 @@ class DeepISM:
             z = near[:, 2].cpu().numpy() if hasattr(near, "cpu") else near[:, 2]
             lowest = float(np.partition(z, len(z) // 10)[len(z) // 10])
             if abs(lowest) > 0.5:
-                text = (
-                    f"the ground near the sensor seems to lie at {lowest:+.1f} m instead of 0: is sensor_height right?"
-                )
+                text = f"the ground near the sensor lies at {lowest:+.1f} m instead of 0 m: check sensor_height"
                 self._warn("ground", text)
 
     def _warn(self, reason: str, text: str) -> None:
-        """Log a warning, once for each reason and name of a model, however many objects a run makes of it."""
+        """Log a warning, once per process for each reason and model name."""
         name = PurePath(str(self.description.get("card", ""))).stem or "DeepISM"
         if (name, reason) not in _warned:
             _warned.add((name, reason))
@@ -263,7 +271,7 @@ class DeepISM:
 
 
 class _Placed(NamedTuple):
-    """The parts of a model that depend on the mount."""
+    """Parts of a model that depend on the mount."""
 
     T: NDArray[np.float64]
     ego_footprint: tuple[float, float, float, float]
@@ -272,21 +280,15 @@ class _Placed(NamedTuple):
     ego_cells: tuple[slice, slice]
 
 
-def _moved(spec: GridSpec, x: float, y: float) -> GridSpec:
+def _shifted(spec: GridSpec, x: float, y: float) -> GridSpec:
     return GridSpec(spec.resolution, spec.shape, (spec.origin[0] + x, spec.origin[1] + y))
 
 
 def _cells_of(spec: GridSpec, box: tuple[float, float, float, float]) -> tuple[slice, slice]:
-    """Return the cells of a grid that a rectangle (x_min, x_max, y_min, y_max) [m] touches; none if it is empty."""
+    """Return slices of the cells that a rectangle (x_min, x_max, y_min, y_max) [m] touches; empty without area."""
     (x0, x1), (y0, y1) = spec.index(box[:2], box[2:], unbounded=True)
     more = int(box[0] < box[1] and box[2] < box[3])
     return slice(max(x0, 0), max(x1 + more, 0)), slice(max(y0, 0), max(y1 + more, 0))
-
-
-def _ray_model(spec: GridSpec, mount: Mount) -> "InverseSensorModel":
-    from ogm.geometric import RayISM
-
-    return RayISM(spec, mount)
 
 
 def _of_torch(network: Any) -> "Engine":

@@ -1,11 +1,11 @@
 """Losses per cell for networks that output evidence, and their mean over cells.
 
-A loss takes evidence (..., 2), free and occupied, at least 0, and a target (..., 2) in [0, 1], the
-probabilities that the truth is free and occupied; the rest to one is `unknown`, and (0, 0) is an unobserved cell.
-It returns float32, or float64 if `evidence` is, per cell, (...). Half precision is computed in float32, and only
-shapes and types are checked: a NaN in is a NaN out.
+A loss takes evidence (..., 2) for free and occupied, at least 0, and a target (..., 2) in [0, 1], the probabilities
+that the truth is free and occupied; the remainder to 1 is unknown, so (0, 0) is an unobserved cell. It returns a value
+per cell (...), float64 for float64 evidence, else float32. Half precision is computed in float32. Only shapes and types
+are checked; NaN evidence gives NaN.
 
-The default is `reverse_kl`; the others are losses of the literature, for comparison::
+The default is `reverse_kl`; the others are losses from the literature, for comparison::
 
     target, valid = targets(state)
     loss = masked_mean(reverse_kl(evidence, target), valid)
@@ -13,7 +13,7 @@ The default is `reverse_kl`; the others are losses of the literature, for compar
 >>> import torch
 >>> from ogm.deep.losses import reverse_kl
 >>> evidence, target = torch.tensor([[10.0, 0.0], [0.0, 10.0]]), torch.tensor([[1.0, 0.0], [1.0, 0.0]])
->>> loss = reverse_kl(evidence, target)                                     # right, and sure of the contrary
+>>> loss = reverse_kl(evidence, target)                                     # correct, and certain of the opposite
 >>> bool(loss[0] < 1e-4 < loss[1])
 True
 """
@@ -32,28 +32,28 @@ __all__ = [
     "class_weights", "digamma_loss", "log_loss", "masked_mean", "reverse_kl", "sum_of_squares", "targets", "uniform_kl",
 ]  # fmt: skip
 
-_CHUNK = 32768  # cells at a time on a CPU, so that intermediate results stay near its cores
+_CHUNK_CELLS = 32768  # cells computed together on a CPU, so that intermediate results fit in its caches
 
 
 def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tensor:
     """Return KL[Dir(1 + e) || Dir(1 + E y)] / E, the divergence from the target Dirichlet, per cell.
 
-    Over labels that vary, its mean is least at e = E P(label), exactly: the evidence is a probability, and
-    `unknown` is the probability that the truth is unknown too.
+    For varying labels, the mean has its minimum exactly at e = E P(label). The evidence is thus a scaled probability,
+    and `unknown` the probability that the truth is unknown.
 
     Parameters
     ----------
     evidence : (..., 2) floating point
-        At least 0.
+        Evidence for free and occupied, at least 0.
     target : (..., 2)
-        P(free), P(occupied); it gets no gradient.
+        P(free), P(occupied); gets no gradient.
     strength : float
-        E, the evidence of a certain label. The least mass on unknown is 2 / (2 + E).
+        E, the evidence of a certain label. The smallest mass on unknown is 2 / (2 + E).
 
     Returns
     -------
-    (...), at least 0
-        A missed cell costs 1 - ln(1 + E) / E, a false one (ln(1 + E) - E / (1 + E)) / E.
+    (...)
+        Loss, at least 0. A missed cell costs 1 - ln(1 + E) / E, a false one (ln(1 + E) - E / (1 + E)) / E.
 
     Raises
     ------
@@ -62,8 +62,8 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
 
     Notes
     -----
-    Malinin and Gales 2019. Value and gradient: see `ogm.evidence.dirichlet`; there is no second derivative.
-    A cell whose loss is not used has the gradient 0 even where its evidence is NaN.
+    Malinin and Gales 2019. For value and gradient see `ogm.evidence.dirichlet`; there is no second derivative.
+    A cell with an unused loss has the gradient 0, even if its evidence is NaN.
     """
     _check_positive("strength", strength)
     apply: Any = _ReverseKL.apply
@@ -77,14 +77,14 @@ def sum_of_squares(evidence: Tensor, target: Tensor, variant: Literal["paper", "
     Parameters
     ----------
     evidence : (..., 2) floating point
-        At least 0.
+        Evidence for free and occupied, at least 0.
     target : (..., 2)
         P(free), P(occupied).
     variant : {"paper", "released"}
-        "paper": p = alpha / S, the mean of the Dirichlet density, as printed. An unknown cell then pulls towards
-        p = (0, 0), which no density has: without `uniform_kl` its evidence grows without bounds, for both
-        states alike. "released": p = e / S, the belief masses, as in the code that the paper's authors
-        published; least at no evidence in an unknown cell.
+        "paper": p = alpha / S, the mean of the Dirichlet density, as printed. The target p = (0, 0) of an unknown
+        cell cannot be reached by a density: without `uniform_kl`, the evidence of both states grows without bound.
+        "released": p = e / S, the belief masses, as in the published code of the paper's authors; an unknown cell has
+        its minimum at zero evidence.
 
     Notes
     -----
@@ -101,8 +101,8 @@ def sum_of_squares(evidence: Tensor, target: Tensor, variant: Literal["paper", "
 def log_loss(evidence: Tensor, target: Tensor) -> Tensor:
     """Return sum y (ln S - ln alpha), per cell: the negative log of the marginal likelihood (type II).
 
-    It is 0 for unknown cells, and its optimum in a known cell is infinite evidence: add `uniform_kl`. Sensoy et al.
-    2018, eq. 3.
+    It is 0 for unknown cells, and its optimum in a known cell is infinite evidence, so add `uniform_kl`. See Sensoy et
+    al. 2018, eq. 3.
     """
     e, y = _checked(evidence, target)
     return (y * (torch.log(e.sum(-1, keepdim=True) + 2) - torch.log1p(e))).sum(-1)
@@ -111,24 +111,24 @@ def log_loss(evidence: Tensor, target: Tensor) -> Tensor:
 def digamma_loss(evidence: Tensor, target: Tensor) -> Tensor:
     """Return sum y (digamma(S) - digamma(alpha)), per cell: the expected cross entropy.
 
-    It is the mean of -sum y ln p over p ~ Dir(1 + e), and has the optima of `log_loss`. Sensoy et al. 2018, eq. 4.
+    It is the mean of -sum y ln p over p ~ Dir(1 + e), and has the optima of `log_loss`. See Sensoy et al. 2018, eq. 4.
     """
     e, y = _checked(evidence, target)
     return (y * (torch.digamma(e.sum(-1, keepdim=True) + 2) - torch.digamma(e + 1))).sum(-1)
 
 
 def uniform_kl(evidence: Tensor, target: Tensor) -> Tensor:
-    """Return KL[Dir(1 + e (1 - y)) || Dir(1, 1)], per cell: the evidence that the target does not support.
+    """Return KL[Dir(1 + e (1 - y)) || Dir(1, 1)], per cell: a penalty of evidence against the target.
 
-    The losses of Sensoy et al. need it as a second term, weighted from 0 to 1 over the first epochs; alone it makes
-    an unknown cell vacuous.
+    The losses of Sensoy et al. need it as a second term with a weight that grows from 0 to 1 over the first epochs.
+    On its own, it makes unknown cells vacuous.
     """
     e, y = _checked(evidence, target)
     return reverse_kl(e * (1 - y), torch.zeros_like(y), strength=1.0)
 
 
 def targets(state: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the target and the valid cells of a truth's states.
+    """Return the target and the valid cells for true states.
 
     Parameters
     ----------
@@ -138,33 +138,34 @@ def targets(state: Tensor) -> tuple[Tensor, Tensor]:
     Returns
     -------
     target : (..., 2) float32
-        (1, 0) where free, (0, 1) where occupied, (0, 0) elsewhere.
+        (1, 0) for free, (0, 1) for occupied, (0, 0) for other states.
     valid : (...) bool
-        False where the state is to be ignored.
+        False for ignored cells.
     """
     if state.dtype != torch.uint8:
-        raise TypeError(f"state must be uint8, got {state.dtype}; convert it with .to(torch.uint8)")
+        raise TypeError(f"state must be uint8, got {state.dtype}: convert it with .to(torch.uint8)")
     target = torch.stack([state == CellState.FREE, state == CellState.OCCUPIED], -1)
     return target.float(), state != CellState.IGNORE
 
 
 def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Tensor:
-    """Return the mean over the valid cells, of `weight` times the loss if weights are given.
+    """Return the mean of the loss, optionally weighted, over valid cells.
 
     Parameters
     ----------
     loss : (...) floating point
-        Values of cells that are not valid do not change the mean, not even NaN. With `reverse_kl` and `uniform_kl`
-        they do not change the gradient either; with the other losses a NaN evidence has a NaN gradient.
+        Loss per cell. Invalid cells do not change the mean, not even with NaN. With `reverse_kl` and `uniform_kl` they
+        do not change the gradient either; with the other losses NaN evidence has a NaN gradient.
     valid : (...) bool
+        Cells to average.
     weight : (...), optional
-        As from `class_weights`. The sum is divided by the number of valid cells, not of weights, as the
-        paper's code does.
+        Weight per cell, see `class_weights`. The weighted sum is divided by the number of valid cells, not by the sum
+        of weights, as in the paper's code.
 
     Returns
     -------
     () float32 or float64
-        0 where no cell is valid; still differentiable.
+        Mean; 0 and still differentiable if no cell is valid.
     """
     if valid.dtype != torch.bool:
         raise TypeError(f"valid must be bool, got {valid.dtype}")
@@ -178,9 +179,9 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
 
 
 def class_weights(target: Tensor, occupied: float) -> Tensor:
-    """Return a weight per cell, 1 except for occupied cells; for soft targets its mean. The paper has 100.
+    """Return a weight per cell, (...): `occupied` for occupied cells, else 1, interpolated for soft targets.
 
-    The weight is greater than 0. Returns (...), with the target's dtype.
+    The paper uses 100. The result has the dtype of the target.
     """
     _check_positive("class weight", occupied)
     _check_states(target, "target")
@@ -188,18 +189,18 @@ def class_weights(target: Tensor, occupied: float) -> Tensor:
 
 
 class _ReverseKL(torch.autograd.Function):
-    """KL[Dir(1 + e) || Dir(1 + E t)] / E and its gradient, in one pass."""
+    """Computation of KL[Dir(1 + e) || Dir(1 + E t)] / E together with its gradient."""
 
     @staticmethod
     def forward(ctx: Any, evidence: Tensor, target: Tensor, strength: float) -> Tensor:
-        e, t = (one.movedim(-1, 0).reshape(2, -1) for one in (evidence, target))
+        e, t = (tensor.movedim(-1, 0).reshape(2, -1) for tensor in (evidence, target))
         loss, slope = torch.empty_like(e[0]), torch.empty_like(e)
-        size = _CHUNK if e.device.type == "cpu" else max(len(loss), 1)
+        size = _CHUNK_CELLS if e.device.type == "cpu" else max(len(loss), 1)
         for start in range(0, len(loss), size):
             chunk = slice(start, start + size)
             value, force = dirichlet_kl_gradient(e[:, chunk].T + 1, t[:, chunk].T * strength + 1)
             loss[chunk], slope[:, chunk] = value / strength, force.T / strength
-        gradient = torch.empty_like(evidence)  # laid out in memory as the evidence is, which may be states first
+        gradient = torch.empty_like(evidence)  # with the memory layout of the evidence, which may be states first
         gradient.copy_(slope.view(2, *evidence.shape[:-1]).movedim(0, -1))
         ctx.save_for_backward(gradient)
         return loss.view(evidence.shape[:-1])
@@ -213,13 +214,13 @@ class _ReverseKL(torch.autograd.Function):
 
 
 def _checked(evidence: Tensor, target: Tensor) -> list[Tensor]:
-    """Return both in float32, or float64 where the evidence is, if their shapes and types fit."""
+    """Check shapes and types; return both tensors in float32, or in float64 for float64 evidence."""
     if not evidence.is_floating_point():
         raise TypeError(f"evidence must be floating point, got {evidence.dtype}")
     _check_states(evidence, "evidence")
     if target.shape != evidence.shape:
         shapes = f"shape {tuple(evidence.shape)}, got {tuple(target.shape)}"
-        raise ValueError(f"target must have the evidence's {shapes}; `targets` makes it from states")
+        raise ValueError(f"target must have the evidence's {shapes}: make it with `targets`")
     return _precise(evidence, target)
 
 
@@ -234,6 +235,6 @@ def _check_positive(name: str, value: float) -> None:
 
 
 def _precise(*tensors: Tensor) -> list[Tensor]:
-    """Return the tensors in float32, or float64 where the first has it."""
+    """Return the tensors in float32, or in float64 if the first tensor is float64."""
     dtype = torch.promote_types(tensors[0].dtype, torch.float32)
     return [tensor.to(dtype) for tensor in tensors]

@@ -1,10 +1,9 @@
-"""The network: pillar features, a 2-D convolutional backbone, and a head that gives evidence for every cell.
+"""Lidar network: pillar features, a 2-D convolutional backbone, and a head that outputs evidence for every cell.
 
-Two sizes. `PAPER` is PointPillars as van Kempen et al. 2021 describe it (Sec. III): three blocks of
-convolutions at 1/2, 1/4 and 1/8 of the resolution, each brought back to 1/2 and concatenated. `LITE` is made for
-processors without an accelerator: fewer channels, one block more for context, and a pyramid whose scales are
-added. In both, the last convolution gives the four cells of each 2 x 2 square at once, so that the result has the
-full resolution of the grid.
+There are two sizes. `PAPER` is PointPillars as described by van Kempen et al. 2021 (Sec. III): three blocks of
+convolutions at 1/2, 1/4 and 1/8 of the resolution, each upsampled to 1/2 and concatenated. `LITE` is for processors
+without an accelerator: fewer channels, a fourth block for context, and a feature pyramid with added scales. In both,
+the last convolution outputs the four cells of each 2 x 2 square, so the output has the full resolution of the grid.
 """
 
 from collections.abc import Iterable
@@ -24,31 +23,31 @@ from ogm.grid import GridSpec
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes and choices of a network, kept as JSON with the weights.
+    """Sizes and options of a lidar network, stored as JSON with the weights.
 
     Parameters
     ----------
     pillar : int
-        Features of a pillar.
+        Number of features of a pillar.
     blocks : tuple of (channels, convolutions)
-        One per scale 1/2, 1/4, 1/8, ...; the first convolution of each halves the resolution.
+        One entry per scale 1/2, 1/4, 1/8, ...; the first convolution of each block halves the resolution.
     join : "concatenate" or "add"
-        How the scales are joined at 1/2: each enlarged by a transposed convolution and concatenated (PointPillars),
-        or from the coarsest down, each added to the next finer one.
+        Join of the scales at 1/2. "concatenate": each scale is upsampled by a transposed convolution and concatenated
+        (PointPillars). "add": from the coarsest scale on, each scale is upsampled and added to the next finer scale.
     up : int
-        Channels of each scale when they are concatenated.
+        Channels of each scale for "concatenate".
     bearings : bool
-        Give the network, at every cell, the distance and the direction of the sensor.
+        Whether the network gets the distance and direction of the sensor at every cell.
     rays : bool
-        Give the network, at every cell, the masses of `ogm.geometric.RayISM`: where the scan measured at all.
+        Whether the network gets the masses of `ogm.geometric.RayISM` at every cell, which show the measured area.
     evidence : "softplus" or "relu"
-        Activation of the head. ReLU is the paper's; it leaves cells without gradient.
+        Activation of the head. ReLU is the paper's, but leaves cells without gradient.
     dropout : float
-        Share of the blocks' activations left out in training.
+        Dropout rate of the blocks' activations in training.
     scale : tuple of 9 floats
-        The pillars' features are divided by these [the features' units].
+        Divisors of the points' features, in the features' units.
     z_range : (float, float)
-        Heights above the ground that are kept [m].
+        Heights above the ground of the points to keep [m].
     """
 
     pillar: int
@@ -64,40 +63,40 @@ class NetworkConfig:
 
     @classmethod
     def from_dict(cls, numbers: dict[str, object]) -> "NetworkConfig":
-        """Make a configuration from JSON, where tuples are lists."""
+        """Return a configuration from JSON, with lists converted to tuples."""
         return cls(**{name: _tuple(value) for name, value in numbers.items()})  # type: ignore[arg-type]
 
     @property
     def stride(self) -> int:
-        """Both sides of the grid must be whole multiples of this many cells."""
+        """Number of cells of which both sides of the grid must be multiples."""
         return 1 << len(self.blocks)
 
     def build(self, spec: GridSpec) -> "PillarNetwork":
-        """Return a network of these sizes for a grid, with random weights."""
+        """Return a network for a grid, with random weights."""
         return PillarNetwork(self, spec)
 
 
-# PointPillars as van Kempen et al. 2021 describe it, for accelerators
+# PointPillars of van Kempen et al. 2021, for accelerators
 PAPER = NetworkConfig(64, ((64, 4), (128, 6), (256, 6)), join="concatenate", dropout=0.1, z_range=(-1.2, 2.8))
 _SCALE = (40.0, 28.0, 2.0, 0.5, 0.05, 0.05, 0.3, 0.08, 0.08)
-# For processors without an accelerator: that of the shipped weights, but for the inputs of rays
+# For processors without an accelerator: the network of the shipped weights, except for the input of rays
 LITE = NetworkConfig(16, ((32, 2), (48, 3), (80, 3), (112, 4)), join="add", bearings=True, scale=_SCALE)
 
 
 class PillarNetwork(nn.Module):
-    """Pillars in, evidence for free and occupied out.
+    """Network from pillars of lidar scans to evidence for free and occupied.
 
     Parameters
     ----------
     config : NetworkConfig
-        `LITE`, `PAPER`, or your own.
+        `LITE`, `PAPER`, or another configuration.
     spec : GridSpec
-        The grid it is trained on. The weights do not depend on its size.
+        Grid of the training. The weights do not depend on its size.
 
     Raises
     ------
     ValueError
-        If the spec's cells cannot be halved as often as the network does.
+        If a side of the grid is no multiple of `NetworkConfig.stride`.
     """
 
     config: NetworkConfig
@@ -113,7 +112,7 @@ class PillarNetwork(nn.Module):
         super().__init__()
         check_sides(spec, config.stride)
         if config.bearings and len(config.blocks) < 2:
-            raise ValueError(f"bearings join at the second block, got {len(config.blocks)} block")
+            raise ValueError(f"bearings are added in the second block, got {len(config.blocks)} block: add a block")
         self.config, self.spec = config, spec
         channels = [size for size, _ in config.blocks]
         self.pillar = PillarFeatures(config.pillar, config.scale)
@@ -124,7 +123,7 @@ class PillarNetwork(nn.Module):
         self.join = AddNeck(channels) if added else ConcatenateNeck(channels, config.up)
         last = channels[0] if added else config.up * len(channels)
         self.head = nn.Conv2d(last, 2 * 4, 3, padding=1)
-        if config.evidence == "softplus":  # begin near the usual: much free, little occupied
+        if config.evidence == "softplus":  # start near the usual output: much free, little occupied
             bias: Any = self.head.bias
             bias.data[:] = torch.tensor([2.0] * 4 + [-1.0] * 4)
         if config.bearings:
@@ -137,7 +136,7 @@ class PillarNetwork(nn.Module):
         Raises
         ------
         ValueError
-            If the resolution differs, or the cells cannot be halved as often as the network does.
+            If the resolution differs, or a side of the grid is no multiple of `NetworkConfig.stride`.
         """
         check_resolution(spec, self.spec)
         network = PillarNetwork(self.config, spec)
@@ -145,13 +144,13 @@ class PillarNetwork(nn.Module):
         return network.train(self.training)
 
     def forward(self, pillars: Pillars) -> torch.Tensor:
-        """Return evidence, (batch, nx, ny, 2) float32, at least 0; states last, free before occupied."""
+        """Return evidence for free and occupied, (batch, nx, ny, 2) float32, at least 0."""
         return self.evidence(self.feature_map(pillars))
 
     def feature_map(self, pillars: Pillars) -> torch.Tensor:
-        """Return the pillars' features on the grid, (batch, channels, nx, ny); 0 where no point is.
+        """Return the features of pillars on the grid, (batch, channels, nx, ny); 0 in cells without points.
 
-        The masses of rays, if the network takes them, are the last two channels.
+        The last two channels are the masses of rays, if the network takes them.
         """
         nx, ny = self.spec.shape
         features: torch.Tensor = self.pillar(pillars.features, pillars.lengths)
@@ -160,26 +159,26 @@ class PillarNetwork(nn.Module):
         x[:, :width].index_copy_(0, pillars.cells, features)
         if self.config.rays:
             if pillars.rays is None:
-                raise ValueError("this network takes the masses of rays too: give Pillars with rays")
+                raise ValueError("this network takes masses of rays, got Pillars without rays: add `Pillars.rays`")
             x[:, width:] = pillars.rays.reshape(-1, 2)
-        return x.view(pillars.batch, nx, ny, -1).permute(0, 3, 1, 2)  # in memory: channels last
+        return x.view(pillars.batch, nx, ny, -1).permute(0, 3, 1, 2)  # channels last in memory
 
     def evidence(self, feature_map: torch.Tensor) -> torch.Tensor:
-        """Return evidence (batch, nx, ny, 2) from the feature map."""
+        """Return evidence from the feature map, (batch, nx, ny, 2)."""
         x = pixel_shuffle(self.quarters(feature_map), 2)
-        x = x.permute(0, 2, 3, 1).float()  # the one change from channels first to states last
+        x = x.permute(0, 2, 3, 1).float()  # from channels first to states last
         return softplus(x) if self.config.evidence == "softplus" else relu(x)
 
     def quarters(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the head's values before their activation, (batch, 2 * 4, nx / 2, ny / 2).
+        """Return the output of the head before its activation, (batch, 2 * 4, nx / 2, ny / 2).
 
-        Its channels are the states, and of each the four cells of a 2 x 2 square. The coordinates of the sensor are
-        those of the network's grid unless others are given.
+        The channels are the four cells of a 2 x 2 square for each state. `sensor_coords` are coordinates for another
+        grid than the network's.
         """
         return self._head(self.joined(feature_map, sensor_coords))
 
     def joined(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> list[torch.Tensor]:
-        """Return what the head takes: one part or several, (batch, channels, nx / 2, ny / 2)."""
+        """Return the inputs of the head, each (batch, channels, nx / 2, ny / 2)."""
         scales = []
         x = feature_map
         for k, block in enumerate(cast("Iterable[nn.Sequential]", self.blocks)):
@@ -192,7 +191,7 @@ class PillarNetwork(nn.Module):
         return parts
 
     def _head(self, parts: list[torch.Tensor]) -> torch.Tensor:
-        """Apply the head to concatenated parts: convolved one by one and added, they need not be copied together."""
+        """Apply the head to concatenated parts; they are convolved separately and added, which saves a copy."""
         weights = torch.split(self.head.weight, [part.shape[1] for part in parts], dim=1)
         x = conv2d(parts[0], weights[0], self.head.bias, padding=1)
         for part, weight in zip(parts[1:], weights[1:], strict=True):
@@ -201,7 +200,7 @@ class PillarNetwork(nn.Module):
 
 
 class PillarFeatures(nn.Module):
-    """The paper's pillar feature net: a linear layer for each point, and the largest of each pillar's."""
+    """Pillar feature net of the paper: a linear layer for each point and the maximum over each pillar."""
 
     scale: torch.Tensor | None
 
@@ -209,14 +208,14 @@ class PillarFeatures(nn.Module):
         super().__init__()
         self.linear: nn.Linear = nn.Linear(FEATURES, channels, bias=False)
         self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.01)
-        inverse = np.float32(1) / np.array(scale, np.float32)  # torch would load its compiler on the device meta
+        inverse = np.float32(1) / np.array(scale, np.float32)  # in torch, this would load its compiler for device meta
         self.register_buffer("scale", torch.from_numpy(inverse), persistent=False)
 
     def forward(self, features: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
-        """Return (P, channels) from (N, 9) features of points sorted by pillar, and the pillars' lengths."""
+        """Return the features of pillars, (P, channels), from sorted points (N, 9) and the pillars' lengths."""
         norm: Any = self.norm
         x: torch.Tensor = self.linear(features if self.scale is None else features * self.scale)
-        if len(features) < 2 and self.training:  # no statistics of one point
+        if len(features) < 2 and self.training:  # a single point has no statistics
             x = batch_norm(x, norm.running_mean, norm.running_var, norm.weight, norm.bias, eps=norm.eps)
         else:
             x = norm(x)
@@ -226,7 +225,7 @@ class PillarFeatures(nn.Module):
 
 
 class ConcatenateNeck(nn.Module):
-    """PointPillars' neck: every scale to 1/2 by a transposed convolution, then concatenated."""
+    """Neck of PointPillars: each scale is upsampled to 1/2 by a transposed convolution."""
 
     def __init__(self, channels: list[int], up: int) -> None:
         super().__init__()
@@ -236,12 +235,12 @@ class ConcatenateNeck(nn.Module):
         )
 
     def forward(self, scales: list[torch.Tensor]) -> list[torch.Tensor]:
-        """Return one (batch, up, nx / 2, ny / 2) per scale; the head concatenates them."""
+        """Return a part (batch, up, nx / 2, ny / 2) per scale; the head concatenates them."""
         return [up(x) for up, x in zip(self.ups, scales, strict=True)]
 
 
 class AddNeck(nn.Module):
-    """A pyramid from the coarsest scale down: enlarge, add to the next finer scale, convolve."""
+    """Feature pyramid: from the coarsest scale on, upsample, add to the next finer scale, convolve."""
 
     def __init__(self, channels: list[int]) -> None:
         super().__init__()
@@ -250,7 +249,7 @@ class AddNeck(nn.Module):
         self.merge: nn.ModuleList = nn.ModuleList(_layer(fine, fine) for fine, _ in pairs)
 
     def forward(self, scales: list[torch.Tensor]) -> list[torch.Tensor]:
-        """Return a single (batch, channels of the finest scale, nx / 2, ny / 2)."""
+        """Return a list of a single part, (batch, channels of the finest scale, nx / 2, ny / 2)."""
         x = scales[-1]
         for k in reversed(range(len(scales) - 1)):
             x = interpolate(self.lateral[k](x), scale_factor=2.0, mode="bilinear", align_corners=False)
@@ -269,31 +268,32 @@ def _layer(before: int, after: int, stride: int = 1, dropout: float = 0.0) -> nn
 
 
 def down_block(before: int, after: int, count: int, dropout: float) -> nn.Sequential:
-    """Return a block of convolutions from `before` to `after` channels, the first of which halves the resolution."""
+    """Return a block of convolutions from `before` to `after` channels; the first halves the resolution."""
     layers = (_layer(after if k else before, after, 1 if k else 2, dropout) for k in range(count))
     return nn.Sequential(*layers)
 
 
 @torch.no_grad()
 def copy_weights(source: nn.Module, target: nn.Module) -> None:
-    """Give a network the weights of another of the same layers; channels that only the target has get weights of 0.
+    """Copy weights to a network with the same layers; additional input channels get the weight 0.
 
     Raises
     ------
     ValueError
-        If the layers differ in more than the number of their inputs.
+        If the layers differ in more than the number of input channels.
     """
     weights = source.state_dict()
     for name, value in target.state_dict().items():
         given = weights.get(name)
         if given is None or given.dim() != value.dim():
-            raise ValueError(f"the networks have other layers: {name} is missing or of another kind")
+            raise ValueError(f"the networks have other layers: {name} is missing or of another kind; give others")
         grown = [k for k, (a, b) in enumerate(zip(given.shape, value.shape, strict=True)) if a != b]
         if grown not in ([], [1]) or any(given.shape[k] > value.shape[k] for k in grown):
-            raise ValueError(f"the networks have other layers: {name} is {tuple(given.shape)}, {tuple(value.shape)}")
+            shapes = f"{tuple(given.shape)}, wanted {tuple(value.shape)}"
+            raise ValueError(f"the networks have other layers: {name} is {shapes}; give others")
         value.zero_()
         value[(slice(None), slice(given.shape[1])) if grown else ...] = given
 
 
 def _tuple(value: object) -> object:
-    return tuple(_tuple(one) for one in value) if isinstance(value, list) else value
+    return tuple(_tuple(item) for item in value) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""An exported network of lidars, ready to run without torch."""
+"""Exported lidar networks, run without torch."""
 
 import os
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from ogm.grid import GridSpec
 
 
 class OnnxEngine(ExportedNetwork):
-    """An exported network of lidars that is ready to run, on one grid; see `ogm.deep.exported.ExportedNetwork`.
+    """Exported lidar network on a grid, ready to run; for parameters see `ogm.deep.exported.ExportedNetwork`.
 
     Attributes
     ----------
     spec : GridSpec
-        The grid around the sensor; at first the grid of the training.
+        Grid around the sensor, initially the grid of the training.
     rays : bool
-        Whether the network takes the masses of `ogm.geometric.RayISM` too.
+        Whether the network takes the masses of `ogm.geometric.RayISM` as input.
     precision : "float32" or "int8"
         Number format in which the network was exported.
     """
@@ -45,7 +45,7 @@ class OnnxEngine(ExportedNetwork):
         Raises
         ------
         ValueError
-            If the resolution differs, or the cells cannot be halved as often as the network does.
+            If the resolution differs, or a side of the grid is no multiple of the network's stride.
         """
         check_resolution(spec, self.spec)
         check_sides(spec, self._file.multiple)
@@ -66,18 +66,19 @@ class OnnxEngine(ExportedNetwork):
     def masses(
         self, scans: Sequence[SortedPoints], rays: Sequence[NDArray[np.float32]] | None = None
     ) -> NDArray[np.float32]:
-        """Return belief masses (scans, nx, ny, 2): free, occupied.
+        """Return belief masses for free and occupied, (scans, nx, ny, 2).
 
         Parameters
         ----------
         scans : sequence of SortedPoints
+            Results of `pillars`.
         rays : sequence of (nx, ny, 2) float32 arrays, optional
-            Of each scan the masses of `ogm.geometric.RayISM`, if the network takes them.
+            Masses of `ogm.geometric.RayISM` for each scan, if the network takes them.
 
         Raises
         ------
         OgmError
-            If the network in the file gives something else.
+            If the network in the file has an output of another shape or type.
         """
         return np.stack([self._one(scan, None if rays is None else rays[k]) for k, scan in enumerate(scans)])
 
@@ -99,7 +100,7 @@ def _coords(spec: GridSpec) -> NDArray[np.float32]:
 
 
 def _on_grid(reopen: tuple[Any, ...], spec: GridSpec) -> OnnxEngine:
-    """Return a pickled engine."""
+    """Return an unpickled engine."""
     function, arguments = reopen
     engine: OnnxEngine = function(*arguments)
     return engine.on(spec)

@@ -1,8 +1,8 @@
-"""An exported network as a file: read and checked before any engine computes with it.
+"""Exported networks as files, which are checked before an engine runs them.
 
-An ONNX file is a program. Only those are let through that `ogm.deep.export` could have written: of its format, with the
-operations of a network, complete in one file. No package for ONNX is needed: what is read here are the first two levels
-of the file's protocol buffers (https://protobuf.dev/programming-guides/encoding, fields of onnx/onnx.proto).
+An ONNX file is a program. A file is accepted only if `ogm.deep.export` could have written it: it has the right format,
+contains only operations of networks, and does not refer to other files. No ONNX package is needed: this module reads
+the first two levels of protocol buffers (https://protobuf.dev/programming-guides/encoding, fields of onnx/onnx.proto).
 """
 
 import hashlib
@@ -28,36 +28,36 @@ OPERATIONS = frozenset({
 })  # fmt: skip
 _MAX_SIZE = 2**28  # [bytes]
 _MAX_CHANNELS = 4096
-_GRAPH, _FUNCTIONS, _METADATA = 7, 25, 14  # of a model
-_NODE, _INITIALIZER, _SPARSE = 1, 5, 15  # of a graph
-_OPERATION, _ATTRIBUTE, _DOMAIN = 4, 5, 7  # of a node
-_LARGE = frozenset({5, 6, 10, 11, 22, 23})  # of an attribute: tensors and graphs, which may lead to other files
-_SEAL = 76  # [bytes] of the entry that `sealed` adds
-_DATA_LOCATION = 14  # of an initializer: 1 if its numbers are in another file
+_GRAPH, _FUNCTIONS, _METADATA = 7, 25, 14  # fields of a model
+_NODE, _INITIALIZER, _SPARSE = 1, 5, 15  # fields of a graph
+_OPERATION, _ATTRIBUTE, _DOMAIN = 4, 5, 7  # fields of a node
+_LARGE = frozenset({5, 6, 10, 11, 22, 23})  # fields of an attribute: tensors and graphs, which may refer to other files
+_SEAL = 76  # [bytes] size of the entry that `sealed` adds
+_DATA_LOCATION = 14  # field of an initializer: 1 if its numbers are in another file
 
 
 @dataclass(frozen=True, eq=False)
 class OnnxFile:
-    """An exported network that was read.
+    """Content of a file with an exported lidar network.
 
     Attributes
     ----------
     data : bytes
-        All of the file.
+        Bytes of the file.
     description : dict
-        That of the weights, as in their JSON.
+        Description of the weights, the content of their JSON file.
     spec : GridSpec
-        The grid of the training, around the sensor.
+        Grid of the training, around the sensor.
     z_range : (float, float)
-        Heights above the ground that are kept [m].
+        Heights above the ground of the points to keep [m].
     multiple : int
-        Both sides of a grid must be whole multiples of this many cells.
+        Number of cells of which both sides of a grid must be multiples.
     rays : bool
         Whether the last two channels of the feature map are the masses of `ogm.geometric.RayISM`.
     weight, bias : (9, C), (C,) float32
-        Of the pillars' linear layer.
+        Parameters of the pillars' linear layer.
     weights_sum : str
-        SHA-256 of the weights that it was exported from; empty if it was exported from a network in memory.
+        SHA-256 of the exported weights; empty for an export from a network in memory.
     precision : "float32" or "int8"
         Number format of the convolutions.
     """
@@ -75,14 +75,14 @@ class OnnxFile:
 
 
 def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
-    """Read and check a file that `ogm.deep.export.export_onnx` wrote.
+    """Read and check a lidar network that `ogm.deep.export.export_onnx` wrote.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If the file is damaged, of another kind, or holds what no export writes.
+        If the file is damaged, of another kind, or has content that no export writes.
     """
     data, metadata = read_metadata(path, FORMAT)
     try:
@@ -90,34 +90,32 @@ def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
         facts = metadata.get("weights", ""), metadata.get("precision", "float32")
         return _checked(data, numbers["description"], numbers["input"], *facts)
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise OgmError(f"{path} describes no network that can be run: {error!r}") from error
+        raise OgmError(f"{path} describes no valid network: {error!r}; export the weights again") from error
 
 
 def read_metadata(path: str | os.PathLike[str], wanted: str) -> tuple[bytes, dict[str, str]]:
-    """Return the bytes and the metadata of an exported network of a format; errors as of `read_onnx`."""
+    """Return the bytes and the metadata of an exported network; for errors see `read_onnx`."""
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path} is not there; `ogm export` writes such files")
+        raise FileNotFoundError(f"there is no {path}: `ogm export` writes exported networks")
     if path.stat().st_size > _MAX_SIZE:
-        raise OgmError(f"{path} has {path.stat().st_size} bytes, networks have {_MAX_SIZE} at most")
+        raise OgmError(f"{path} has {path.stat().st_size} bytes, wanted a network of at most {_MAX_SIZE}")
     data = path.read_bytes()
     try:
         metadata = _read_model(data)
     except (IndexError, ValueError, KeyError, TypeError) as error:
-        raise OgmError(f"{path} is no whole ONNX file of a network: {error}") from error
+        raise OgmError(f"{path} is no complete ONNX file of `ogm export`: {error}") from error
     if (found := metadata.get("format")) != wanted:
         kind = wanted.rpartition("/")[0] + "/"
         way = update_hint(found, wanted) or ("; export the weights again" if str(found).startswith(kind) else "")
         raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {wanted}{way}")
     if "sha256" in metadata and sealed(data[:-_SEAL]) != data:
-        raise OgmError(
-            f"{path} is damaged: its SHA-256 is not that of its export; restore it or export the weights again"
-        )
+        raise OgmError(f"{path} is damaged: its SHA-256 differs from its metadata; restore it or export again")
     return data, metadata
 
 
 def sealed(data: bytes) -> bytes:
-    """Return an ONNX file with one more metadata entry at its end: the SHA-256 of all bytes before it."""
+    """Return an ONNX file with a further metadata entry at the end, the SHA-256 of all bytes before it."""
     entry = b"\x0a\x06sha256\x12\x40" + hashlib.sha256(data).hexdigest().encode()  # key (field 1), value (field 2)
     return data + bytes([_METADATA << 3 | 2, len(entry)]) + entry
 
@@ -150,14 +148,14 @@ def _checked(data: bytes, description: Any, given: Mapping[str, Any], of_weights
         and precision in ("float32", "int8")
     )
     if not good:
-        raise ValueError("a size or a number of its input is out of its limits")
+        raise ValueError("a size or a number of its input is out of range")
     return OnnxFile(
         data, description, grid_of(description), (low, high), multiple, rays, weight, bias, of_weights, precision
     )
 
 
 def _read_model(data: bytes) -> dict[str, str]:
-    """Return the metadata of a model; raise a ValueError if an export writes no such part."""
+    """Return the metadata of a model; raise ValueError for parts that an export does not write."""
     metadata = {}
     graphs = 0
     for number, value in _fields(memoryview(data)):
@@ -170,7 +168,7 @@ def _read_model(data: bytes) -> dict[str, str]:
             entry = dict(_fields(value))
             metadata[_text(entry[1])] = _text(entry[2])
     if graphs != 1:
-        raise ValueError(f"it has {graphs} graphs")
+        raise ValueError(f"it has {graphs} graphs, wanted one")
     return metadata
 
 
@@ -180,17 +178,18 @@ def _check_graph(graph: memoryview) -> None:
             node = dict(_fields(value))
             name, domain = _text(node[_OPERATION]), _text(node.get(_DOMAIN, b""))
             if name not in OPERATIONS or domain not in ("", "ai.onnx"):
-                raise ValueError(f"its operation {domain}.{name} is none of a network's")
-            if any(part in _LARGE for at, one in _fields(value) if at == _ATTRIBUTE for part, _ in _fields(one)):
-                raise ValueError(f"an attribute of its operation {name} is a tensor or a graph, which no network has")
+                raise ValueError(f"its operation {domain}.{name} is not used by networks")
+            attributes = (attribute for field_number, attribute in _fields(value) if field_number == _ATTRIBUTE)
+            if any(part in _LARGE for attribute in attributes for part, _ in _fields(attribute)):
+                raise ValueError(f"an attribute of its operation {name} is a tensor or a graph, wanted a number")
         if number == _SPARSE:
-            raise ValueError("it keeps sparse numbers, which no network has")
+            raise ValueError("it has sparse tensors, which networks do not use")
         if number == _INITIALIZER and dict(_fields(value)).get(_DATA_LOCATION, 0) != 0:
             raise ValueError("it keeps numbers in another file")
 
 
 def _fields(data: memoryview) -> Iterator[tuple[int, Any]]:
-    """Yield the number and the value of every field of a message: an integer, or the bytes of what it holds."""
+    """Yield number and value of every field of a message; the value is an integer or bytes."""
     at = 0
     while at < len(data):
         key, at = _varint(data, at)
@@ -201,13 +200,13 @@ def _fields(data: memoryview) -> Iterator[tuple[int, Any]]:
             continue
         size, at = _varint(data, at) if kind == 2 else ({1: 8, 5: 4}.get(kind, -1), at)
         if number == 0 or not 0 <= size <= len(data) - at:
-            raise ValueError(f"byte {at} begins no field of a message")
+            raise ValueError(f"no field of a message begins at byte {at}")
         yield number, data[at : at + size]
         at += size
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """Return the integer that begins at a byte, of 7 bits per byte, and the place after it."""
+    """Return the integer at an offset, with 7 bits per byte, and the offset after it."""
     value = shift = 0
     while True:
         byte = data[at]
@@ -216,10 +215,10 @@ def _varint(data: memoryview, at: int) -> tuple[int, int]:
         if byte < 0x80:
             return value, at
         if shift > 63:
-            raise ValueError(f"byte {at} begins no number")
+            raise ValueError(f"no number ends at byte {at}")
 
 
 def _text(data: Any) -> str:
-    if isinstance(data, int):  # of which `bytes` would make as many zeros
-        raise ValueError(f"it has the number {data} where a text belongs")
+    if isinstance(data, int):  # `bytes` would make this number of zeros
+        raise ValueError(f"it has the number {data} instead of a text")
     return bytes(data).decode()

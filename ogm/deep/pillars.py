@@ -1,7 +1,6 @@
-"""Pillars as torch tensors: of one scan, or of the scans of a batch.
+"""Pillars of a scan, or of a batch of scans, as torch tensors.
 
-`ogm.deep.points` sorts the points by compiled kernels; `pillarize_torch` is their slow reference, which runs on any
-device.
+`pillarize` uses the compiled kernels of `ogm.deep.points`; `pillarize_torch` is their slow reference for any device.
 """
 
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ from ogm.scan import Mount, Scan
 
 
 class Pillars(NamedTuple):
-    """The points of one scan, or of a batch of scans, sorted by cell.
+    """Points of a scan, or of a batch of scans, sorted by cell.
 
     Attributes
     ----------
@@ -29,7 +28,7 @@ class Pillars(NamedTuple):
     batch : int
         Number of scans.
     rays : (batch, nx, ny, 2) float32, optional
-        Masses of free and occupied that `ogm.geometric.RayISM` gives the scan: where it was measured at all.
+        Masses of `ogm.geometric.RayISM` for free and occupied.
     """
 
     features: torch.Tensor
@@ -39,7 +38,7 @@ class Pillars(NamedTuple):
     rays: torch.Tensor | None = None
 
     def to(self, device: torch.device | str) -> "Pillars":
-        """Return the same on another device."""
+        """Return the pillars on another device."""
         features, lengths, cells = (array.to(device, non_blocking=True) for array in self[:3])
         rays = None if self.rays is None else self.rays.to(device, non_blocking=True)
         return Pillars(features, lengths, cells, self.batch, rays)
@@ -54,12 +53,12 @@ def pillarize(
 ) -> Pillars:
     """Sort the points of a scan into pillars.
 
-    Parameters and errors: see `ogm.deep.points.sort_points`.
+    For parameters and errors see `ogm.deep.points.sort_points`.
 
     Returns
     -------
     Pillars
-        On the CPU.
+        Tensors on the CPU.
     """
     features, lengths, cells = map(torch.from_numpy, sort_points(points, spec, z_range, ego_footprint, T))
     return Pillars(features, lengths, cells)
@@ -72,13 +71,13 @@ def pillarize_torch(
     ego_footprint: Rectangle = EMPTY,
     T: torch.Tensor | None = None,
 ) -> Pillars:
-    """Do as `pillarize` does, with torch operations on the device of `points`, an (N, 4) float32 tensor."""
+    """Sort points (N, 4) float32 into pillars like `pillarize`, by torch operations on their device."""
     points = points[torch.isfinite(points).all(dim=1)]
     xyz, intensity = points[:, :3], points[:, 3:]
     if T is not None:
         xyz = xyz @ T[:3, :3].T + T[:3, 3]
     (nx, ny), (x0, y0), size = spec.shape, spec.origin, spec.resolution
-    x, y, z = xyz.double().unbind(1)  # the limits are compared as the kernel does
+    x, y, z = xyz.double().unbind(1)  # limits are compared in double precision, as in the kernel
     ix, iy = (torch.floor((a - a0) / size).long() for a, a0 in ((x, x0), (y, y0)))
     keep = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny) & (z >= z_range[0]) & (z < z_range[1])
     x_min, x_max, y_min, y_max = ego_footprint
@@ -93,14 +92,14 @@ def pillarize_torch(
 
 
 def collate(scans: Sequence[Pillars], cells: int) -> Pillars:
-    """Join the pillars of some scans into a batch.
+    """Join the pillars of several scans to a batch.
 
     Parameters
     ----------
     scans : sequence of Pillars
-        Of one scan each.
+        Pillars of single scans.
     cells : int
-        Cells of the grid, nx * ny.
+        Number of cells of the grid, nx * ny.
     """
     rays = [scan.rays for scan in scans if scan.rays is not None]
     return Pillars(
@@ -113,18 +112,18 @@ def collate(scans: Sequence[Pillars], cells: int) -> Pillars:
 
 
 def ray_masses(scan: Scan, spec: GridSpec, height: float, ego_footprint: Rectangle) -> torch.Tensor:
-    """Return the masses of free and occupied of `RayISM`, (1, nx, ny, 2) float32, for a scan in the ground frame.
+    """Return the masses of `RayISM` for a scan in the ground frame, (1, nx, ny, 2) float32.
 
     Parameters
     ----------
     scan : Scan
-        In the frame of `to_ground_frame`; beams without echo too.
+        Scan in the frame of `to_ground_frame`, including beams without echo.
     spec : GridSpec
-        The cells, around the sensor.
+        Grid around the sensor.
     height : float
-        Of the sensor above the ground [m].
+        Height of the sensor above the ground [m].
     ego_footprint : (x_min, x_max, y_min, y_max)
-        The ego vehicle [m].
+        Ego vehicle in the ground frame [m].
     """
     T = np.eye(4)
     T[2, 3] = height
@@ -133,9 +132,9 @@ def ray_masses(scan: Scan, spec: GridSpec, height: float, ego_footprint: Rectang
 
 
 def cap_pillars(pillars: Pillars, rng: np.random.Generator, most_pillars: int, most_points: int) -> Pillars:
-    """Keep a random choice of pillars, and points of each, up to the limits of van Kempen et al. 2021.
+    """Limit the number of pillars and of points per pillar by a random choice, as van Kempen et al. 2021.
 
-    The offsets from the pillar's mean stay those from the mean of all its points, as in the paper's code.
+    Offsets remain relative to the mean of all points of a pillar, as in the paper's code.
     """
     lengths = pillars.lengths.numpy()
     kept = np.ones(len(lengths), bool)

@@ -1,7 +1,7 @@
-"""Points to pillars by compiled kernels, without torch: what a network is given, from one scan.
+"""Sorting of the points of a scan into pillars, the input of a network, by compiled kernels without torch.
 
 A pillar is the column of space above a cell of the grid, with the points in it (Lang et al. 2019, Sec. 2.1). Points are
-sorted by cell, and every pillar has the points it has: nothing is padded, nothing is cut off.
+sorted by cell. Pillars have variable numbers of points, without padding or truncation.
 """
 
 import logging
@@ -17,23 +17,23 @@ from ogm.scan import Mount, as_scan
 
 _log = logging.getLogger(__name__)
 
-FEATURES = 9  # x, y, z, intensity; offsets in x, y, z from the pillar's mean; offsets in x, y from the cell's center
+FEATURES = 9  # x, y, z, intensity; x, y, z relative to the pillar's mean; x, y relative to the cell's center
 Rectangle = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max [m]
 EMPTY: Rectangle = (0.0, 0.0, 0.0, 0.0)
 
 
 class SortedPoints(NamedTuple):
-    """The points of one scan, sorted by cell.
+    """Points of a scan, sorted by cell.
 
     Attributes
     ----------
     features : (N, 9) float32
-        Of each point: x, y, z [m] (z above the ground), intensity [0, 1]; x, y, z less the mean of the pillar's
-        points [m]; x, y less the center of the cell [m].
+        Features of each point: x, y, z [m] (z above the ground), intensity [0, 1]; x, y, z relative to the mean of the
+        pillar's points [m]; x, y relative to the center of the cell [m].
     lengths : (P,) int64
-        Number of points of each pillar, at least one.
+        Number of points of each pillar, at least 1.
     cells : (P,) int64
-        The cell of each pillar, ascending: ``ix * ny + iy``.
+        Cell of each pillar, ascending: ``ix * ny + iy``.
     """
 
     features: NDArray[np.float32]
@@ -42,14 +42,16 @@ class SortedPoints(NamedTuple):
 
 
 def to_ground_frame(mount: Mount) -> tuple[NDArray[np.float64], Rectangle]:
-    """Return how points come to the frame of pillars, whose origin is on the ground below the sensor.
+    """Return the transform to the ground frame of pillars and the ego footprint in that frame.
+
+    The origin of the ground frame is on the ground below the sensor; its axes are parallel to the vehicle's.
 
     Returns
     -------
     T : (4, 4) float64
-        Takes points, as they come, to the ground frame; its axes are parallel to the vehicle's.
+        Transform from the frame of the scan's points to the ground frame.
     ego_footprint : (x_min, x_max, y_min, y_max)
-        The ego vehicle in the ground frame [m].
+        Ego vehicle in the ground frame [m].
     """
     x, y, z = (float(value) for value in mount.origin)
     T = mount.T_vehicle_points.copy()
@@ -70,16 +72,16 @@ def sort_points(
     Parameters
     ----------
     points : (N, 4) or (N, 3) float array
-        x, y, z [m], intensity [0, 1]; without a fourth column the intensity is 0. Points that are NaN or infinite
-        are left out, and logged.
+        x, y, z [m], intensity [0, 1]; without a fourth column the intensity is 0. NaN and infinite points are dropped
+        with a warning in the log.
     spec : GridSpec
-        The cells; points outside are left out.
+        Grid of the pillars; points outside are dropped.
     z_range : (float, float)
-        Heights that are kept, after `T` [m].
+        Heights of the points to keep, after `T` [m].
     ego_footprint : (x_min, x_max, y_min, y_max)
-        Points in this rectangle, after `T`, are left out [m].
+        Rectangle in which points are dropped, after `T` [m].
     T : (4, 4) array, optional
-        Takes the points to the frame of `spec` with z = 0 on the ground.
+        Transform of the points to the frame of `spec`, with z = 0 on the ground.
 
     Returns
     -------
@@ -90,7 +92,7 @@ def sort_points(
     TypeError, ValueError
         If `points` is not a float array of three or four columns, or `T` is not rigid.
     """
-    with np.errstate(over="ignore"):  # what is too far away for float32 becomes infinite, and is left out
+    with np.errstate(over="ignore"):  # points too far away for float32 become infinite and are dropped
         rows = np.ascontiguousarray(as_scan(points).points)
     matrix = np.eye(4) if T is None else check_pose(T, "T")
     grid = spec.resolution, spec.shape, spec.origin
@@ -106,23 +108,25 @@ def sort_points(
 def pillar_maxima(
     points: SortedPoints, weight: NDArray[np.float32], bias: NDArray[np.float32], shape: tuple[int, int], channels: int
 ) -> NDArray[np.float32]:
-    """Return the feature map of a scan: of each pillar the largest ``relu(weight @ features + bias)`` of its points.
+    """Return the feature map: for each pillar the maximum of ``relu(features @ weight + bias)`` over its points.
 
     Parameters
     ----------
     points : SortedPoints
+        Points of a scan.
     weight : (9, C) float32
-        Of the linear layer, transposed.
+        Transposed weight of the linear layer.
     bias : (C,) float32
+        Bias of the linear layer.
     shape : (nx, ny)
-        Cells of the grid.
+        Numbers of cells of the grid.
     channels : int
-        Channels of the map, C or more. Those after C are 0.
+        Number of channels of the feature map, at least C. Further channels are 0.
 
     Returns
     -------
     (1, nx, ny, channels) float32 array
-        0 where no point is.
+        Feature map, 0 in cells without points.
     """
     feature_map = np.zeros((1, *shape, channels), np.float32)
     _fill_maxima(points.features, points.lengths, points.cells, weight, bias, feature_map.reshape(-1, channels))
@@ -131,7 +135,7 @@ def pillar_maxima(
 
 @kernel
 def _find_cells(points: Any, T: Any, size: float, shape: Any, origin: Any, z_range: Any, ego_footprint: Any) -> Any:
-    """Return the transformed points (N, 3), the cell of each (N,) or -1, and how many are not finite."""
+    """Return the transformed points (N, 3), their cells (N,) or -1, and the number of non-finite points."""
     cell = np.empty(len(points), np.int32)
     xyz = np.empty((len(points), 3), np.float32)
     invalid = 0
@@ -156,9 +160,9 @@ def _find_cells(points: Any, T: Any, size: float, shape: Any, origin: Any, z_ran
 
 @kernel
 def _sort_by_cell(xyz: Any, intensity: Any, cell: Any, shape: Any) -> Any:
-    """Return features with their first four columns filled, the pillars' lengths and their cells.
+    """Return features with the first four columns filled, and the lengths and cells of the pillars.
 
-    A counting sort: the order of points within a cell is kept.
+    This is a stable counting sort, which keeps the order of points within a cell.
     """
     count = np.zeros(shape[0] * shape[1], np.int32)
     pillars = 0
@@ -172,7 +176,7 @@ def _sort_by_cell(xyz: Any, intensity: Any, cell: Any, shape: Any) -> Any:
         if count[c] > 0:
             lengths[p], cells[p] = count[c], c
             p += 1
-            count[c], start = start, start + count[c]  # from here on: where the next point of this cell goes
+            count[c], start = start, start + count[c]  # now the row of the next point of this cell
     features = np.empty((start, 9), np.float32)
     for i in range(len(cell)):
         if cell[i] >= 0:
@@ -185,7 +189,7 @@ def _sort_by_cell(xyz: Any, intensity: Any, cell: Any, shape: Any) -> Any:
 
 @kernel
 def _add_offsets(features: Any, lengths: Any, cells: Any, size: float, shape: Any, origin: Any) -> None:
-    """Fill the other five columns: offsets from the pillar's mean, and from the cell's center."""
+    """Fill the last five columns: offsets from the pillar's mean and from the cell's center."""
     first = 0
     for p in range(len(lengths)):
         last = first + lengths[p]
@@ -204,7 +208,7 @@ def _add_offsets(features: Any, lengths: Any, cells: Any, size: float, shape: An
 
 @vector
 def _fill_maxima(features: Any, lengths: Any, cells: Any, weight: Any, bias: Any, rows: Any) -> None:
-    """Fill the rows of the cells that have points."""
+    """Fill the rows of cells with points."""
     first, channels = 0, len(bias)
     sums = np.empty(channels, np.float32)
     for p in range(len(lengths)):
@@ -217,5 +221,5 @@ def _fill_maxima(features: Any, lengths: Any, cells: Any, weight: Any, bias: Any
                 for c in range(channels):
                     sums[c] += value * weight[k, c]
             for c in range(channels):
-                row[c] = max(row[c], sums[c])  # it starts at 0, as the ReLU does
+                row[c] = max(row[c], sums[c])  # starts at 0, like the ReLU
         first += lengths[p]

@@ -1,7 +1,7 @@
-"""A radar's sweep on a polar grid: features for a network, and evidence from there to the cells of a grid.
+"""Polar grid of a radar sweep: features for a network, and masses on a Cartesian grid from its evidence.
 
-The polar grid lies around the sensor, its middle along the sensor's x axis, after Wei et al. 2023: one sweep of one
-radar, whatever the vehicle. Nothing here needs torch.
+The polar grid is centred on the sensor and its x axis, after Wei et al. 2023, so it does not depend on the vehicle.
+This module does not need torch.
 """
 
 import math
@@ -23,7 +23,7 @@ CHANNELS = (
     "static", "moving", "cross section", "Doppler", "range in cell", "azimuth in cell", "height", "detections before",
     "before the first", "range", "azimuth", "field of view", "azimuth noise",
 )  # fmt: skip
-BEAM = math.radians(2.25)  # half the width within which a detection is before a cell
+BEAM = math.radians(2.25)  # half width of the sector in which a nearer detection is in front of a cell
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class RadarGrid:
     shape : (ranges, azimuths)
         Numbers of cells.
     range_step, azimuth_step : float
-        Their sides [m, rad].
+        Sides of the cells [m, rad].
     """
 
     shape: tuple[int, int] = (144, 160)
@@ -45,7 +45,7 @@ class RadarGrid:
     def __post_init__(self) -> None:
         good = all(type(n) is int and 0 < n <= 4096 for n in self.shape) and len(self.shape) == 2
         if not (good and 0 < self.range_step < 100 and 0 < self.azimuth_step * self.shape[1] <= 2 * math.pi + 1e-9):
-            raise ValueError(f"a polar grid has cells above 0, within 360 degrees, got {self}")
+            raise ValueError(f"a polar grid must have positive sizes and at most 360 degrees, got {self}")
 
     @property
     def reach(self) -> float:
@@ -54,17 +54,17 @@ class RadarGrid:
 
     @property
     def edge(self) -> float:
-        """Half its width in azimuth [rad]."""
+        """Half width in azimuth [rad]."""
         return self.shape[1] * self.azimuth_step / 2
 
 
 class RadarNoise(NamedTuple):
-    """What a radar sees, and its errors: as of `ogm.geometric.RadarISM`.
+    """Field of view and errors of a radar, see `ogm.geometric.RadarISM`.
 
     Attributes
     ----------
     half_width : float
-        Half the field of view in azimuth [rad].
+        Half width of the field of view in azimuth [rad].
     doppler_noise, azimuth_noise : float
         Standard deviations [m/s, rad].
     """
@@ -75,28 +75,38 @@ class RadarNoise(NamedTuple):
 
 
 def polar_features(scan: Scan, mount: Mount, noise: RadarNoise, polar: RadarGrid) -> NDArray[np.float32]:
-    """Return what a sweep has in each polar cell.
+    """Return the features of a sweep in each polar cell.
 
-    Of a cell: the logarithm of 1 + the number of its static and of its moving detections; of its detection with the
-    largest cross section: that [20 dB, from -10 dBsm on], its Doppler over ground [10 m/s], where it lies in the cell
-    (-1/2 to 1/2) and its height above the ground [3 m]; the logarithm of 1 + the number of nearer detections within
-    `BEAM`; whether there is a detection within `BEAM` and none of them is nearer. The same for all sweeps of a radar:
-    range [40 m], azimuth from its middle [90 degrees], whether the cell is in the field of view, and the error of the
-    azimuth [0.02 rad].
+    The channels are:
+
+    * static, moving: ln(1 + number of static or moving detections in the cell);
+    * cross section: the largest of a detection in the cell, (rcs + 10 dBsm) / 20 dB;
+    * Doppler, range in cell, azimuth in cell, height: of that detection, velocity over ground / 10 m/s, position in
+      the cell from -1/2 to 1/2, and height above the ground / 3 m;
+    * detections before: ln(1 + number of nearer detections within `BEAM`);
+    * before the first: 1 if there are detections within `BEAM`, but no nearer ones;
+    * range, azimuth: range / 40 m and absolute azimuth / 90 degrees;
+    * field of view: 1 for cells in the field of view;
+    * azimuth noise: standard deviation of the azimuth / 0.02 rad.
+
+    The last four channels are the same for all sweeps of a radar.
 
     Parameters
     ----------
     scan : Scan
-        With `doppler` and `rcs`; without them, nothing moves and cross sections are 0. Detections with NaN or inf, and
-        those in the ego footprint, are dropped.
+        Sweep with `doppler` and `rcs`; without them, all detections are static and cross sections are 0. Detections
+        with NaN or inf, and detections in the ego footprint, are dropped.
     mount : Mount
+        Mount of the radar.
     noise : RadarNoise
+        Field of view and errors of the radar.
     polar : RadarGrid
+        Polar cells.
 
     Returns
     -------
     (channels, ranges, azimuths) float32
-        In the order of `CHANNELS`.
+        Features in the order of `CHANNELS`.
     """
     rows = _detections(scan, mount, noise)
     ranges, azimuths = polar.shape
@@ -109,7 +119,7 @@ def polar_features(scan: Scan, mount: Mount, noise: RadarNoise, polar: RadarGrid
     np.add.at(result[0], (i[~moving], j[~moving]), 1)
     np.add.at(result[1], (i[moving], j[moving]), 1)
 
-    order = np.argsort(strength, kind="stable")  # the last one of a cell stays
+    order = np.argsort(strength, kind="stable")  # the strongest detection of a cell is written last
     columns = (strength, rows.doppler[inside], r - i - 0.5, a - j - 0.5, rows.height[inside])
     for channel, column in enumerate(columns, 2):
         result[channel, i[order], j[order]] = column[order]
@@ -126,7 +136,7 @@ def polar_features(scan: Scan, mount: Mount, noise: RadarNoise, polar: RadarGrid
 
 
 class _Detections(NamedTuple):
-    """Detections seen from the sensor, in a level frame that looks where it looks; scaled as features are."""
+    """Detections in a level frame with the sensor's position and heading, scaled like the features."""
 
     distance: NDArray[np.float64]
     azimuth: NDArray[np.float64]
@@ -157,23 +167,23 @@ def _detections(scan: Scan, mount: Mount, noise: RadarNoise) -> _Detections:
     height = z - mount.ground_point[2]
     x0, x1, y0, y1 = mount.ego_footprint
     keep = ~((x > x0) & (x < x1) & (y > y0) & (y < y1)) & (distance > 1e-3)
-    scaled = (np.nan_to_num(one, nan=0.0) for one in (strength, doppler / 10, height / 3))
-    strength, doppler, height = (np.clip(one, -3, 3) for one in scaled)
-    return _Detections(*(one[keep] for one in (distance, azimuth, moving, strength, doppler, height)))
+    scaled = (np.nan_to_num(column, nan=0.0) for column in (strength, doppler / 10, height / 3))
+    strength, doppler, height = (np.clip(column, -3, 3) for column in scaled)
+    return _Detections(*(column[keep] for column in (distance, azimuth, moving, strength, doppler, height)))
 
 
 def _heading(mount: Mount) -> float:
-    """Return where the sensor's x axis points in the vehicle frame [rad]."""
+    """Return the heading of the sensor's x axis in the vehicle frame [rad]."""
     return math.atan2(mount.T_vehicle_sensor[1, 0], mount.T_vehicle_sensor[0, 0])
 
 
 @lru_cache(maxsize=16)
 def _constant(polar: RadarGrid, noise: RadarNoise) -> NDArray[np.float32]:
-    """Return the channels that are the same for all sweeps."""
+    """Return the channels that are the same for all sweeps, (4, ranges, azimuths)."""
     r = (np.arange(polar.shape[0]) + 0.5) * polar.range_step
     azimuth = np.abs((np.arange(polar.shape[1]) + 0.5) * polar.azimuth_step - polar.edge)
     columns: Any = (r[:, None] / 40, azimuth / (math.pi / 2), azimuth <= noise.half_width, noise.azimuth_noise / 0.02)
-    result = np.stack([np.broadcast_to(np.asarray(one, np.float32), polar.shape) for one in columns])
+    result = np.stack([np.broadcast_to(np.asarray(column, np.float32), polar.shape) for column in columns])
     result.flags.writeable = False
     return result
 
@@ -181,17 +191,23 @@ def _constant(polar: RadarGrid, noise: RadarNoise) -> NDArray[np.float32]:
 def polar_places(
     x: NDArray[np.float64], y: NDArray[np.float64], mount: Mount, noise: RadarNoise, polar: RadarGrid
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Return where places of the vehicle frame lie on the polar grid: row, column, and whether the radar sees them.
+    """Return the coordinates of positions on the polar grid, and whether the radar sees them.
 
-    Whole numbers are the middles of polar cells. Places behind the edge of the polar grid, outside the field of view
-    and in the ego footprint are not seen.
+    Positions beyond the polar grid, outside the field of view and in the ego footprint are not seen.
 
     Parameters
     ----------
-    x, y : float64 arrays of one shape
-        [m]
+    x, y : float64 arrays of equal shape
+        Positions in the vehicle frame [m].
     mount, noise, polar
-        As of `polar_features`.
+        See `polar_features`.
+
+    Returns
+    -------
+    row, column : float64 arrays
+        Range and azimuth in cells; integers are the centres of polar cells.
+    seen : bool array
+        Whether the radar sees the positions.
     """
     dx, dy = x - mount.origin[0], y - mount.origin[1]
     distance = np.hypot(dx, dy)
@@ -205,16 +221,16 @@ def polar_places(
 
 
 class PolarView(NamedTuple):
-    """The cells of a grid that a radar sees, in their order in memory, and where they lie on its polar grid.
+    """Cells of a grid that a radar sees, in memory order, and their positions on its polar grid.
 
     Attributes
     ----------
     cell : (N,) int32
-        Number of the cell.
+        Flat index of the cell in the grid.
     corner : (N,) int32
-        Number of the polar cell with the lowest range and azimuth of the four around it.
+        Flat index of the polar cell with the lowest range and azimuth of the four surrounding polar cells.
     share : (N, 2) float32
-        How far it lies towards the next range and the next azimuth, 0 to 1.
+        Fraction of the way to the next range and the next azimuth, 0 to 1.
     """
 
     cell: NDArray[np.int32]
@@ -224,7 +240,7 @@ class PolarView(NamedTuple):
 
 @lru_cache(maxsize=16)
 def view_of(spec: GridSpec, mount: Mount, noise: RadarNoise, polar: RadarGrid) -> PolarView:
-    """Find the cells that a radar sees; computed once for each mount."""
+    """Return the cells that a radar sees; cached for each mount."""
     x, y = np.broadcast_arrays(*spec.cell_centers)
     row, column, seen = polar_places(x, y, mount, noise, polar)
     cell = np.flatnonzero(seen)
@@ -236,17 +252,18 @@ def view_of(spec: GridSpec, mount: Mount, noise: RadarNoise, polar: RadarGrid) -
 
 @kernel
 def write_masses(evidence: NDArray[Any], width: int, view: PolarView, mass: NDArray[Any]) -> None:
-    """Write the masses of the cells that are seen: evidence between the four polar cells around each, bilinear.
+    """Write the masses of visible cells, with evidence interpolated bilinearly between polar cells.
 
     Parameters
     ----------
     evidence : (2, polar cells) float32
-        Free and occupied.
+        Evidence for free and occupied.
     width : int
-        Number of azimuths.
+        Number of azimuths of the polar grid.
     view : PolarView
+        Visible cells.
     mass : (cells, 2) float32
-        0 before.
+        Output; rows of other cells are not changed.
     """
     for n in range(len(view.cell)):
         k, u, v = view.corner[n], view.share[n, 0], view.share[n, 1]

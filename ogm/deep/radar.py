@@ -1,59 +1,50 @@
-"""A trained network of radar as an inverse sensor model, with the same interface as the geometric ones."""
+"""Trained radar network as an inverse sensor model, with the interface of the geometric models."""
 
 import os
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.deep.engines import weights_of
-from ogm.deep.polar import RadarGrid, RadarNoise, polar_features, view_of, write_masses
+from ogm.deep.polar import RadarNoise, polar_features, view_of, write_masses
 from ogm.deep.radar_onnx import RadarOnnxEngine
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.scan import Mount, Scan, as_scan, check_mount
 
 if TYPE_CHECKING:
     from ogm.deep.radar_network import RadarNetwork
+    from ogm.deep.torch_engine import TorchRadarEngine
 
 
 DEFAULT_MOUNT = Mount(0.6)
 
 
-class _Engine(Protocol):
-    """What computes: `RadarOnnxEngine`, or `ogm.deep.torch_engine.TorchRadarEngine`."""
-
-    polar: RadarGrid
-    description: dict[str, Any]
-
-    def evidence(self, features: NDArray[np.float32]) -> NDArray[np.float32]: ...
-
-
 class DeepRadarISM:
-    """An inverse sensor model of radar, learned from simulated sweeps with the truth of lidars (after Wei et al. 2023).
+    """Inverse sensor model of radar, learned from simulated sweeps with the truth of lidars (after Wei et al. 2023).
 
-    One sweep in, one evidential grid out, without memory from sweep to sweep::
+    Maps one sweep to one evidential grid, without memory from sweep to sweep::
 
         model = DeepRadarISM.load("radar", mount=Mount(0.6, pose(3.7, 0.0, 0.6)))
         grid = model(scan)
 
-    The network sees the detections on a polar grid around the sensor, so it does not know the vehicle or the mount. A
-    sweep without detections gives an unknown grid; cells outside the field of view, beyond the polar grid and under the
-    ego vehicle are unknown. Detections with NaN or inf, and those in the ego footprint, are dropped.
+    The input of the network is a polar grid around the sensor, so it does not depend on the vehicle or the mount. A
+    sweep without detections gives an unknown grid. Cells outside the field of view, beyond the polar grid and under the
+    ego vehicle are unknown. Detections with NaN or inf, and detections in the ego footprint, are dropped.
 
-    The network predicts what is usual behind a few detections. It repeats that in every sweep from the same place:
-    sweeps are no independent evidence (Bauer et al. 2020). Fuse them by the cautious rule, which is the default of
-    `ogm.fusion.EvidentialMapper`.
+    The network predicts the usual surroundings of a few detections, and repeats this in every sweep from the same
+    place. Sweeps are therefore no independent evidence (Bauer et al. 2020): fuse them by the cautious rule, the default
+    of `ogm.fusion.EvidentialMapper`.
 
     Parameters
     ----------
-    engine : RadarOnnxEngine, or RadarNetwork
-        What computes.
+    engine : RadarOnnxEngine, TorchRadarEngine, or RadarNetwork
+        Engine, or a network to run by torch.
     spec : GridSpec, optional
-        The grid to fill, in the vehicle frame; by default `GridSpec.centered()`. Any resolution: the network's own
-        cells are polar.
+        Output grid in the vehicle frame, of any resolution; by default `GridSpec.centered()`.
     mount : Mount, optional
-        Where the sensor is mounted; by default each scan's own, `Scan.mount`, or else 0.6 m above ground. Its x axis
-        points to the middle of the field of view.
+        Mount of the sensor, with x along the middle of the field of view. By default the mount of each scan
+        (`Scan.mount`), else 0.6 m above ground.
     noise : RadarNoise, optional
         Field of view, and errors of Doppler and azimuth. Trained with half widths of 60 and 75 degrees.
 
@@ -71,7 +62,7 @@ class DeepRadarISM:
 
     def __init__(
         self,
-        engine: "_Engine | RadarNetwork",
+        engine: "RadarOnnxEngine | TorchRadarEngine | RadarNetwork",
         spec: GridSpec | None = None,
         mount: Mount | None = None,
         noise: RadarNoise | None = None,
@@ -79,7 +70,7 @@ class DeepRadarISM:
         if mount is not None:
             check_mount(mount)
         self.mount = mount
-        self.noise = RadarNoise() if noise is None else RadarNoise(*(float(one) for one in noise))
+        self.noise = RadarNoise() if noise is None else RadarNoise(*map(float, noise))
         for name, high in (("half_width", np.pi), ("doppler_noise", 20), ("azimuth_noise", 0.5)):
             if not 0 < getattr(self.noise, name) <= high:
                 raise ValueError(f"{name} must be above 0 and up to {high:g}, got {getattr(self.noise, name)}")
@@ -96,22 +87,22 @@ class DeepRadarISM:
         noise: RadarNoise | None = None,
         threads: int | None = None,
     ) -> Self:
-        """Load weights: shipped weights by name, or a file of `ogm train` or `ogm export`.
+        """Load shipped weights by name, or weights from a file of `ogm train` or `ogm export`.
 
         Parameters
         ----------
         source : "radar", or path
-            An exported network (``.onnx``), which needs no torch; a ``.safetensors`` file with its ``.json``, or a
-            run's folder, for its best weights, by torch.
+            Weights in the package or an exported network (``.onnx``), run by ONNX Runtime; or a ``.safetensors`` file
+            next to its ``.json`` or the folder of a run (its best weights), run by torch.
         spec, mount, noise
-            As of the class.
+            See `DeepRadarISM`.
         threads : int, optional
-            Of ONNX Runtime. By default ``OMP_NUM_THREADS``, or the cores of the process.
+            Number of threads of ONNX Runtime. By default ``OMP_NUM_THREADS``, or the number of cores of the process.
 
         Raises
         ------
         FileNotFoundError, OgmError, ImportError
-            If there are no such weights, they are damaged, or the package that runs them is not installed.
+            If there are no such weights, they are damaged, or the package to run them is not installed.
         """
         with weights_of(source) as path:
             exported = path.with_suffix(".onnx") if str(source) == "radar" else path
@@ -128,12 +119,13 @@ class DeepRadarISM:
         Parameters
         ----------
         scan : Scan or (N, 4) float32
-            Uses x, y, z, `Scan.doppler`, against the sensor or over ground, and `Scan.rcs`.
+            Detections with x, y, z, and optionally `Scan.doppler` (relative to the sensor or over ground) and
+            `Scan.rcs`.
 
         Returns
         -------
         EvidentialGrid
-            Vacuous for a sweep without detections.
+            Masses on `spec`; vacuous for a sweep without detections.
         """
         polar, scan = self.engine.polar, as_scan(scan)
         mount = self.mount or scan.mount or DEFAULT_MOUNT
@@ -149,7 +141,7 @@ class DeepRadarISM:
         return f"DeepRadarISM({self.engine!r}, {self.spec}, {self.mount}, {self.noise})"
 
 
-def _of_torch(network: Any) -> _Engine:
+def _of_torch(network: Any) -> "TorchRadarEngine":
     from ogm.deep.torch_engine import TorchRadarEngine
 
     return TorchRadarEngine(network)

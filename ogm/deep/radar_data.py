@@ -1,4 +1,4 @@
-"""Training data of radar: sweeps on polar grids, and the truth at places that the radar sees."""
+"""Training data of radars: sweeps on polar grids, and the truth at visible positions."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,22 +13,23 @@ from ogm.deep.polar import CHANNELS, RadarGrid, RadarNoise, polar_features, pola
 from ogm.scan import Scan
 from ogm.state import CellState
 
-STEP = 3  # cells of the truth from one place of the loss to the next
-DECIBEL = 10 / np.log(10)  # per factor e of power
+STEP = 3  # spacing of the positions of the loss, in cells of the truth
+DECIBEL = 10 / np.log(10)  # [dB] of a power ratio of e
 
 
 class RadarBatch(NamedTuple):
-    """Some sweeps, ready for a network.
+    """Batch of radar sweeps for a network.
 
     Attributes
     ----------
     features : (batch, channels, ranges, azimuths) float32
+        Features, see `ogm.deep.polar.polar_features`.
     places : (batch, N, 2) float32
-        Of the cells of the loss: azimuth and range, from -1 to 1 across the polar grid.
+        Positions of the loss: azimuth and range, from -1 to 1 across the polar grid.
     state : (batch, N) uint8
-        True states there, values of `ogm.state.CellState`.
+        True states at these positions, values of `ogm.state.CellState`.
     numbers : list of int
-        The frames' numbers.
+        Numbers of the frames in their dataset.
     """
 
     features: torch.Tensor
@@ -37,39 +38,41 @@ class RadarBatch(NamedTuple):
     numbers: list[int]
 
     def inputs(self, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what the network takes, on a device."""
+        """Return the network's input on a device."""
         return self.features.to(device), self.places.to(device)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what the network takes, to be saved."""
+        """Return the network's input as arrays to save."""
         return {"features": self.features.numpy(), "places": self.places.numpy()}
 
     @classmethod
     def joined(cls, batches: "Sequence[RadarBatch]") -> "RadarBatch":
-        """Make one batch of some batches of one; where they have fewer places, the rest is to be ignored."""
-        most = max(one.state.shape[1] for one in batches)
-        places = torch.zeros(len(batches), most, 2)
-        state = torch.full((len(batches), most), int(CellState.IGNORE), dtype=torch.uint8)
-        for k, one in enumerate(batches):
-            places[k, : one.state.shape[1]], state[k, : one.state.shape[1]] = one.places[0], one.state[0]
-        features = torch.cat([one.features for one in batches])
-        return cls(features, places, state, [number for one in batches for number in one.numbers])
+        """Join batches of single sweeps; shorter ones are padded with ignored positions."""
+        count = max(batch.state.shape[1] for batch in batches)
+        places = torch.zeros(len(batches), count, 2)
+        state = torch.full((len(batches), count), int(CellState.IGNORE), dtype=torch.uint8)
+        for k, batch in enumerate(batches):
+            places[k, : batch.state.shape[1]], state[k, : batch.state.shape[1]] = batch.places[0], batch.state[0]
+        features = torch.cat([batch.features for batch in batches])
+        return cls(features, places, state, [number for batch in batches for number in batch.numbers])
 
 
 @dataclass(eq=False)
 class RadarDataset(FrameDataset):
-    """Sweeps of radars as batches of one.
+    """Radar sweeps, each as a batch.
 
     Parameters
     ----------
     frames : sequence of Frame
-        See `FrameDataset`. The truth's grid is in the mount's vehicle frame.
+        See `FrameDataset`. The grid of the truth is in the mount's vehicle frame.
     polar : RadarGrid
+        Polar cells of the features.
     noise : callable, optional
-        Returns field of view and errors of a radar by the name of its sensor; by default `RadarNoise` of all.
+        Maps the sensor name of a radar to its field of view and errors; by default `RadarNoise()` for all radars.
     augmentation : Augmentation
-        `mirror`, `points` and `gain` are used: left and right exchanged, detections lost, cross sections changed.
+        Random changes. Only `mirror`, `points` (lost detections) and `gain` (cross sections) are used.
     seed : int
+        Seed of the random changes.
     """
 
     polar: RadarGrid
@@ -78,15 +81,15 @@ class RadarDataset(FrameDataset):
     seed: int = 0
 
     def __getitem__(self, key: "int | tuple[int, int]") -> RadarBatch:
-        """Return frame i, as augmented in an epoch if the key is (epoch, i).
+        """Return frame i with the augmentation of epoch 0, or of the epoch in a key (epoch, i).
 
-        The truth is taken at every third cell along x and y, in each epoch at others.
+        The truth is sampled at every third cell along x and y, with a random offset if an epoch is given.
         """
         epoch, i = key if isinstance(key, tuple) else (0, key)
         rng = np.random.default_rng((self.seed, epoch, i))
         frame, a = self.frames[i], self.augmentation
         if frame.truth is None:
-            raise ValueError(f"frame {frame.name!r} has no truth to train on; open a data set that has")
+            raise ValueError(f"frame {frame.name!r} has no truth to train on: open a dataset with truth")
         noise = RadarNoise() if self.noise is None else self.noise(frame.scan.sensor)
         mirrored, lost = rng.random() < a.mirror, rng.uniform(0, 0.3) * (rng.random() < a.points)
         decibels = a.gain * DECIBEL * rng.standard_normal()
@@ -105,12 +108,12 @@ class RadarDataset(FrameDataset):
             features[CHANNELS.index("azimuth in cell")] *= -1
             places[:, 0] *= -1
         arrays = (features, places.astype(np.float32), state[seen])
-        tensors: Any = [torch.from_numpy(np.ascontiguousarray(one))[None] for one in arrays]
+        tensors: Any = [torch.from_numpy(np.ascontiguousarray(array))[None] for array in arrays]
         return RadarBatch(tensors[0], tensors[1], tensors[2], [i])
 
 
 def _changed(scan: Scan, keep: NDArray[np.bool_], decibels: float) -> Scan:
-    """Return a sweep with some of its detections, and other cross sections."""
+    """Return a sweep with selected detections and changed cross sections."""
     rcs = None if scan.rcs is None else scan.rcs[keep] + np.float32(decibels)
     doppler = None if scan.doppler is None else scan.doppler[keep]
     return Scan(scan.points[keep], doppler=doppler, rcs=rcs)

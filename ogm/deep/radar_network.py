@@ -1,4 +1,4 @@
-"""The network of radar: a polar grid of one sweep's features in, evidence for its cells out."""
+"""Radar network: from features of a sweep on a polar grid to evidence for the polar cells."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,14 +13,14 @@ from ogm.deep.polar import CHANNELS, RadarGrid
 
 @dataclass(frozen=True)
 class RadarConfig:
-    """Sizes of the network, kept as JSON with the weights.
+    """Sizes of a radar network, stored as JSON with the weights.
 
     Parameters
     ----------
     blocks : tuple of (channels, convolutions)
-        One per scale 1/2, 1/4, ...; see `ogm.deep.network.NetworkConfig`.
+        One entry per scale 1/2, 1/4, ...; see `ogm.deep.network.NetworkConfig`.
     dropout : float
-        Share of the blocks' activations left out in training.
+        Dropout rate of the blocks' activations in training.
     """
 
     blocks: tuple[tuple[int, int], ...]
@@ -28,17 +28,17 @@ class RadarConfig:
 
     @classmethod
     def from_dict(cls, numbers: dict[str, object]) -> "RadarConfig":
-        """Make a configuration from JSON, where tuples are lists."""
+        """Return a configuration from JSON, with lists converted to tuples."""
         blocks = numbers["blocks"]
-        return cls(**{**numbers, "blocks": tuple(tuple(one) for one in blocks)})  # type: ignore[arg-type,attr-defined]
+        return cls(**{**numbers, "blocks": tuple(tuple(block) for block in blocks)})  # type: ignore[arg-type,attr-defined]
 
     @property
     def stride(self) -> int:
-        """Both sides of the polar grid must be whole multiples of this many cells."""
+        """Number of cells of which both sides of the polar grid must be multiples."""
         return 1 << len(self.blocks)
 
     def build(self, spec: RadarGrid) -> "RadarNetwork":
-        """Return a network of these sizes, with random weights."""
+        """Return a network for a polar grid, with random weights."""
         return RadarNetwork(self, spec)
 
 
@@ -46,17 +46,19 @@ RADAR = RadarConfig(((24, 2), (32, 2), (48, 3), (64, 3)))
 
 
 class RadarNetwork(nn.Module):
-    """A U-Net on a polar grid, of the blocks of `ogm.deep.network.LITE`.
+    """U-Net on a polar grid, with the kinds of blocks of `ogm.deep.network.LITE`.
 
     Parameters
     ----------
     config : RadarConfig
+        Sizes.
     spec : RadarGrid
+        Polar grid of the training.
 
     Raises
     ------
     ValueError
-        If the polar grid's cells cannot be halved as often as the network does.
+        If a side of the polar grid is no multiple of `RadarConfig.stride`.
     """
 
     config: RadarConfig
@@ -70,21 +72,20 @@ class RadarNetwork(nn.Module):
         self.config, self.spec = config, spec
         channels = [size for size, _ in config.blocks]
         pairs = zip([len(CHANNELS), *channels], config.blocks, strict=False)
-        self.blocks: nn.ModuleList = nn.ModuleList(
-            down_block(before, *block, config.dropout) for before, block in pairs
-        )
+        blocks = (down_block(before, *block, config.dropout) for before, block in pairs)
+        self.blocks: nn.ModuleList = nn.ModuleList(blocks)
         self.join = AddNeck(channels)
         self.head: nn.Conv2d = nn.Conv2d(channels[0], 2 * 4, 3, padding=1)
         bias: Any = self.head.bias
-        bias.data[:] = torch.tensor([1.0] * 4 + [-1.0] * 4)  # begin near the usual
+        bias.data[:] = torch.tensor([1.0] * 4 + [-1.0] * 4)  # start near the usual output
 
     def forward(self, inputs: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
-        """Return the evidence of places, (batch, N, 2).
+        """Return the evidence at given positions, (batch, N, 2).
 
         Parameters
         ----------
         inputs : (batch, channels, ranges, azimuths), (batch, N, 2)
-            Features, and places as azimuth and range from -1 to 1 across the polar grid.
+            Features, and positions as azimuth and range from -1 to 1 across the polar grid.
         """
         features, places = inputs
         evidence = self.evidence(features)
@@ -92,11 +93,11 @@ class RadarNetwork(nn.Module):
         return grid_sample(evidence, places[:, :, None], **options)[..., 0].permute(0, 2, 1)
 
     def evidence(self, features: torch.Tensor) -> torch.Tensor:
-        """Return evidence (batch, 2, ranges, azimuths), at least 0, from features."""
+        """Return evidence from features, (batch, 2, ranges, azimuths), at least 0."""
         return softplus(pixel_shuffle(self.quarters(features), 2).float())
 
     def quarters(self, features: torch.Tensor) -> torch.Tensor:
-        """Return the head's values before their activation, (batch, 2 * 4, ranges / 2, azimuths / 2)."""
+        """Return the output of the head before its activation, (batch, 2 * 4, ranges / 2, azimuths / 2)."""
         scales, x = [], features
         for block in self.blocks:
             x = block(x)

@@ -1,4 +1,4 @@
-"""An exported network of radars, ready to run without torch."""
+"""Exported radar networks, run without torch."""
 
 import json
 import os
@@ -15,11 +15,12 @@ FORMAT = "ogm.radar.onnx/1"
 
 
 class RadarOnnxEngine(ExportedNetwork):
-    """An exported network of radars that is ready to run; see `ogm.deep.exported.ExportedNetwork`.
+    """Exported radar network, ready to run; for parameters see `ogm.deep.exported.ExportedNetwork`.
 
     Attributes
     ----------
     polar : RadarGrid
+        Polar grid of the network.
     """
 
     inputs = ({"features"},)
@@ -33,11 +34,11 @@ class RadarOnnxEngine(ExportedNetwork):
             place = self.description["spec"]
             self.polar = RadarGrid(tuple(place["shape"]), float(place["range_step"]), float(place["azimuth_step"]))
             if json.loads(metadata["channels"]) != list(CHANNELS):
-                raise ValueError("its channels are others than those of this version")
+                raise ValueError("its channels differ from the channels of this version")
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise OgmError(f"{path} describes no network of radar that can be run: {error!r}") from error
+            raise OgmError(f"{path} describes no valid radar network: {error!r}; export the weights again") from error
         return data
 
     def evidence(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return evidence (2, ranges, azimuths) of free and occupied from features (channels, ranges, azimuths)."""
+        """Return evidence for free and occupied (2, ranges, azimuths) from features (channels, ranges, azimuths)."""
         return self._run({"features": features[None]}, (2, *self.polar.shape))

@@ -1,4 +1,4 @@
-"""Recipes: the settings of a training; ours and the paper's.
+"""Recipes, the settings of a training, and presets of ogm and of the paper.
 
 >>> from dataclasses import replace
 >>> from ogm.deep.recipe import LITE_RECIPE
@@ -30,37 +30,40 @@ LOSSES: dict[str, Callable[[Tensor, Tensor, float], Tensor]] = {  # evidence, ta
 
 @dataclass(frozen=True)
 class Recipe:
-    """The settings of a training, kept with the weights.
+    """Settings of a training, stored with the weights.
 
     Parameters
     ----------
     network : NetworkConfig or RadarConfig
+        Network to train.
     epochs : int
-        Passes over all frames.
+        Number of passes over all frames.
     batch : int
         Frames per step and process.
     loss : str
-        A name of `LOSSES`.
+        Name in `LOSSES`.
     strength : float
         Evidence of a known cell, E of `ogm.deep.losses.reverse_kl`.
     uniform_kl : float
-        Final weight of the divergence from the uniform Dirichlet, reached after 10 epochs.
+        Final weight of `ogm.deep.losses.uniform_kl`, reached after 10 epochs.
     occupied_weight : float
-        Weight of occupied cells in the loss; the paper's is 100.
+        Weight of occupied cells in the loss; 100 in the paper.
     learning_rate, weight_decay : float
-        Of AdamW.
+        Learning rate and weight decay of AdamW.
     warmup : int
         Steps in which the learning rate grows from 0.
     final_rate : float
-        Share of the learning rate that is left at the end of its cosine; 1 keeps it constant.
+        Share of the learning rate at the end of the cosine schedule; 1 keeps it constant.
     clip : float
         Largest norm of the gradient.
     average : float
-        Decay per step of the exponential moving average of the weights; 0 keeps the last ones.
+        Decay per step of the exponential moving average of the weights; 0 uses the current weights.
     augmentation : Augmentation
+        Random changes of the training frames.
     most_pillars, most_points : int
-        The paper's limits, if above 0.
+        Limits of `ogm.deep.data.PillarDataset`; 0 for no limit.
     seed : int
+        Seed of weights, order, augmentation and dropout.
     """
 
     network: NetworkConfig | RadarConfig
@@ -82,10 +85,10 @@ class Recipe:
     seed: int = 0
 
 
-LITE_RECIPE = Recipe(  # that of the shipped weights, which began with others and took half the learning rate
+LITE_RECIPE = Recipe(  # of the shipped weights, which started from earlier weights with half the learning rate
     replace(LITE, rays=True), epochs=11, batch=4, augmentation=Augmentation(sector=0.25)
 )
-PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and the dropout are those of the code
+PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; learning rate and dropout of the published code
     replace(PAPER, evidence="relu"),
     epochs=100,
     batch=5,
@@ -102,14 +105,14 @@ PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and 
     most_pillars=10_000,
     most_points=100,
 )
-RADAR_RECIPE = Recipe(  # that of the shipped weights of radar
+RADAR_RECIPE = Recipe(  # of the shipped radar weights
     RADAR, epochs=8, batch=8, average=0.995, augmentation=replace(PLAIN, mirror=0.5, points=0.25, gain=0.3)
 )
 PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE, "radar": RADAR_RECIPE}
 
 
 def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:
-    """Return the recipe's loss, averaged over all cells that are not ignored."""
+    """Return the loss of a recipe, averaged over all cells that are not ignored."""
     target, valid = losses.targets(state)
     loss = LOSSES[recipe.loss](evidence, target, recipe.strength)
     if recipe.uniform_kl:
@@ -119,7 +122,7 @@ def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> 
 
 
 def learning_rate(recipe: Recipe, step: int, total: int) -> float:
-    """Return the learning rate: linear up, then a cosine down to its final share."""
+    """Return the learning rate of a step: linear warm-up, then cosine decay to the final share."""
     up = min(1.0, (step + 1) / recipe.warmup) if recipe.warmup else 1.0
     cosine = 0.5 * (1 + math.cos(math.pi * step / total))
     return recipe.learning_rate * up * (recipe.final_rate + (1 - recipe.final_rate) * cosine)

@@ -1,4 +1,4 @@
-"""Networks that torch runs, their normalisation folded: for weights not exported, accelerators, comparison."""
+"""Engines that run networks by torch, for weights that are not exported, accelerators and comparison."""
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
@@ -20,35 +20,36 @@ from ogm.grid import GridSpec
 
 
 class TorchEngine:
-    """A network that is ready to run by torch, on one grid.
+    """Lidar network on a grid, run by torch.
 
     Parameters
     ----------
     network : PillarNetwork
-        As `ogm.deep.checkpoint.load_network` returns it.
+        Network, see `ogm.deep.checkpoint.load_network`.
     device : str or torch.device
-        Where it runs: ``"cpu"`` or ``"cuda"``.
+        Device of torch: ``"cpu"`` or ``"cuda"``.
     compile : bool
-        Make the network faster by ``torch.compile``. The first call takes half a minute and needs a C++ compiler.
+        Whether to use ``torch.compile``. The first call takes half a minute and needs a C++ compiler.
     precision : "float32" or "bfloat16"
-        The numbers that the convolutions are computed in.
+        Number format of the convolutions.
     description : mapping, optional
-        Of the weights.
+        Description of the weights.
 
     Attributes
     ----------
     spec : GridSpec
-        The grid around the sensor; at first the network's grid.
+        Grid around the sensor, initially the network's grid.
     rays : bool
-        Whether the network takes the masses of `ogm.geometric.RayISM` too.
+        Whether the network takes the masses of `ogm.geometric.RayISM` as input.
     network : PillarNetwork
-        With its normalisation folded in.
+        Network with folded normalisation.
     description : dict
+        Description of the weights.
 
     Raises
     ------
     ValueError
-        If there is no such device or precision.
+        If the device or the precision does not exist.
     """
 
     description: dict[str, Any]
@@ -66,7 +67,7 @@ class TorchEngine:
         description: Mapping[str, Any] | None = None,
     ) -> None:
         if precision not in ("float32", "bfloat16"):
-            raise ValueError(f"the precision is float32 or bfloat16, got {precision!r}")
+            raise ValueError(f"precision must be float32 or bfloat16, got {precision!r}")
         self.device, self.description = _device(device), dict(description or {})
         self._dtype, self._compile = getattr(torch, precision), compile
         self._given, self.rays = network, bool(getattr(network.config, "rays", False))
@@ -80,7 +81,7 @@ class TorchEngine:
             self._evidence = torch.compile(backbone.evidence)
 
     def on(self, spec: GridSpec) -> Self:
-        """Return the same network for another grid; errors as of `PillarNetwork.on`."""
+        """Return the same network for another grid; for errors see `PillarNetwork.on`."""
         other = copy.copy(self)
         other._prepare(self._given.on(spec))
         return other
@@ -97,7 +98,7 @@ class TorchEngine:
     def masses(
         self, scans: Sequence[Pillars], rays: Sequence[NDArray[np.float32]] | None = None
     ) -> NDArray[np.float32]:
-        """Return belief masses (scans, nx, ny, 2): free, occupied; parameters as of `OnnxEngine.masses`."""
+        """Return belief masses for free and occupied, (scans, nx, ny, 2); see `OnnxEngine.masses`."""
         nx, ny = self.spec.shape
         pillars: Any = collate(scans, nx * ny)
         if rays is not None:
@@ -109,7 +110,7 @@ class TorchEngine:
 
 
 class TorchRadarEngine:
-    """A network of radars that torch runs.
+    """Radar network run by torch.
 
     Parameters
     ----------
@@ -121,7 +122,9 @@ class TorchRadarEngine:
     Attributes
     ----------
     polar : RadarGrid
+        Polar grid of the network.
     description : dict
+        Description of the weights.
     """
 
     polar: RadarGrid
@@ -133,7 +136,7 @@ class TorchRadarEngine:
 
     @torch.inference_mode()
     def evidence(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return evidence (2, ranges, azimuths) of free and occupied from features (channels, ranges, azimuths)."""
+        """Return evidence for free and occupied (2, ranges, azimuths) from features (channels, ranges, azimuths)."""
         return self.network.evidence(torch.from_numpy(features)[None])[0].contiguous().numpy()
 
 
@@ -141,9 +144,9 @@ def _device(name: str | torch.device) -> torch.device:
     try:
         device = torch.empty(0, device=name).device
     except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise ValueError(f"there is no device {str(name)!r} here ({error}); use cpu") from error
+        raise ValueError(f"there is no device {str(name)!r} on this machine ({error}): use cpu") from error
     if device.type not in ("cpu", "cuda"):
-        raise ValueError(f"the network runs on cpu and cuda, got {str(name)!r}")
+        raise ValueError(f"device must be cpu or cuda, got {str(name)!r}")
     return device
 
 
@@ -151,23 +154,21 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 class ConvReLU(nn.Module):
-    """A convolution and its ReLU: one operation where oneDNN computes, else two."""
+    """Convolution with ReLU, a single operation with oneDNN."""
 
     def __init__(self, conv: nn.Conv2d) -> None:
         super().__init__()
         self.conv = conv
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return an array of the convolution's shape."""
+        """Return the output of the convolution after the ReLU."""
         conv = self.conv
         plain = x.device.type != "cpu" or x.dtype != torch.float32 or torch.is_grad_enabled() or not _ONEDNN
         if plain or torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
             return relu(conv(x), inplace=True)
-        numbers = conv.padding, conv.stride, conv.dilation, conv.groups
-        whole: torch.Tensor = torch.ops.mkldnn._convolution_pointwise(
-            x, conv.weight, conv.bias, *numbers, "relu", [], None
-        )
-        return whole
+        numbers: Any = conv.padding, conv.stride, conv.dilation, conv.groups, "relu", [], None
+        result: torch.Tensor = torch.ops.mkldnn._convolution_pointwise(x, conv.weight, conv.bias, *numbers)
+        return result
 
 
 _onednn: Any = torch.backends.mkldnn
@@ -175,7 +176,7 @@ _ONEDNN = _onednn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_poi
 
 
 def fused(network: PillarNetwork) -> PillarNetwork:
-    """Return a copy for inference: normalisation folded into the layers before it, channels last in memory."""
+    """Return a lidar network for inference: all normalisation folded into layers, channels last in memory."""
     result = folded(network)
     pillar: Any = result.pillar
     pillar.linear = fuse_linear_bn_eval(pillar.linear, pillar.norm)
@@ -187,7 +188,7 @@ def fused(network: PillarNetwork) -> PillarNetwork:
 
 
 def folded(network: Network) -> Network:
-    """Return a copy for inference: normalisation folded into the convolutions before it."""
+    """Return a copy for inference, with batch normalisation folded into the convolutions before it."""
     result = copy.deepcopy(network).eval()
     for module in result.modules():
         if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):

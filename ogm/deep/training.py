@@ -1,8 +1,8 @@
 """Training of a network on frames.
 
-A run is a folder. ``best.safetensors`` and ``best.json`` are the averaged weights with the lowest validation loss,
-``state.pt`` holds the state to resume from, ``log.csv`` the learning curve, and ``epoch-NNN.png`` shows fixed
-validation frames.
+The folder of a run contains the averaged weights with the lowest validation loss (``best.safetensors`` and
+``best.json``), the state to resume from (``state.pt``), the learning curve (``log.csv``) and predictions for fixed
+validation frames (``epoch-NNN.png``).
 
 >>> from pathlib import Path
 >>> from ogm import GridSpec, open_dataset
@@ -65,42 +65,43 @@ def train(
     Parameters
     ----------
     training, validation : sequence of Frame
-        Frames with scan, mount and truth, as ``open_dataset(path, split="training")`` gives them, or with
-        ``sensors=["radar"]`` for a network of radars. The weights are chosen by `validation`.
+        Frames with scan, mount and truth, see ``open_dataset(path, split="training")``, with ``sensors=["radar"]`` for
+        a radar network. The best weights are chosen on `validation`.
     spec : GridSpec or RadarGrid
-        The network's grid, around the sensor: a `RadarGrid` for a network of radars.
+        Grid of the network around the sensor, a `RadarGrid` for a radar network.
     out : Path
-        The run's folder.
+        Folder of the run.
     recipe : Recipe
+        Settings of the training.
     noise : callable, optional
-        Returns field of view and errors of a radar by the name of its sensor; by default `RadarNoise()` for
-        all radars. Only used for networks of radars.
+        Maps the sensor name of a radar to its field of view and errors; by default `RadarNoise()` for all radars. Only
+        for radar networks.
     initial : PillarNetwork or RadarNetwork, optional
-        Begin with its weights instead of random ones; the recipe's network may take further inputs.
+        Network with the initial weights, by default random. The recipe's network may have further inputs.
     resume : bool
-        Resume a run with the same recipe, grid, data and number of processes that stopped in `out`; the learning rate
-        and the clipping may be others. Begin if there is none.
+        Resume the run in `out`, or start if the folder holds no run. Recipe, grid, data and number of processes must
+        be the same, except for learning rate and gradient clipping.
     accelerator, devices, nodes, precision
-        See Lightning Fabric. The default precision is bfloat16 where the accelerator or the processor has it, else
+        See Lightning Fabric. The default precision is bfloat16 if the accelerator or the processor supports it, else
         float32.
     workers : int, optional
-        Processes that prepare frames, for each training process; by default half the cores, 12 at most.
+        Number of processes that prepare frames, for each training process; by default half the cores, at most 12.
     picture_every : int
-        Epochs between pictures of validation frames; 0 draws none. Trainings of radars draw none.
+        Epochs between pictures of validation frames; 0 for no pictures. Radar trainings draw no pictures.
     facts : mapping, optional
         Provenance, written to ``best.json``.
     progress : bool
-        Show a progress bar.
+        Whether to show a progress bar.
 
     Raises
     ------
     ValueError
-        If there are too few frames, the grid does not suit the network or its sensor, `out` holds another run, or a
+        If there are too few frames, the grid does not fit the network or its sensor, `out` holds another run, or a
         number of the recipe is out of range.
     FloatingPointError
-        If the loss is not finite; the batch is saved in the run's folder.
+        If the loss is not finite; the batch is saved in the folder of the run.
     MemoryError
-        If the memory does not suffice.
+        If there is not enough memory.
     BlockingIOError
         If another process trains in `out`.
     OSError
@@ -122,19 +123,19 @@ def train(
 def _dataset(
     frames: Sequence[Frame], spec: GridSpec | RadarGrid, recipe: Recipe, noise: Callable[[str], RadarNoise] | None
 ) -> PillarDataset | RadarDataset:
-    """Return the frames as the recipe's network takes them."""
+    """Return the frames as a dataset for the recipe's network."""
     network, augmentation = recipe.network, recipe.augmentation
     if isinstance(network, NetworkConfig) and isinstance(spec, GridSpec):
         limits = recipe.most_pillars, recipe.most_points
         return PillarDataset(frames, spec, augmentation, network.z_range, recipe.seed, *limits, network.rays)
     if isinstance(network, RadarConfig) and isinstance(spec, RadarGrid):
         return RadarDataset(frames, spec, noise, augmentation, recipe.seed)
-    raise ValueError(f"networks of lidars take a GridSpec, networks of radars a RadarGrid, got {spec}")
+    raise ValueError(f"spec must be a GridSpec for lidar networks, a RadarGrid for radar networks, got {spec}")
 
 
 def _launch(accelerator: str, devices: int, nodes: int, precision: Any) -> Fabric:
     """Start the processes of a training; see `train` for the default precision."""
-    if accelerator == "auto":  # Lightning would take others, for which torch lacks segment_reduce
+    if accelerator == "auto":  # Lightning would also choose accelerators without torch.segment_reduce
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
     if precision is None:
         cuda = accelerator in ("cuda", "gpu") and torch.cuda.is_available() and torch.cuda.is_bf16_supported()
@@ -142,26 +143,27 @@ def _launch(accelerator: str, devices: int, nodes: int, precision: Any) -> Fabri
         precision = "bf16-mixed" if bfloat16 else "32-true"
     try:
         fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=nodes, precision=precision)
-    except (RuntimeError, ValueError) as error:  # Lightning's, if there is no such accelerator
-        raise ValueError(f"cannot train on {devices} x {accelerator} here: {error}") from error
+    except (RuntimeError, ValueError) as error:  # Lightning's errors if there is no such accelerator
+        raise ValueError(f"cannot train on {devices} x {accelerator} on this machine: {error}") from error
     fabric.launch()
     return fabric
 
 
 def _has_bfloat16() -> bool:
-    """Return whether the processor multiplies bfloat16 (AVX-512 BF16, or AMX): two to four times as fast to train."""
-    asked = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
-    return bool(asked and asked())
+    """Return whether the processor supports bfloat16 (AVX-512 BF16, or AMX), which trains 2 to 4 times as fast."""
+    is_supported = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
+    return bool(is_supported and is_supported())
 
 
 def _check_recipe(validation: Sequence[Any], recipe: Recipe, out: Path, resume: bool) -> None:
-    """Raise a ValueError if a number of a recipe is out of range, frames are missing, or `out` holds a run."""
+    """Raise ValueError if a number of a recipe is out of range, frames are missing, or `out` holds a run."""
     if recipe.loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {recipe.loss!r}")
     if recipe.epochs < 1 or recipe.batch < 1:
         raise ValueError(f"epochs and batch must be at least 1, got {recipe.epochs} and {recipe.batch}")
     if not (recipe.learning_rate > 0 and recipe.strength > 0):
-        raise ValueError("learning_rate and strength must be greater than 0")
+        given = f"got {recipe.learning_rate} and {recipe.strength}"
+        raise ValueError(f"learning_rate and strength must be greater than 0, {given}")
     if len(validation) == 0:
-        raise ValueError("there are no validation frames to choose the weights by")
+        raise ValueError("got no validation frames to choose the weights by: give a dataset with validation frames")
     refuse_other_run(out, resume)

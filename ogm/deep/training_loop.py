@@ -1,4 +1,4 @@
-"""The steps and epochs of a training, with validation, learning curve and saved states: `run_training`."""
+"""`run_training`: steps and epochs of a training, with validation, learning curve and saved states."""
 
 import math
 import os
@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext
 from functools import partial
 from multiprocessing.util import Finalize
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,37 +17,34 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from ogm.deep import losses
+from ogm.deep.data import PillarDataset
 from ogm.deep.order import EpochSampler, ShardSampler
+from ogm.deep.radar_data import RadarDataset
 from ogm.deep.recipe import Recipe, mean_loss
-from ogm.deep.training_run import TrainingBatch, TrainingRun
+from ogm.deep.training_run import TrainingRun
 from ogm.evidence import evidence_to_mass
 from ogm.state import predict_state
 from ogm.storage.locks import locked
 
-_SAVE_EVERY = 120.0  # [s]
-# In errors of torch.distributed
+_SAVE_EVERY = 120.0  # [s] between saved states
+# Texts in errors of torch.distributed
 _PEER_ENDED = ("Connection closed by peer", "Connection reset by peer", "ncclRemoteError")
 
 
-class Frames(Protocol):
-    """Frames as batches of one: `PillarDataset`, or `ogm.deep.radar_data.RadarDataset`."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, key: Any) -> "TrainingBatch": ...
+Frames = PillarDataset | RadarDataset  # datasets that give each frame as a batch
 
 
 class ValidationScores(NamedTuple):
-    """Scores of a network on some frames; all cells of all frames have the same weight.
+    """Validation scores of a network, with equal weight for all cells of all frames.
 
     Attributes
     ----------
     loss : float
         Mean of the recipe's loss.
     kl : float
-        Mean of KL[prediction || truth] at the recipe's strength, divided by it, whatever the loss.
+        Mean of `ogm.deep.losses.reverse_kl` at the recipe's strength, for any loss of the recipe.
     free, occupied : float
-        Intersection over union of the cells that `ogm.state.predict_state` gives this state.
+        Intersection over union of the cells predicted as free or occupied by `ogm.state.predict_state`.
     """
 
     loss: float
@@ -71,18 +68,18 @@ def run_training(
     workers: int | None = None,
     progress: bool = True,
 ) -> Path:
-    """Do all steps of a training that are left, and return the path of its best weights.
+    """Do all remaining steps of a training and return the path of its best weights.
 
     Parameters
     ----------
     run : TrainingRun
-        Not begun yet; the state in its folder is taken over.
-    frames, fixed : dataset of batches of one
-        Frames for training, and frames to choose the weights by. `frames` takes keys (epoch, i), see `PillarDataset`.
+        New run; a saved state in its folder is restored.
+    frames, fixed : PillarDataset or RadarDataset
+        Training frames with keys (epoch, i), see `PillarDataset`, and validation frames.
     facts : mapping
         Provenance, written to ``best.json``.
     draw : callable, optional
-        Draws the predictions of a network into a file.
+        Draws the predictions of a network to a file.
     picture_every, resume, workers, progress
         See `ogm.deep.training.train`.
     """
@@ -103,7 +100,7 @@ def run_training(
                 pictures = draw if picture_every else None
                 _train_epochs(run, loader, order, fixed, (pictures, picture_every), facts, show)
             except KeyboardInterrupt:
-                if run.consistent:  # else the state that was saved before is the one to resume from
+                if run.consistent:  # otherwise the last saved state is kept
                     run.save()
                 raise
             except RuntimeError as error:
@@ -111,7 +108,7 @@ def run_training(
                     raise
                 if run.consistent:
                     run.save()
-                text = f"another process of the training in {out} ended: start all again with `resume`"
+                text = f"another process of the training in {out} ended: start all processes again with `resume`"
                 raise OSError(text) from error
     return out / "best.safetensors"
 
@@ -125,7 +122,7 @@ def _train_epochs(
     facts: Mapping[str, Any],
     show: Callable[..., None],
 ) -> None:
-    """Do all steps that are left; score, record and save after every epoch."""
+    """Do all remaining steps; score, record and save after every epoch."""
     recipe, fabric, out = run.recipe, run.fabric, run.out
     saved = time.monotonic()
     while run.epoch < recipe.epochs:
@@ -151,7 +148,7 @@ def _train_epochs(
 
 @torch.no_grad()
 def validate(network: nn.Module, dataset: Frames, recipe: Recipe, device: torch.device) -> ValidationScores:
-    """Score a network on frames, by the loss as it is after all annealing, so that epochs can be compared."""
+    """Score a network on frames, with the loss after all annealing, so that epochs are comparable."""
     network.eval()
     loss = kl = cells = 0.0
     counts = np.zeros((3, 3))  # true state, predicted state
@@ -171,7 +168,7 @@ def validate(network: nn.Module, dataset: Frames, recipe: Recipe, device: torch.
 
 
 def make_loader(frames: Frames, order: EpochSampler, batch: int, workers: int | None) -> DataLoader[Any]:
-    """Return a loader of batches in an order, by a number of further processes; None takes half the cores."""
+    """Return a loader of batches; `workers` is the number of loading processes, by default half the cores."""
     if workers is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))
@@ -189,16 +186,16 @@ def _joined(batches: Sequence[Any]) -> Any:
 
 
 def _end_at_once(worker: int) -> None:
-    """Let this loading process end when its queues are flushed: one in eight is aborted when C++ objects are freed."""
+    """Make a loading process end after flushing its queues; freeing its C++ objects aborts one in eight."""
     Finalize(None, os._exit, args=(0,), exitpriority=-100)
 
 
 @contextmanager
 def _memory_advice(recipe: Recipe) -> Iterator[None]:
-    """Turn torch's errors about too little memory into one with the way out."""
+    """Replace torch's errors about missing memory by a MemoryError with the way out."""
     try:
         yield
-    except RuntimeError as error:  # torch.OutOfMemoryError among them
+    except RuntimeError as error:  # includes torch.OutOfMemoryError
         killed = "alloc" in str(error) or "DataLoader worker" in str(error)  # by the operating system
         if not (isinstance(error, torch.OutOfMemoryError) or killed):
             raise
@@ -208,7 +205,7 @@ def _memory_advice(recipe: Recipe) -> Iterator[None]:
 
 @contextmanager
 def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
-    """Show a progress bar; the function that is returned updates its fields."""
+    """Show a progress bar; yield the function that updates its fields."""
     columns = (
         TextColumn("epoch {task.fields[epoch]:.1f}"),
         BarColumn(),
@@ -221,6 +218,6 @@ def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
 
 
 def refuse_other_run(out: Path, resume: bool) -> None:
-    """Raise a ValueError if a folder holds a run that is not to be resumed."""
+    """Raise ValueError if a folder holds a run and `resume` is not set."""
     if not resume and (out / "state.pt").exists():
-        raise ValueError(f"{out} holds a run already; go on with `resume`, or give another `out`")
+        raise ValueError(f"{out} already holds a run: continue it with `resume`, or give another `out`")

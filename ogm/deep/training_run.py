@@ -1,4 +1,4 @@
-"""State of a training and the files of its folder: `TrainingRun`."""
+"""`TrainingRun`: state of a training and the files of its folder."""
 
 import csv
 import importlib.metadata
@@ -10,69 +10,52 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from lightning.fabric import Fabric
-from numpy.typing import NDArray
 from torch import nn
 
 from ogm.deep.checkpoint import save_network
-from ogm.deep.data import PillarDataset
+from ogm.deep.data import Batch, PillarDataset
 from ogm.deep.network import PillarNetwork, copy_weights
+from ogm.deep.radar_data import RadarBatch
 from ogm.deep.recipe import Recipe, learning_rate, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.grid import EvidentialGrid
 from ogm.state import Truth
 from ogm.storage.files import OgmError, atomic_write
 
-
-class TrainingBatch(Protocol):
-    """Some frames, ready for a network: pillars of lidars, or polar grids of radars."""
-
-    @property
-    def state(self) -> torch.Tensor:
-        """True states, (batch, ...) uint8."""
-
-    @property
-    def numbers(self) -> list[int]:
-        """The frames' numbers."""
-
-    def inputs(self, device: torch.device) -> Any:
-        """Return what the network takes, on a device."""
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what the network takes, to be saved."""
-
-
 _MODULES = ("network", "average", "optimizer")
 
 
 class TrainingRun:
-    """State of a training, which steps and ends of epochs change, and a resumed run needs.
+    """State of a training, which can be saved and restored.
 
     Parameters
     ----------
     fabric : Fabric
+        Lightning's launcher of the processes.
     recipe : Recipe
+        Settings of the training.
     spec : GridSpec or RadarGrid
-        The network's grid.
+        Grid of the network.
     out : Path
-        The run's folder.
+        Folder of the run.
     training, validation : int
         Numbers of frames.
     initial : PillarNetwork or RadarNetwork, optional
-        Network whose weights the training begins with; see `ogm.deep.network.copy_weights`.
+        Network with the initial weights; see `ogm.deep.network.copy_weights`.
 
     Attributes
     ----------
     step, epoch : int
-        Steps done; epochs done and validated.
+        Numbers of completed steps, and of completed and validated epochs.
     average : PillarNetwork or RadarNetwork
         Exponential moving average of the network's weights.
     consistent : bool
-        Whether network, average and step belong together.
+        Whether network, average and step belong to the same step.
     """
 
     fabric: Fabric
@@ -101,7 +84,7 @@ class TrainingRun:
         self.steps = self.steps_per_epoch * recipe.epochs
         if self.steps == 0:
             need = f"one batch of {recipe.batch} for each of {fabric.world_size} processes"
-            raise ValueError(f"{training} training frames are fewer than {need}; use a smaller `batch`")
+            raise ValueError(f"{training} training frames are fewer than {need}: use a smaller `batch`")
         self._setup = {
             "recipe": repr(replace(recipe, learning_rate=0.0, clip=0.0)),  # a resumed run may change these two
             "spec": repr(spec),
@@ -120,26 +103,26 @@ class TrainingRun:
         self.average = average.to(fabric.device).eval()
         self.step, self.epoch, self.best = 0, 0, math.inf
         self.consistent = True
-        self._losses: list[float] = []  # of the last 100 steps
+        self._losses: list[float] = []  # losses of the last 100 steps
 
     @property
     def recent_loss(self) -> float:
         """Mean loss of the last 100 steps."""
         return sum(self._losses) / max(len(self._losses), 1)
 
-    def do_step(self, batch: TrainingBatch) -> None:
-        """Change the weights by the gradient of one batch."""
+    def do_step(self, batch: Batch | RadarBatch) -> None:
+        """Update the weights by the gradient of a batch."""
         recipe, fabric = self.recipe, self.fabric
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(recipe, self.step, self.steps)
         seed = (recipe.seed * self.steps + self.step) * fabric.world_size + fabric.global_rank
-        torch.manual_seed(seed)  # of the dropout
+        torch.manual_seed(seed)  # for the dropout
         inputs, state = batch.inputs(fabric.device), batch.state.to(fabric.device)
         with self._buffers_kept():
             loss = mean_loss(self._model(inputs), state, recipe, self.step / self.steps_per_epoch)
             value = float(loss.detach())
             finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
-            if fabric.all_reduce(finite, reduce_op="mean") != 1:  # all processes stop where one must
+            if fabric.all_reduce(finite, reduce_op="mean") != 1:  # all processes stop together
                 raise nonfinite_loss_error(self.out, batch, value, self.step)
             self.optimizer.zero_grad()
             fabric.backward(loss)
@@ -154,26 +137,26 @@ class TrainingRun:
 
     @contextmanager
     def _buffers_kept(self) -> Iterator[None]:
-        """After an error or an interrupt, give the network the buffers it had: a forward pass changes batch norms'."""
-        kept = [one.clone() for one in self.network.buffers()]
+        """Restore the network's buffers after an error or interrupt; a forward pass changes batch statistics."""
+        kept = [buffer.clone() for buffer in self.network.buffers()]
         try:
             yield
         except BaseException:
-            for one, before in zip(self.network.buffers(), kept, strict=True):
-                one.copy_(before)
+            for buffer, before in zip(self.network.buffers(), kept, strict=True):
+                buffer.copy_(before)
             raise
 
     def record(self, scores: Mapping[str, float], speed: float, facts: Mapping[str, Any]) -> None:
-        """Append an epoch to the learning curve, and keep its weights if its loss is the lowest.
+        """Append an epoch to the learning curve, and save its weights if its loss is the lowest.
 
         Parameters
         ----------
         scores : mapping
-            Validation scores; ``loss`` among them.
+            Validation scores, including ``loss``.
         speed : float
             Steps per second.
         facts : mapping
-            For the description of the weights.
+            Further entries of the description of the weights.
         """
         counts = {"epoch": self.epoch + 1, "step": self.step}
         row = {**counts, "training_loss": self.recent_loss, **scores}
@@ -184,36 +167,36 @@ class TrainingRun:
             result = {**counts, "validation": dict(scores)}
             about = {"recipe": asdict(self.recipe), "result": result, "versions": versions, **facts}
             save_network(self.out / "best.safetensors", self.average, about)
-            self.best = scores["loss"]  # last: a run that stops before writes them again
+            self.best = scores["loss"]  # set last, so that a run stopped before saves the weights again
 
     def save(self) -> float:
-        """Write ``state.pt``, and return the time of it."""
+        """Write ``state.pt`` and return the time [s] of a monotonic clock."""
         if self.fabric.is_global_zero:
             state = {name: getattr(self, name).state_dict() for name in _MODULES}
             numbers = {"step": self.step, "epoch": self.epoch, "best": self.best, "losses": self._losses}
-            archive = io.BytesIO()  # torch hides the error of a full disk behind one of its own
+            archive = io.BytesIO()  # torch.save to a file would hide the error of a full disk
             torch.save({"setup": self._setup, **state, **numbers}, archive)
             with atomic_write(self.out / "state.pt") as file:
                 file.write(archive.getbuffer())
         return time.monotonic()
 
     def restore(self) -> None:
-        """Read ``state.pt``. Nothing is unpickled but tensors, texts and numbers."""
+        """Read ``state.pt``. Only tensors, texts and numbers are unpickled."""
         path = self.out / "state.pt"
         try:
-            with zipfile.ZipFile(path) as archive:  # torch compares no checksums
+            with zipfile.ZipFile(path) as archive:  # torch does not check the checksums
                 if damaged := archive.testzip():
                     raise OgmError(f"its part {damaged} is damaged: the checksum differs")
             state = torch.load(path, map_location="cpu", weights_only=True)
             for name, wanted in self._setup.items():
                 if state["setup"][name] != wanted:
                     change = f"{state['setup'][name]}, now {wanted}; give the same options and data, or another `out`"
-                    raise ValueError(f"it was begun with another {name}: {change}")
+                    raise ValueError(f"it was started with another {name}: {change}")
             for name in _MODULES:
                 getattr(self, name).load_state_dict(state[name])
             self.step, self.epoch, self.best = int(state["step"]), int(state["epoch"]), float(state["best"])
-            self._losses = [float(one) for one in state.get("losses", ())]
-        except Exception as error:  # whatever torch makes of a damaged file
+            self._losses = [float(loss) for loss in state.get("losses", ())]
+        except Exception as error:  # torch raises various errors for damaged files
             raise OgmError(f"cannot resume from {path}: {error}") from error
 
 
@@ -234,16 +217,16 @@ def draw_predictions(path: Path, network: PillarNetwork, dataset: PillarDataset,
     save_picture(path, *panels)
 
 
-def nonfinite_loss_error(folder: Path, batch: TrainingBatch, loss: float, step: int) -> FloatingPointError:
-    """Return the error for a loss that is not finite; the batch is saved if the loss is of this process."""
+def nonfinite_loss_error(folder: Path, batch: Batch | RadarBatch, loss: float, step: int) -> FloatingPointError:
+    """Return the error for a non-finite loss; the batch is saved if the loss is of this process."""
     if math.isfinite(loss):
-        return FloatingPointError(f"the loss of another process is not finite at step {step}; see its message")
+        return FloatingPointError(f"the loss of another process is not finite at step {step}: see its message")
     path = folder / f"batch-{step}.npz"
     with atomic_write(path) as file:
         arrays: Any = batch.arrays()
         np.savez_compressed(file, **arrays, state=batch.state.numpy(), numbers=np.array(batch.numbers))
-    way_out = "`resume` with a smaller `learning_rate` goes on from the last saved state"
-    return FloatingPointError(f"the loss became {loss} at step {step}; the batch is in {path}; {way_out}")
+    way_out = "continue from the last saved state by `resume` with a smaller `learning_rate`"
+    return FloatingPointError(f"the loss became {loss} at step {step}, the batch is in {path}: {way_out}")
 
 
 @torch.no_grad()
@@ -256,11 +239,11 @@ def _update_ema(average: nn.Module, network: nn.Module, decay: float) -> None:
 
 
 def _add_row(path: Path, row: Mapping[str, float]) -> None:
-    """Write the row of an epoch after the rows of earlier epochs; a stopped run may have written it before."""
+    """Write the row of an epoch after the rows of earlier epochs; rows of a stopped run are replaced."""
     rows: list[dict[str, Any]] = []
     if path.exists():
         with open(path, newline="") as file:
-            rows = [one for one in csv.DictReader(file) if int(one["epoch"]) < row["epoch"]]
+            rows = [earlier for earlier in csv.DictReader(file) if int(earlier["epoch"]) < row["epoch"]]
     rows.append({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
     with atomic_write(path, "w") as file:
         writer = csv.DictWriter(file, list(row), lineterminator="\n")

@@ -40,7 +40,7 @@ def check_frames(dataset: Dataset) -> Iterator[Finding]:
         yield Finding("lost data", "damage", listed([str(warning) for warning in recording.warnings]))
     for fault in recording.clock_findings:
         severity = "wrong map" if fault.kind == "clock offset" else "lost data"
-        yield Finding(severity, "clock", f"{fault.where}: {fault.what}", fault.way_out)
+        yield Finding(severity, "clock", f"{fault.where}: {fault.fault}", fault.way_out)
     for text, way in recording.frame_notes:
         yield Finding("wrong map" if way else "note", "frames", text, way)
     posed = [ref for ref in refs if ref.T_map_sensor is not None]

@@ -118,9 +118,9 @@ def test_rays_of_registered_clouds_start_at_the_sensor(
 
 
 @each("frame, chain, message", [
-        ("map", (), "transforms from there are missing"),
-        ("robot/odom", (("robot/odom", "robot/base_link"),), "lead from there to robot/base_link, not to one lidar"),
-        ("map", (*BOTH, ("base_link", "rslidar")), "lead from there to os_lidar, rslidar, not to one lidar"),
+        ("map", (), "transforms from it are missing"),
+        ("robot/odom", (("robot/odom", "robot/base_link"),), "lead from it to robot/base_link, wanted one lidar"),
+        ("map", (*BOTH, ("base_link", "rslidar")), "lead from it to os_lidar, rslidar, wanted one lidar"),
     ])  # fmt: skip
 def test_a_registered_cloud_without_the_place_of_its_sensor_is_refused(
     tmp_path: Path, frame: str, chain: tuple[tuple[str, str], ...], message: str
@@ -157,8 +157,8 @@ def test_setups_come_back_from_their_file(tmp_path: Path) -> None:
 
 @each("text, message", [
         ("", "list `sensors`"), ("sensors: 3", "list `sensors`"), ("sensors: []", "one entry"), ("a: [", "no YAML"),
-        ("sensors: [{colour: red}]", "no key 'colour'"), ("sensors: [{range: [3, 1]}]", "below max_range"),
-        ("sensors: [{mount: {w: 1}}]", "mount has no key 'w'"), ("sensors: [{footprint: [1, 2]}]", "ego_footprint"),
+        ("sensors: [{colour: red}]", "unknown key 'colour'"), ("sensors: [{range: [3, 1]}]", "below max_range"),
+        ("sensors: [{mount: {w: 1}}]", "unknown key 'w'"), ("sensors: [{footprint: [1, 2]}]", "ego_footprint"),
         ("sensors: [{no_echo_at_greatest_range: true}]", "greatest range"), ("sensors: [{}, {}]", "one entry"),
         ("sensors: [{height: high}]", "list `sensors`"), ("sensors: [{leave_out: [[0, 900]]}]", "a turn"),
     ])  # fmt: skip
@@ -187,7 +187,7 @@ def test_the_mount_of_a_setup_counts_instead_of_transforms(tmp_path: Path) -> No
     path = write_log(tmp_path / "a.mcap", [np.eye(4)] * 2, mount, pose_mount=pose(z=1.2))
     setup = SensorSetup("/points", mount=(0, 0, 0, 0, math.radians(20), 0))
     check_map(open_dataset(path, setups=setup))
-    refused("setups. are of /front, the scans of .* of /points", open_dataset, path, setups=SensorSetup("/front"))
+    refused("setups. are for the topics /front, but .* /points", open_dataset, path, setups=SensorSetup("/front"))
     beside = write_log(tmp_path / "b.mcap", [np.eye(4)] * 2, mount, chain=(("map", "base_link"),), frame="scanner")
     check_map(open_dataset(beside, setups=SensorSetup(mount=(0, 0, 1.2, 0, math.radians(20), 0))))
 

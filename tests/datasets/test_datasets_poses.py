@@ -133,7 +133,7 @@ def test_a_part_of_a_drive_gets_its_own_poses(scans: Path, tmp_path: Path) -> No
 def test_with_poses_a_drive_has_aggregated_truth(scans: Path, tmp_path: Path) -> None:
     assert open_dataset(scans).description == ""
     dataset = with_poses(open_dataset(scans), kitti(tmp_path / "p.txt"))
-    assert "scans agree on" in dataset.description
+    assert "scans agree" in dataset.description
     truth, points = dataset[4].truth, scanned(POSES[4])
     state = truth.state[truth.spec.index(points[:, 0], points[:, 1])]
     assert np.mean(state == CellState.FREE) > 0.95  # cells with a point of the flat ground, which all scans share
@@ -143,7 +143,7 @@ def test_with_poses_a_drive_has_aggregated_truth(scans: Path, tmp_path: Path) ->
 def test_poses_that_cannot_be_matched_are_refused(scans: Path, tmp_path: Path) -> None:
     dataset = open_dataset(scans)
     refused("has 3 poses for 8 scans", with_poses, dataset, kitti(tmp_path / "short.txt", POSES[:3], None))
-    with pytest.raises(ValueError, match=r"its frame numbers are 90 ... 97, those of the scans 5 ... 12"):
+    with pytest.raises(ValueError, match=r"which has the frame numbers 90 ... 97; the scans have 5 ... 12"):
         with_poses(dataset, kitti(tmp_path / "other.txt", first=90))
     camera = POSES.copy()
     camera[:, :3, 3] = np.arange(FRAMES)[:, None] * [0, 0, 1]

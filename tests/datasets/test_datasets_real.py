@@ -110,5 +110,5 @@ def test_a_truth_is_that_of_the_scans_own_surroundings(real):
 def test_an_unlabelled_scan_has_no_truth_and_keeps_its_beams_without_echo(real):
     frame = open_dataset(real("autoware_apache2"))[0]
     assert len(frame.scan.no_returns) > 1000
-    with pytest.raises(ValueError, match=r"looked for: poses .*add them"):
+    with pytest.raises(ValueError, match=r"wanted poses .*add them"):
         _ = frame.truth

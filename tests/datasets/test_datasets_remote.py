@@ -128,7 +128,7 @@ def test_damage_in_a_bucket_is_found(folder: Path, uploaded: S3) -> None:
 
 
 def test_what_is_no_data_set_is_refused(uploaded: S3, tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="s3://maps/nothing is no data set"):
+    with pytest.raises(FileNotFoundError, match="s3://maps/nothing is no dataset"):
         open_dataset("s3://maps/nothing", storage=uploaded)
     refused("storage is for object stores", open_dataset, tmp_path, storage=uploaded)
     refused("has no split 'x'", open_dataset, URL, error=OgmError, storage=uploaded, split="x")

@@ -96,7 +96,7 @@ def test_poses_that_do_not_fit_are_not_used_and_the_reason_is_kept(folder: Path)
     (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     dataset = open_dataset(folder)
     assert dataset.format == "scans"
-    with pytest.raises(ValueError, match="which are not used: .* has 1 poses, but there are 3 scans"):
+    with pytest.raises(ValueError, match="which are not used: .* has 1 poses for 3 scans"):
         _ = dataset[0].truth
 
 
@@ -140,12 +140,12 @@ def test_a_folder_of_grids_is_truth_without_scans(grids: tuple[Path, Truth]) -> 
     folder, truth = grids
     dataset = open_dataset(folder, spec=SPEC)
     assert (dataset.name, dataset.format, dataset.facts) == ("grids", "truth grids", {"files": 3})
-    assert "most mass" in dataset.description
+    assert "largest mass" in dataset.description
     assert [path.name for path in dataset.files] == ["a.png", "b.npy", "c.npz"]
     for frame, name in zip(dataset, "abc", strict=True):
         assert (frame.name, frame.sequence) == (name, "")
         assert np.array_equal(frame.truth.state, truth.state)
-        with pytest.raises(ValueError, match="holds grids of truth, no scans"):
+        with pytest.raises(ValueError, match="holds grids of truth and no scans"):
             _ = frame.scan
 
 
@@ -153,7 +153,7 @@ def test_grids_need_the_cells_that_they_show(grids: tuple[Path, Truth]) -> None:
     folder, _ = grids
     for name in ("b.npy", "c.npz"):
         (folder / name).unlink()
-    refused("it holds grids: give spec", open_dataset, folder)
+    refused("it holds grids: give their `spec`", open_dataset, folder)
     refused(r"`truth` is for recordings", open_dataset, folder, spec=SPEC, truth="boxes")
     (folder / "a.npz").write_bytes(b"")
     refused("two grids of a", open_dataset, folder, spec=SPEC)

@@ -44,7 +44,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_without_a_split_the_one_that_has_samples_is_taken_and_named(store: Path) -> None:
     dataset = open_dataset(store)
-    assert (dataset.name, dataset.format) == ("data, sequences", "simulated data set")
+    assert (dataset.name, dataset.format) == ("data, sequences", "simulated dataset")
     assert dataset.facts["split"] == "sequences"
     assert dataset.facts["samples"] == [*range(10), 100, 101]
     assert dataset.facts["plan"] == {"seed": 1, "truth": "aimed"}
@@ -53,7 +53,7 @@ def test_without_a_split_the_one_that_has_samples_is_taken_and_named(store: Path
     assert {name: len(frames) for name, frames in dataset.sequences.items()} == {"sequence 0": 10, "sequence 1": 2}
     assert dataset[11].name == "sequence 1 frame 1"
     assert dataset[3].stamp == pytest.approx(20.3)
-    assert "rays from the sensor's place, aimed at every cell, hit" in dataset.description
+    assert "rays from the sensor's position, aimed at every cell, hit" in dataset.description
 
 
 def test_drives_without_truth_have_none(tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_samples_belong_to_their_drives_so_that_statistics_can_group_them(store:
 
 
 def test_splits_without_samples_are_refused(store: Path) -> None:
-    refused("has no sample of validation; go on with `ogm simulate", open_dataset, store, split="val")
+    refused("has no sample of validation; resume with `ogm simulate", open_dataset, store, split="val")
     refused("has no sample of test$", open_dataset, store, split="test")
     message = "has no split 'lanes'; it has training, validation, test, sequences$"
     refused(message, open_dataset, store, split="lanes")
@@ -148,8 +148,8 @@ def test_for_maps_what_a_frame_cannot_see_is_ignored(store: Path) -> None:
 def test_what_the_store_states_is_not_given(store: Path, tmp_path: Path) -> None:
     refused("leave out `sensor_height`", open_dataset, store, sensor_height=2.0)
     refused("leave out `axes`", open_dataset, store, axes="nuscenes")
-    refused("holds its truth itself", open_dataset, store, truth="boxes")
-    refused("knows its poses", with_poses, open_dataset(store), tmp_path / "poses.txt")
+    refused("holds its truth", open_dataset, store, truth="boxes")
+    refused("states its poses", with_poses, open_dataset(store), tmp_path / "poses.txt")
 
 
 def test_a_store_goes_to_another_process(store: Path) -> None:

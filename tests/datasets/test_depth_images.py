@@ -76,9 +76,9 @@ def test_a_log_with_depth_images_is_a_drive(name: str, encoding: str, tmp_path: 
 @each(
     "frame, rotation, note",
     [
-        ("camera", np.eye(4), "z axis points up: they are taken for those of a body"),
+        ("camera", np.eye(4), "z axis points up: it is taken for the camera body"),
         ("camera", T_BODY_OPTICAL, ""),
-        (FRAME, np.eye(4), "the camera looks up: was the rotation to optical axes"),
+        (FRAME, np.eye(4), "the camera would look up; the rotation to optical axes"),
     ],
 )
 def test_wrong_frames_are_told(frame: str, rotation: np.ndarray, note: str, tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_a_vehicle_file_states_the_place_of_the_body(tmp_path: Path) -> None:
     "match, options",
     [
         ("camera of /depth/image is not known; wanted .*CameraInfo on /depth/camera_info", {"info": False}),
-        ("of images, those with depths are scans", {"encoding": "8UC1"}),
+        ("only depth images are scans", {"encoding": "8UC1"}),
     ],
 )
 def test_a_log_without_camera_or_depths_is_refused(match: str, options: dict[str, Any], tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def rotated(pixels: np.ndarray) -> np.ndarray:
 @each(
     "pixels, scale, said",
     [
-        (millimetres(), None, "1000 at 1 m, millimetres assumed, as the median is"),
+        (millimetres(), None, "1000 at 1 m, millimetres assumed, which gives a median of"),
         (millimetres() * 5, None, "5000 at 1 m, fifths of millimetres"),
         (rotated(millimetres()), None, "bits rotated by 3"),
         (millimetres() // 4, 250.0, "250 at 1 m, given"),
@@ -156,9 +156,9 @@ def test_a_folder_of_pngs_is_a_drive(pixels: np.ndarray, scale: float | None, sa
 @each(
     "match, images, intrinsics",
     [
-        ("0 files with intrinsics of a camera", {"a.png": millimetres()}, False),
-        ("half of them would lie beyond 10 m: give --depth-scale", {"a.png": millimetres() * 7}, True),
-        ("in steps of 5, or fifths of them", {"a.png": millimetres() // 5 * 5}, True),
+        ("0 files with camera intrinsics", {"a.png": millimetres()}, False),
+        ("half of them are beyond 10 m: give --depth-scale", {"a.png": millimetres() * 7}, True),
+        ("in steps of 5, or fifths of millimetres", {"a.png": millimetres() // 5 * 5}, True),
         ("in steps of 8, or values of SUN RGB-D", {"a.png": millimetres() // 8 * 8}, True),
         ("raw disparities of a Kinect", {"a.pgm": millimetres()}, True),
     ],
@@ -178,7 +178,7 @@ def test_recorded_images_of_three_conventions(real: Callable[[str], Path]) -> No
 def test_a_capture_of_an_ouster_states_what_is_missing(tmp_path: Path, real: Callable[[str], Path]) -> None:
     capture = real("ouster_bsd3/OS-1-32-*.pcap")
     (tmp_path / "a.pcap").symlink_to(capture)
-    refused("packets of an Ouster.*wanted a.json beside it", open_dataset, tmp_path / "a.pcap")
+    refused("packets of an Ouster.*wanted a.json next to it", open_dataset, tmp_path / "a.pcap")
     try:
         import ouster.sdk  # noqa: F401
     except ImportError:

@@ -96,7 +96,7 @@ def test_clock_findings(stamps: np.ndarray, kinds: list[str], what: str) -> None
     found = clock_findings("/points", log_times, stamps, clock_parts(log_times, stamps))
     assert [finding.kind for finding in found] == kinds
     for finding in found:
-        assert re.search(what, finding.what), finding
+        assert re.search(what, finding.fault), finding
         assert finding.where.startswith("/points")
         assert finding.way_out
 
@@ -107,7 +107,7 @@ SPREAD = np.random.default_rng(1).uniform(-0.4, 0.4, 40)
 @each("stamps, log_times, found", [
         (T0 + TIME, T0 + TIME + 2.5, ""),  # a slow SLAM that began with the log
         (T0 - 4.0 + TIME, np.sort(T0 - 1.5 + TIME + SPREAD), ""),  # one that ran before
-        (T0 - 4.0 + TIME, T0 - 1.5 + TIME, "2.45 s ahead of those of the transforms"),
+        (T0 - 4.0 + TIME, T0 - 1.5 + TIME, "2.45 s ahead of the stamps of the transforms"),
         (T0 - 20.0 + TIME, np.sort(T0 + TIME + SPREAD), "s ahead"),  # later than anything is computed
         (T0 + 2.5 + TIME, np.sort(T0 + TIME + SPREAD), "s behind"),
         (T0 - 1.5 + TIME, T0 + TIME, ""),
@@ -173,7 +173,7 @@ def test_nothing_of_two_runs_is_mixed(
         assert [ref.T_map_sensor[1, 3] for ref in frames.refs] == [y] * len(frames)
         assert [ref.stamp for ref in frames.refs] == pytest.approx((5.0 if y == 0 else start) + TIME[: len(frames)])
     assert [record.levelname for record in caplog.records] == ["WARNING"]
-    assert "the drive is cut there into parts" in caplog.text
+    assert "the drive is cut into parts there" in caplog.text
 
 
 def test_a_cut_drive_is_fused_part_by_part(log: Callable[..., Path], tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def test_a_clock_may_begin_at_zero(log: Callable[..., Path], caplog: pytest.LogC
 
 def test_coarse_stamps_are_refused(log: Callable[..., Path]) -> None:
     path = log([(1000 + t, float(np.floor(2000 + t)), 0.0) for t in TIME[:20]])
-    refused("20 scans have 2 different stamps in 1.9 s; they are too coarse", open_dataset, path, error=OgmError)
+    refused("20 scans have 2 different stamps in 1.9 s; the stamps are too coarse", open_dataset, path, error=OgmError)
     assert "too coarse" in " ".join(completed("info", path).output.split())
 
 

@@ -64,10 +64,10 @@ def _doubled(drive: Drive) -> None:
         (lambda drive: _named(drive, "/lidar/"), ""),
         (lambda drive: _named(drive, " lidar"), ""),
         (lambda drive: _named(drive, "LiDAR"), "the frame LiDAR of scans is taken for lidar"),
-        (lambda drive: _named(drive, ""), "scans of /points without frame are taken for those of lidar, the only"),
-        (lambda drive: _named(drive[:4], "/"), "without frame are taken for those of lidar, that of the others"),
-        (_all_static, "different static transforms from lidar to map: each counts at its stamp"),
-        (_two_parents, "lidar has the parents odom, map: the shortest way counts, map <- lidar"),
+        (lambda drive: _named(drive, ""), "scans of /points without frame are taken to be in lidar, the only"),
+        (lambda drive: _named(drive[:4], "/"), "without frame are taken to be in lidar, the frame of the others"),
+        (_all_static, "different static transforms from lidar to map: each is used at its stamp"),
+        (_two_parents, "lidar has the parents odom, map: the shortest chain is used, map <- lidar"),
         (_doubled, ""),
     ])  # fmt: skip
 def test_unusual_transforms_cost_no_pose(
@@ -124,10 +124,10 @@ def _two_senders(drive: Drive) -> None:
 
 
 @each("change, severity, text", [
-        (lambda drive: _offset(drive, -18.0), "wrong map", "stamps are 17.95 s ahead of those"),
-        (lambda drive: _offset(drive, 3600.0), "wrong map", "stamps are 3600 s behind those"),
+        (lambda drive: _offset(drive, -18.0), "wrong map", "stamps are 17.95 s ahead of the stamps"),
+        (lambda drive: _offset(drive, 3600.0), "wrong map", "stamps are 3600 s behind the stamps"),
         (lambda drive: _offset(drive, -1.0), "", ""),
-        (_whole_seconds, "lost data", "6 transforms have 1 different stamps in 0.625 s; they are too coarse for poses"),
+        (_whole_seconds, "lost data", "6 transforms have 1 different stamps in 0.625 s; the stamps are too coarse"),
         (_zero, "lost data", "all 6 transforms have the stamp 0"),
         (_two_senders, "wrong map", "they go back and forth by 3.03 m in all 4 steps; two senders of one transform?"),
     ])  # fmt: skip

@@ -109,7 +109,7 @@ def test_other_names_are_refused(name: str, tmp_path: Path) -> None:
 def test_one_file_of_the_two_is_not_enough(saved: Path) -> None:
     for path in (saved.with_suffix(".json"), saved):
         path.unlink()
-        with pytest.raises(FileNotFoundError, match=rf"net\{path.suffix} is not there.*two files"):
+        with pytest.raises(FileNotFoundError, match=rf"there is no .*net\{path.suffix}: .*two files"):
             load_network(saved)
         save(saved.parent)
 
@@ -118,7 +118,7 @@ def test_weights_that_are_cut_off_are_refused(saved: Path) -> None:
     whole = saved.read_bytes()
     for size in (0, 4, 8, 100, len(whole) // 2, len(whole) - 1):
         saved.write_bytes(whole[:size])
-        with pytest.raises(ValueError, match="no whole|not a whole|holds 0 bytes"):
+        with pytest.raises(ValueError, match="no complete|holds 0 bytes"):
             load_network(saved)
 
 
@@ -127,7 +127,7 @@ def test_a_header_or_a_weight_that_claims_to_be_huge_is_refused(saved: Path) -> 
     claims = [(size, b'{"a": 1}') for size in (2**63, 2**40, 2**31)]
     for size, header in (*claims, (len(weight), weight + b"\0" * 64)):
         saved.write_bytes(struct.pack("<Q", size) + header)
-        with pytest.raises(ValueError, match="not a whole file of weights"):
+        with pytest.raises(ValueError, match="no complete file of weights"):
             load_network(saved)
 
 
@@ -135,10 +135,10 @@ def test_nothing_is_unpickled(saved: Path, tmp_path: Path) -> None:
     sprung = tmp_path / "sprung"
     pickled = pickle.dumps(Trap(sprung))
     torch.save(Trap(sprung), saved)
-    with pytest.raises(ValueError, match="not a whole file of weights"):
+    with pytest.raises(ValueError, match="no complete file of weights"):
         load_network(saved)
     saved.write_bytes(pickled)
-    with pytest.raises(ValueError, match="not a whole file of weights"):
+    with pytest.raises(ValueError, match="no complete file of weights"):
         load_network(saved)
     saved.with_suffix(".json").write_bytes(pickled)
     with pytest.raises(ValueError, match="no description"):
@@ -189,20 +189,20 @@ def test_a_network_that_cannot_be_is_refused_before_it_is_made(
     tmp_path: Path, name: str, value: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ogm.deep.checkpoint.PillarNetwork", guarded)
-    message = "describes no network that can be made"
+    message = "describes no valid network"
     refused(tmp_path, lambda description: description["network"].update({name: value}), message)
 
 
 @each("name, value", [(name, value) for name, values in BAD_SPEC.items() for value in values])
 def test_a_grid_that_cannot_be_is_refused(tmp_path: Path, name: str, value: Any) -> None:
-    refused(tmp_path, lambda d: d["spec"].update({name: value}), "describes no network that can be made")
+    refused(tmp_path, lambda d: d["spec"].update({name: value}), "describes no valid network")
 
 
 @each("part", ["network", "spec"])
 def test_parts_of_another_kind_or_none_are_refused(tmp_path: Path, part: str) -> None:
-    refused(tmp_path, lambda description: description.pop(part), "describes no network that can be made")
+    refused(tmp_path, lambda description: description.pop(part), "describes no valid network")
     for value in (None, [], ["pillar", 8], "lite", {}, [0.16, 64, 32]):
-        refused(tmp_path, lambda description, v=value: description.update({part: v}), "no network that can be made")
+        refused(tmp_path, lambda description, v=value: description.update({part: v}), "no valid network")
 
 
 @each("found", ["ogm.network/2", None, 1, ["ogm.network/1"]])
@@ -216,21 +216,21 @@ def test_a_huge_network_is_refused_before_it_fills_the_memory(
 ) -> None:
     monkeypatch.setattr("ogm.deep.checkpoint.PillarNetwork", guarded)
     huge = {"blocks": [[4096, 30], [4096, 30]], "up": 4096, "pillar": 4096, "join": join}
-    message = "describes no network|does not hold the weights"
+    message = "describes no valid network|has other weights"
     refused(tmp_path, lambda description: description["network"].update(huge), message)
 
 
 def test_weights_of_another_network_are_refused(saved: Path, tmp_path: Path) -> None:
     other = save_network(tmp_path / "other.safetensors", PillarNetwork(CONCATENATE, SPEC), {})
     other.replace(saved)
-    with pytest.raises(ValueError, match="does not hold the weights .* names differ, such as"):
+    with pytest.raises(ValueError, match="has other weights .* names differ, such as"):
         load_network(saved)
 
 
 @each("name, value, message", [
         ("head.bias", None, r"1 names differ, such as head\."),
         ("head.more", torch.zeros(3), r"1 names differ, such as head\."),
-        *[("head.weight", one, "NaN or infinite, in head.weight") for one in (np.nan, np.inf, -np.inf)],
+        *[("head.weight", one, "NaN or infinite weights, in head.weight") for one in (np.nan, np.inf, -np.inf)],
         *[("head.weight", one, r"head\.weight") for one in (torch.int8, torch.bool)],
         ("pillar.norm.running_var", -1.0, r"pillar\.norm\.running_var"),
     ])  # fmt: skip

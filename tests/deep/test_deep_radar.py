@@ -281,16 +281,16 @@ def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, mon
 def test_a_recipe_of_radar_is_not_for_lidars(tmp_path: Path) -> None:
     from ogm.deep.training import train
 
-    refused("networks of radars a RadarGrid", train, [], frames(1), SPEC, tmp_path, RADAR_RECIPE)
-    refused("networks of lidars take a GridSpec", train, [], frames(1), SMALL, tmp_path, LITE_RECIPE)
+    refused("a RadarGrid for radar networks", train, [], frames(1), SPEC, tmp_path, RADAR_RECIPE)
+    refused("a GridSpec for lidar networks", train, [], frames(1), SMALL, tmp_path, LITE_RECIPE)
 
 
 @pytest.mark.slow
 def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
-    refused("describes no network", load_network, run / "best.safetensors", error=OgmError)
+    refused("describes no valid network", load_network, run / "best.safetensors", error=OgmError)
     from ogm.deep.engines import weights_of
 
-    with weights_of("lite") as path, pytest.raises(OgmError, match="describes no network"):
+    with weights_of("lite") as path, pytest.raises(OgmError, match="describes no valid network"):
         load_radar_network(path)
 
 

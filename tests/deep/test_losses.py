@@ -442,7 +442,7 @@ def test_losses_refuse_what_does_not_fit(loss: Callable[[Tensor, Tensor], Tensor
     good = torch.zeros(4, 3, 2)
     refused("floating point, got torch.int64", loss, good.long(), good, error=TypeError)
     refused(r"2 states .* got shape \(4, 2, 3\)", loss, good.view(4, 2, 3), good.view(4, 2, 3))
-    refused(r"shape \(4, 3, 2\), got \(4, 3\); `targets`", loss, good, good[..., 0])
+    refused(r"shape \(4, 3, 2\), got \(4, 3\): make it with `targets`", loss, good, good[..., 0])
     refused("2 states", loss, torch.tensor(1.0), torch.tensor(1.0))
 
 
@@ -454,7 +454,7 @@ def test_strength_must_be_a_positive_number(strength: float) -> None:
 def test_other_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match='"paper" or "released", got \'printed\''):
         sum_of_squares(torch.zeros(2), torch.zeros(2), "printed")  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match=r"state must be uint8, got torch.int64; convert"):
+    with pytest.raises(TypeError, match=r"state must be uint8, got torch.int64: convert"):
         targets(torch.zeros(3, dtype=torch.int64))
     refused("valid must be bool, got torch.float32", masked_mean, torch.zeros(3), torch.ones(3), error=TypeError)
     with pytest.raises(ValueError, match=r"weight must have the loss's shape \(3,\), got \(3, 1\)"):

@@ -172,5 +172,5 @@ def test_a_network_that_takes_rays_begins_as_the_one_without():
         torch.testing.assert_close(after(plain._replace(rays=rays)), before(plain))
         after.blocks[0][0][0].weight[:, -2:] = 0.1
         assert not torch.allclose(after(plain._replace(rays=rays)), before(plain))
-    refused("Pillars with rays", after, plain)
+    refused("Pillars without rays", after, plain)
     refused("other layers", copy_weights, after, before)

@@ -80,7 +80,7 @@ def test_a_file_that_is_cut_off_is_refused(path: Path, shipped: bytes, size: int
 @each("data", [b"not a model", b"\x80\x04K\x01.", b"\xff" * 100, b"\x08\x07", b"{}"])
 def test_other_files_are_refused(path: Path, data: bytes) -> None:
     path.write_bytes(data)
-    refused("no whole ONNX file", read_onnx, path, error=OgmError)
+    refused("no complete ONNX file", read_onnx, path, error=OgmError)
 
 
 @settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -157,7 +157,7 @@ def test_other_places_for_numbers_are_refused(path: Path, shipped: bytes) -> Non
         tensor.values.external_data.add(key="location", value="/etc/passwd")
 
     change(path, sparse)
-    refused("sparse numbers", read_onnx, path, error=OgmError)
+    refused("sparse tensors", read_onnx, path, error=OgmError)
     tensor = onnx.TensorProto(data_location=onnx.TensorProto.EXTERNAL)
     graph = onnx.GraphProto()
     for value in (tensor, graph, [tensor], [graph], onnx.SparseTensorProto(), [onnx.SparseTensorProto()]):
@@ -179,14 +179,14 @@ def test_other_places_for_numbers_are_refused(path: Path, shipped: bytes) -> Non
 def test_an_input_that_cannot_be_is_refused(tmp_path: Path, shipped: bytes, part: str, value: Any) -> None:
     path = written(tmp_path, shipped)
     change_input(path, **{part: value})
-    refused("describes no network that can be run", read_onnx, path, error=OgmError)
+    refused("describes no valid network", read_onnx, path, error=OgmError)
 
 
 def test_an_input_that_does_not_fit_the_network_is_refused_when_it_runs(path: Path) -> None:
     change_input(path, weight=[[1.0] * 17] * 9, bias=[1.0] * 17)
     engine = OnnxEngine(path)
     scan = engine.pillars(np.ones((5, 4), np.float32), (0, 0, 0, 0), np.eye(4))
-    refused("does not fit the input that it describes", engine.masses, [scan], error=OgmError)
+    refused("does not accept the input that it describes", engine.masses, [scan], error=OgmError)
 
 
 def test_a_graph_that_does_not_hold_together_is_refused(path: Path) -> None:

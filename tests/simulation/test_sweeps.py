@@ -163,7 +163,7 @@ def test_sweeps_between_the_turns_of_a_drive_come_in_time_and_without_truth(tmp_
     assert len(every.with_truth) == 30
     between = next(n for n in range(40) if n not in every.with_truth)
     assert every[between].name.endswith("ars548-front 20.050 s")
-    with pytest.raises(OgmError, match="between the lidar's turns"):
+    with pytest.raises(OgmError, match="between lidar scans"):
         every[between].truth  # noqa: B018
 
 
@@ -173,7 +173,7 @@ def test_data_sets_without_radars_have_none(tmp_path: Path) -> None:
     assert store.format == "ogm.samples/3"
     assert store["test"][0].sweeps == ()
     refused("has no radar", open_dataset, store.path, error=OgmError, split="test", sensors="radar")
-    refused("for data sets that", open_dataset, tmp_path, sensors="radar")
+    refused("for datasets that", open_dataset, tmp_path, sensors="radar")
 
 
 def test_space_is_there_for_the_most_detections() -> None:
