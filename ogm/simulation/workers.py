@@ -18,7 +18,7 @@ from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
 from ogm.storage.files import FilePath, finish_zarr, temporary_folder
 from ogm.storage.locks import sweep
-from ogm.storage.workers import DIED, Workers
+from ogm.storage.workers import DEATH_ERRORS, Workers
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
 
@@ -253,7 +253,7 @@ def _explained(store: Store) -> Iterator[None]:
             raise
         if number in (errno.ENOSPC, errno.EDQUOT):
             what, way = "the disk is full", "free some of it"
-        elif type(error).__name__ in DIED:
+        elif type(error).__name__ in DEATH_ERRORS:
             what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer `workers`"
         else:
             raise
