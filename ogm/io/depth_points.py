@@ -1,4 +1,4 @@
-"""Kernels of depth images: nearest points of surfaces, without the pixels between two of them."""
+"""Kernels of depth images: nearest points of surfaces, without mixed pixels."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ __all__ = ["surface_points"]
 
 @kernel
 def _step(a: np.float32, b: np.float32, slope: np.float32) -> int:
-    """Return whether b lies behind a (1) or before it (-1) by a jump, or continues it (0); 2 where it has no depth."""
+    """Return 1 if b lies behind a by a jump, -1 if before it, 0 if it continues a, 2 if it has no depth."""
     if not b > 0:
         return 2
     jump = min(a, b) * slope
@@ -21,7 +21,7 @@ def _step(a: np.float32, b: np.float32, slope: np.float32) -> int:
 
 @kernel
 def _is_mixture(depth: NDArray[np.float32], v: int, u: int, across: np.float32, down: np.float32) -> bool:
-    """Return whether a pixel lies between two surfaces, or is continued by no neighbour."""
+    """Return whether a pixel lies between two surfaces, or continues no neighbour."""
     z, none = depth[v, u], np.float32(0)
     left = _step(z, depth[v, u - 1] if u > 0 else none, across)
     right = _step(z, depth[v, u + 1] if u + 1 < depth.shape[1] else none, across)
@@ -36,7 +36,7 @@ def _is_mixture(depth: NDArray[np.float32], v: int, u: int, across: np.float32, 
 def _nearest(
     depth: NDArray[np.float32], rows: tuple[int, int], columns: tuple[int, int], limits: tuple[np.float32, np.float32]
 ) -> tuple[int, int]:
-    """Return row and column of the nearest pixel of a rectangle within limits, (-1, -1) without any."""
+    """Return row and column of the nearest pixel of a rectangle within limits, (-1, -1) if there is none."""
     nearest, row, column = limits[1], -1, -1
     for v in range(rows[0], rows[1]):
         for u in range(columns[0], columns[1]):
@@ -54,7 +54,7 @@ def _nearest_surface(
     limits: tuple[np.float32, np.float32],
     slopes: tuple[np.float32, np.float32],
 ) -> tuple[int, int]:
-    """Return what `_nearest` does, of the pixels that are no mixture."""
+    """Return the nearest pixel like `_nearest`, without mixtures."""
     nearest, row, column = limits[1], -1, -1
     for v in range(rows[0], rows[1]):
         for u in range(columns[0], columns[1]):
@@ -73,15 +73,15 @@ def surface_points(
     limits: tuple[np.float32, np.float32],
     stride: int,
 ) -> NDArray[np.float32]:
-    """Return the nearest point of every `stride` x `stride` pixels that is no mixture, (N, 4).
+    """Return the nearest unmixed point of every `stride` x `stride` pixels, (N, 4).
 
     Parameters
     ----------
     depth : (rows, columns) float32
-        [m]; no depth where not above 0.
+        [m]; no depth if not above 0.
     camera : (fx, fy, cx, cy)
     per_tangent : float
-        Difference of depth over distance across of the flattest surface.
+        Depth difference per lateral distance of the flattest surface.
     limits : (least, greatest)
         [m]
     stride : int
