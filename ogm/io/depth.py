@@ -222,6 +222,6 @@ def _check_depths(metres: NDArray[np.float32], scale: float) -> None:
     median = float(np.median(sample)) if sample.size else 1.0
     if not MIN_MEDIAN <= median <= MAX_MEDIAN:
         raise OgmError(
-            f"the depths have a median of {median:.3g} m at scale {scale:g}, wanted {MIN_MEDIAN:g} to {MAX_MEDIAN:g} m: "
-            "give the pixel value at 1 m, --depth-scale 1000 for millimetres, 1 for metres, 5000 for TUM"
+            f"the depths have a median of {median:.3g} m at scale {scale:g}, wanted {MIN_MEDIAN:g} to {MAX_MEDIAN:g} "
+            "m: give the pixel value at 1 m, --depth-scale 1000 for millimetres, 1 for metres, 5000 for TUM"
         )

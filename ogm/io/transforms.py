@@ -177,7 +177,6 @@ class TransformBuffer:
             Transform of coordinates in `source` to `target`.
 
         Raises
-        Raises
         ------
         UnknownFrameError
             If there is no such frame.
