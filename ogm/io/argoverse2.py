@@ -202,7 +202,7 @@ class _Table(NamedTuple):
     columns: Mapping[str, NDArray[Any]]
 
     def numbers(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return number columns as one array, (K, C)."""
+        """Return numeric columns as an array, (K, C)."""
         if wrong := [name for name in names if self.columns[name].dtype.kind not in "iuf"]:
             got = self.columns[wrong[0]].dtype
             raise OgmError(f"{', '.join(wrong)} of {self.path} must be columns of numbers, got {got}")
@@ -233,5 +233,5 @@ def _table(path: Path, columns: Sequence[str]) -> _Table:
     if missing := [name for name in columns if name not in found]:
         raise OgmError(f"{path} has no column {', '.join(missing)}, found only {', '.join(schema.names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
-        raise OgmError(f"all timestamp_ns of {path} must be whole numbers [ns], got {table['timestamp_ns'].type}")
+        raise OgmError(f"all timestamp_ns of {path} must be integers [ns], got {table['timestamp_ns'].type}")
     return _Table(path, found)

@@ -26,7 +26,7 @@ _TO_CAMERA, _RECTIFY = "calib_velo_to_cam.txt", "calib_cam_to_cam.txt"
 
 
 def read_kitti_objects(path: FilePath, T_camera_sensor: ArrayLike) -> Boxes:
-    """Read the boxes of one scan of the object recordings (``label_2/000000.txt``).
+    """Read the boxes of a scan of the object recordings (``label_2/000000.txt``).
 
     KITTI labels only objects in view of its front camera. ``DontCare`` has no box and is left out.
 

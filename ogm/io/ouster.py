@@ -24,13 +24,13 @@ log: logging.Logger = logging.getLogger(__name__)
 
 _PORTS = (7502, 7503)  # default ports for points and motion
 _SEEN = 200  # packets searched for an Ouster
-_LEAST = 1500  # [byte] of a packet of points; packets of other lidars fit into one Ethernet frame
+_MIN_SPLIT = 1500  # [byte] above which a packet is split: only Ousters send packets beyond an Ethernet frame
 _MM = 1000  # range values per metre
 _WHITE = 99.0  # percentile of a scan's photon counts that becomes 1
 
 
 def ouster_metadata(path: Path) -> Path | None:
-    """Return the metadata JSON beside a capture, with the longest name that begins the capture's name, or None."""
+    """Return the metadata JSON in a capture's folder, with the longest name that begins the capture's name, or None."""
     named = [file for file in path.parent.glob("*.json") if path.stem.startswith(file.stem.removesuffix("_0"))]
     for file in sorted(named, key=lambda file: -len(file.stem)):
         with suppress(OgmError, OSError):
@@ -51,18 +51,18 @@ def is_ouster_capture(path: Path) -> bool:
                 packet = layer(raw)
                 while hasattr(packet, "data") and not isinstance(packet, dpkt.udp.UDP):
                     packet = packet.data
-                if isinstance(packet, dpkt.udp.UDP) and (packet.dport in _PORTS or packet.ulen > _LEAST):
+                if isinstance(packet, dpkt.udp.UDP) and (packet.dport in _PORTS or packet.ulen > _MIN_SPLIT):
                     return True
     return False
 
 
 def scans_from_ouster(path: FilePath, *, intensity_max: float | None = None, no_returns: bool = True) -> Iterator[Scan]:
-    """Read the scans of a capture of one Ouster, turn by turn.
+    """Read the scans of an Ouster's capture, turn by turn.
 
     Parameters
     ----------
     path : path
-        ``.osf``, or ``.pcap`` with the sensor's metadata beside it, see `ouster_metadata`.
+        ``.osf``, or ``.pcap`` with the sensor's metadata in the same folder, see `ouster_metadata`.
     intensity_max : float, optional
         Photon count that becomes 1. Default: the 99 % quantile of the first scan, for all scans.
     no_returns : bool

@@ -19,7 +19,7 @@ log: logging.Logger = logging.getLogger(__name__)
 
 
 def read_points(path: FilePath, axes: Axes = "flu", **options: Any) -> np.ndarray:
-    """Read the points of one scan.
+    """Read the points of a scan.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise ValueError(f"axes {axes!r} are no (3, 3) matrix of numbers: {_WAY_OUT}") from error
     if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-        raise ValueError(f"axes must be orthogonal, got {rotation.tolist()}: {_WAY_OUT}")
+        raise ValueError(f"axes must be orthogonal unit vectors, got {rotation.tolist()}: {_WAY_OUT}")
     if np.linalg.det(rotation) < 0:
         raise ValueError(f"axes must be right-handed, got the reflection {rotation.tolist()}: {_WAY_OUT}")
     return rotation
@@ -135,7 +135,7 @@ def scan_from_table(
     if not columns.keys() >= set(POSITION):
         raise OgmError(f"{where} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
 
-    # Points are the rows with a finite position and a distance above 0, whatever the other columns hold.
+    # Points are the rows with a finite position and a distance above 0; other columns are ignored.
     # Their coordinates become x forward, y left, z up.
     xyz, returned, reach = _positions([columns[name] for name in POSITION], rotation, origin)
     there = returned

@@ -18,7 +18,7 @@ __all__ = ["read_sustech"]
 
 
 def read_sustech(path: FilePath, axes: Axes = "sustech") -> Boxes:
-    """Read the boxes of one scan (``label/000965.json``).
+    """Read the boxes of a scan (``label/000965.json``).
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ def write_archive(path: str | os.PathLike[str], stated: str, **arrays: ArrayLike
     Parameters
     ----------
     path : path
-        File name that ends in ``.npz``. An existing file is replaced only once the new one is complete.
+        File name that ends in ``.npz``. An existing file is replaced only by a complete new file.
     stated : str
         Name and version of the format, stored as the array ``format``.
     **arrays

@@ -36,7 +36,7 @@ class OgmError(ValueError):
 
 
 def error_text(error: BaseException) -> str:
-    """Return an error as one line of text."""
+    """Return an error as a single line of text."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, MemoryError) and (type(error) is not MemoryError or not error.args):
@@ -82,15 +82,15 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO[
         os.replace(name(), target)
 
 
-def check_writable(path: FilePath, what: str) -> None:
-    """Create the folder of an output; raise OSError, before any work, if it is not writable."""
+def check_writable(path: FilePath, output: str) -> None:
+    """Create the folder of an output, named for the error; raise OSError before any work if it is not writable."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         target, _ = replaced_path(path)
         with tempfile.TemporaryFile(dir=target.parent):
             pass
     except OSError as error:
-        raise OSError(f"{what} cannot be written into {Path(path).parent}: {error_text(error)}") from error
+        raise OSError(f"{output} cannot be written into {Path(path).parent}: {error_text(error)}") from error
 
 
 def replaced_path(path: FilePath) -> tuple[Path, int | None]:

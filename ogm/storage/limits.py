@@ -1,4 +1,4 @@
-"""Memory limits for the decoded content of one file: adjustable, checked before or during decoding.
+"""Memory limits for the decoded content of a file: adjustable, checked before or during decoding.
 
 A small file can unpack to any size. The decoded arrays or text of a reader stay within these limits, and its peak
 within three times the limit plus 100 MB.
@@ -14,7 +14,7 @@ __all__ = ["MemoryLimits", "current_limits", "set_limits", "too_large"]
 
 @dataclass(frozen=True)
 class MemoryLimits:
-    """Upper bounds for the decoded content of one file [byte].
+    """Upper bounds for the decoded content of a file [byte].
 
     The environment variable ``OGM_LIMITS`` sets them for a process, as in ``OGM_LIMITS="file=4e9 json=8e9"``;
     `set_limits` changes them later.

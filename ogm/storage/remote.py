@@ -115,7 +115,7 @@ class ObjectPath:
         return str(self).rpartition("/")[2]
 
     def joinpath(self, *names: str) -> "ObjectPath":
-        """Return a path below this one."""
+        """Return a path below this path."""
         return self / "/".join(names)
 
     def absolute(self) -> "ObjectPath":

@@ -16,8 +16,7 @@ _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 def whole_path(path: Path) -> Iterator[Path]:
     """Yield a free path on the disk of `path`; the file or folder written there is renamed to `path` at the end.
 
-    See `ogm.storage.files.atomic_write`. An existing folder of that name is removed once the new one has taken its
-    place.
+    See `ogm.storage.files.atomic_write`. An existing folder of that name is removed after it has been replaced.
     """
     target, permissions = replaced_path(path)
     with naming(path), temporary_folder(target.parent) as folder:

@@ -82,8 +82,8 @@ def test_of_every_square_of_pixels_the_nearest_point_stays() -> None:
     [
         ("median of 3e\\+03 m with 1 for a metre.*--depth-scale", image() * 1000, 1.0),
         ("median of 0.003 m", image(), 1000.0),
-        ("picture of colours or grey values", np.zeros((6, 8, 3), np.uint8), 1000.0),
-        ("picture of colours or grey values", np.zeros((6, 8), np.uint8), 1000.0),
+        ("give the depth image, not the colour or grey image", np.zeros((6, 8, 3), np.uint8), 1000.0),
+        ("give the depth image, not the colour or grey image", np.zeros((6, 8), np.uint8), 1000.0),
         ("8 x 5 pixels, its intrinsics are of 8 x 6", image()[:5], 1.0),
         ("scale must be above 0", image(), 0.0),
     ],
@@ -225,6 +225,6 @@ def test_a_camera_is_known_by_its_matrix_binning_and_region() -> None:
     refused(
         "lens of the model 'equidistant' with 4 coefficients, wanted plumb_bob", intrinsics_from_camera_info, fisheye
     )
-    refused("distortion .*nan.*is the camera calibrated", intrinsics_from_camera_info, info(d=np.full(5, np.nan)))
-    refused("is the camera calibrated", intrinsics_from_camera_info, info(np.zeros(9)))
-    refused("matrix of no numbers", intrinsics_from_camera_info, info(np.ones(8)))
+    refused("distortion .*nan.*calibrate the camera", intrinsics_from_camera_info, info(d=np.full(5, np.nan)))
+    refused("calibrate the camera", intrinsics_from_camera_info, info(np.zeros(9)))
+    refused("matrix that is not numeric", intrinsics_from_camera_info, info(np.ones(8)))

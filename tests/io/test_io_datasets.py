@@ -131,7 +131,7 @@ def test_damaged_labels_are_named(tmp_path, content, message):
 def test_damaged_tracks_are_named(tmp_path):
     path = tmp_path / "0000.txt"
     path.write_text(f"one 7 {LINE} 0\n")
-    with pytest.raises(OgmError, match="line 1 of .* must begin with two whole numbers, got .*one"):
+    with pytest.raises(OgmError, match="line 1 of .* must begin with two integers, got .*one"):
         read_kitti_tracks(path, TO_CAMERA)
     path.write_text(f"1 7 {LINE} 0\n1 7 {LINE} 0\n")
     refused("line 2 of .* second box of track 7 in scan 1", read_kitti_tracks, path, TO_CAMERA, error=OgmError)
@@ -269,7 +269,7 @@ def test_a_range_image_is_read_with_its_axes(tmp_path):
         (np.zeros((2, 3, 4)), r"shape \(2, 3, 4\), wanted"),
         (np.empty((1, 1, 6), object), "array of object"),
         (range_image(c5=11), "class 11 is not one of the 11"),
-        (range_image(c5=2.5), "no whole numbers"),
+        (range_image(c5=2.5), "must have integer classes"),
         (range_image(c5=1e300), "no whole numbers"),
         (range_image(c1=1e39), "coordinates of more than 100000 m"),
         (range_image(c2=np.nan), "1 beams with a range but with NaN"),
@@ -493,7 +493,7 @@ def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
     (tmp_path / "a.pcd.bin").touch()
     tables["sample_data"][0]["filename"] = name
     (tmp_path / "data" / "v1.0-mini" / "sample_data.json").write_text(json.dumps(tables["sample_data"]))
-    with pytest.raises(OgmError, match=r"sample_data.json names the file .*, wanted one under .*data"):
+    with pytest.raises(OgmError, match=r"sample_data.json names the file .*, wanted a file under .*data"):
         read_nuscenes(tmp_path / "data")
 
 
@@ -532,7 +532,7 @@ def test_objects_of_no_known_category_are_other(tmp_path, number):
 
 def test_a_pickle_is_not_opened(tmp_path):
     (tmp_path / "infos.pkl").write_bytes(b"\x80\x04")
-    refused("nothing is unpickled here", read_mmdet3d, tmp_path / "infos.pkl", error=OgmError)
+    refused("pickles are not read", read_mmdet3d, tmp_path / "infos.pkl", error=OgmError)
 
 
 # --- Argoverse 2 ------------------------------------------------------------------------------------
@@ -617,9 +617,9 @@ def test_a_log_without_map_or_calibration(tmp_path):
         ({"annotations": {"length_m": ["long"]}}, "length_m of .* must be columns of numbers, got object"),
         ({"annotations": {"tx_m": np.array([7], "M8[ns]")}}, "tx_m of .* must be columns of numbers, got dat"),
         ({"annotations": {"tx_m": [1e300]}}, "box 0 .* within 100000 m"),
-        ({"city": {"timestamp_ns": [[7]]}}, "timestamp_ns of .* must be whole numbers"),
-        ({"city": {"timestamp_ns": ["7"]}}, "timestamp_ns of .* must be whole numbers"),
-        ({"annotations": {"timestamp_ns": [7.5]}}, "timestamp_ns of .* must be whole numbers"),
+        ({"city": {"timestamp_ns": [[7]]}}, "timestamp_ns of .* must be integers"),
+        ({"city": {"timestamp_ns": ["7"]}}, "timestamp_ns of .* must be integers"),
+        ({"annotations": {"timestamp_ns": [7.5]}}, "timestamp_ns of .* must be integers"),
     ])  # fmt: skip
 def test_damaged_logs_are_named(tmp_path, changed, message):
     write_log(tmp_path, **changed)

@@ -67,7 +67,7 @@ def test_rounded_masses_still_sum_to_one(tmp_path: Path) -> None:
         ("a.npy", np.zeros((4, 6)), "masses of free and occupied"),
         ("b.npy", np.zeros((4, 6, 2), np.uint8), "masses of free and occupied"),
         ("c.npy", np.full((4, 6, 2), 0.7), r"c\.npy: mass must be"),
-        ("d.npy", np.full((4, 6, 2), np.nan), r"d\.npy: mass must be"), ("e.npy", np.zeros((4, 7, 2)), "no squares"),
+        ("d.npy", np.full((4, 6, 2), np.nan), r"d\.npy: mass must be"), ("e.npy", np.zeros((4, 7, 2)), "not square"),
         ("f.npy", b"\x93NUMPY", "no readable numpy header"), ("g.npy", np.array([{}]), "masses of free and occupied"),
         ("h.png", b"\x89PNG\r\n\x1a\n", "damaged"), ("i.png", np.zeros((4, 6), np.uint8), "RGB"),
         ("j.txt", b"x", "wanted .npz"), ("k.npy", np.zeros((0, 6, 2)), "damaged|no squares"),

@@ -156,8 +156,8 @@ _HOSTILE = {
     "cut": (lambda path: path.write_bytes(path.read_bytes()[:3000]), "cannot be read by HDF5"),
     "soft link": (_linked(h5py.SoftLink("/other")), "no dataset odometry of its own"),
     "external link": (_linked(h5py.ExternalLink("elsewhere.h5", "odometry")), "no dataset odometry of its own"),
-    "virtual": (_virtual, "lies in other files"),
-    "external storage": (_external, "lies in other files"),
+    "virtual": (_virtual, "is stored in other files"),
+    "external storage": (_external, "is stored in other files"),
     "filters": (_unpacking, r"packed by the filters \[1, 1\]"),
     "no table": (_replaced("odometry", data=np.zeros(60)), "must be a table"),
     "no column": (_replaced("odometry", data=_PATH[["timestamp", "x_seq", "vx"]]), "has no y_seq, yaw_seq"),
@@ -203,8 +203,8 @@ def test_a_small_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path: Path, 
 
 
 @each("change, message", [
-        (lambda scene: scene.update(radar_indices=[6, 3]), "first row and the one after"),
-        (lambda scene: scene.update(radar_indices=[0.5, 3]), "first row and the one after"),
+        (lambda scene: scene.update(radar_indices=[6, 3]), "first row and the end row"),
+        (lambda scene: scene.update(radar_indices=[0.5, 3]), "first row and the end row"),
         (lambda scene: scene.update(sensor_id=7), "radar_7, which is not in sensors.json"),
         (lambda scene: scene.pop("radar_indices"), "no 'radar_indices'"),
     ])  # fmt: skip

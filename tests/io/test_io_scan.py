@@ -64,11 +64,11 @@ def test_any_rotation_will_do(cloud, save):
 
 
 @each("axes, message", [
-        ("nuscene", "not known"), (("x", "+y", "+z"), "not three of"), (("+x", "+x", "+z"), "right angles"),
-        (("+x", "+y"), "right angles"), (("+x", "-y", "+z"), "reflection"), (np.eye(2), "right angles"),
+        ("nuscene", "not known"), (("x", "+y", "+z"), "not three of"), (("+x", "+x", "+z"), "orthogonal"),
+        (("+x", "+y"), "orthogonal"), (("+x", "-y", "+z"), "reflection"), (np.eye(2), "orthogonal"),
         (None, "axes must be a name.*got None.*give flu"), (3, "axes must be a name.*got 3"),
         (("+x", 1, 2), "no .* matrix of numbers"), ([[1, 0, 0], [0, 1]], "no .* matrix of numbers"),
-        (np.eye(3) * 2, "right angles"), (np.diag([1.0, 1.0, -1.0]), "reflection"),
+        (np.eye(3) * 2, "orthogonal"), (np.diag([1.0, 1.0, -1.0]), "reflection"),
     ])  # fmt: skip
 def test_axes_that_are_no_rotation_are_refused(axes, message, cloud, save):
     refused(message, read_points, save(cloud), axes)
@@ -211,7 +211,7 @@ def test_intensity_max_is_used_as_given(tmp_path, caplog):
     np.testing.assert_allclose(scan.points[:, 3], [0, 0.5, 1])
     assert "1 of 3 intensities outside of 0 ... 1000" in caplog.text
     np.testing.assert_allclose(read_points(path, intensity_max=(-500.0, 1500.0))[:, 3], [0.25, 0.5, 1])
-    refused("two rising numbers", read_points, path, intensity_max=(1.0, 1.0))
+    refused("two increasing numbers", read_points, path, intensity_max=(1.0, 1.0))
 
 
 def test_a_guessed_scale_is_logged_where_it_divides(tmp_path, caplog):
@@ -246,8 +246,8 @@ def test_decibels_beside_a_reflectivity_are_not_used(tmp_path):
 
 
 @each("rows, ending, message", [
-        (np.float32([[1, 2, -3, 0.5, 7.5]] * 16), ".bin", "intensities down to -3, .* name it after its rows"),
-        (np.float32([[1, 2, 3, 0.5, 7]] * 16), ".bin", "whole numbers as every fifth value: .* name it .pcd.bin"),
+        (np.float32([[1, 2, -3, 0.5, 7.5]] * 16), ".bin", "intensities down to -3, .* for five .pcd.bin"),
+        (np.float32([[1, 2, 3, 0.5, 7]] * 16), ".bin", "integers as every fifth value: .* name it .pcd.bin"),
         (np.float32([[1, 2, 3, 0.5, 0.1, 7]] * 10), ".pcd.bin", "rings from 0.1 to 7 as fifth values"),
         (np.float32([[1, 2, -3, 0.5]] * 10), ".pcd.bin", "rings from -3 to 2 as fifth values"),
     ])  # fmt: skip
@@ -289,7 +289,7 @@ def test_an_origin_is_three_numbers(origin, save):
 @each("ring", [-1.0, 0.5, 70_000.0])
 def test_wrong_rings_are_left_out(ring, save, caplog):
     assert read_scan(save(np.float32([[1, 2, 3, 0, 4], [1, 2, 3, 0, ring]]))).ring is None
-    assert "are no whole numbers from 0 to 65535; all rings are left out" in caplog.text
+    assert "are not all integers from 0 to 65535; all rings are left out" in caplog.text
 
 
 @each("name, times, expected, stamp", [
@@ -409,7 +409,11 @@ def test_fields_are_known_in_any_capitals(place, intensity, ring, time, tmp_path
 @each("double", ["X", "scalar_x", "scalar_Y"])
 def test_two_fields_of_one_meaning_are_refused(double, tmp_path):
     columns = {"x": ONES, "y": ONES, "z": ONES, double: ONES}
-    refused(f"fields ., {double}, wanted one of each name", read_scan, feather(tmp_path / "a.feather", **columns))
+    refused(
+        f"fields ., {double}, which differ only in case or scalar_, wanted one of each",
+        read_scan,
+        feather(tmp_path / "a.feather", **columns),
+    )
 
 
 def test_fields_of_no_meaning_may_differ_in_capitals_only(tmp_path):
@@ -483,5 +487,5 @@ def test_a_height_of_no_sensor_is_refused_with_the_way_out():
     for height in (0.5, 1.73, 5.0):
         assert plausible_sensor_height(height) == height
     for height in (0.37, 0.49, 5.1, -1.0, np.nan):
-        message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give `sensor_position`"
+        message = f"a.feather, estimated from points, is {height:.2f} m, .* not plausible .* vehicle frame give `sensor_position`"
         refused(message, plausible_sensor_height, height, "a.feather", error=OgmError)

@@ -33,7 +33,7 @@ def write_grid(
     ----------
     path : path
         ``.npz`` (exact, like `EvidentialGrid.save`, `DynamicGrid.save`), ``.yaml`` (nav2 and ROS map_server, with an
-        image beside it), ``.tif`` (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red is
+        image file), ``.tif`` (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red is
         255 times the mass of occupied, green 255 times the mass of free), ``.mcap``, ``.db3``, ``.bag`` (a log with
         this grid on ``/map``; for a whole drive see `GridLog`).
     grid : EvidentialGrid, DynamicGrid, LayeredGrid or PlacedGrid
@@ -220,7 +220,7 @@ def read_array(path: Path, area: GridSpec) -> EvidentialGrid:
 
 
 def read_picture(path: Path, area: GridSpec) -> EvidentialGrid:
-    """Read a picture: red 255 times the mass of occupied, green that of free, row 0 the front, column 0 the left."""
+    """Read a picture: red 255 times the mass of occupied, green for free, row 0 the front, column 0 the left."""
     with open_image(path) as picture:
         if picture.mode not in ("RGB", "RGBA"):
             raise OgmError(f"{path} must be an RGB picture, red occupied and green free, got {picture.mode}")

@@ -47,7 +47,7 @@ class Chunk(NamedTuple):
 
 
 class Chunks:
-    """Chunks of a file; the last ones read stay unpacked in memory.
+    """Chunks of a file, unpacked on request; the last used stay in memory.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Chunks:
         return self._unpacked[number]
 
     def _forget(self) -> None:
-        """Drop the least recently used chunks, but never the last one read."""
+        """Drop the least recently used chunks, but keep the last chunk read."""
         total = sum(map(len, self._unpacked.values()))
         while len(self._unpacked) > _KEPT or (total > current_limits().file and len(self._unpacked) > 1):
             total -= len(self._unpacked.popitem(last=False)[1])
@@ -208,7 +208,7 @@ class ChunkedFile:
         self.warnings: list[str] = []
         self._chunks = Chunks(self._file)
         self._parts: dict[int, list[NDArray[np.int64]]] = {}
-        self._noted = 0  # chunks whose messages are in the index
+        self._noted = 0  # number of chunks with indexed messages
         with open(path, "rb") as stream:
             try:
                 self._walk(stream)

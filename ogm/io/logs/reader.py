@@ -265,7 +265,7 @@ _KINDS: dict[bytes, Callable[[Path], LogFile]] = {MCAP_MAGIC: McapFile, DB3_MAGI
 
 
 def open_log(path: FilePath | Sequence[FilePath]) -> LogReader:
-    """Open a log: a ROS 1 bag (``.bag``), a ROS 2 bag (``.db3``), an MCAP (``.mcap``), or a folder with parts of one.
+    """Open a log: a ROS 1 bag (``.bag``), a ROS 2 bag (``.db3``), an MCAP (``.mcap``), or a folder with parts of a log.
 
     The first bytes of a file determine its format. Parts of a split recording are one log. Neither ``metadata.yaml``
     nor an index at the end of a file is needed: from a cut file, all complete messages before the cut are read, and

@@ -1,4 +1,4 @@
-"""Common parts of messages: stamps, headers, poses and transforms, as plain objects or those of rclpy and rospy."""
+"""Common parts of messages: stamps, headers, poses and transforms, as plain objects or objects of rclpy and rospy."""
 
 import array
 import functools

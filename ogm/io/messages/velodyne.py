@@ -280,7 +280,7 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
                 try:
                     packet = Packet(check_stamp(float(stamp)), data)
                 except ValueError as error:
-                    notice(log, "wrong stamp", "%s has a packet whose %s; it is left out", path, error)
+                    notice(log, "wrong stamp", "%s: a packet is left out: its %s", path, error)
                     continue
                 yield packet
         except (EOFError, dpkt.Error) as error:

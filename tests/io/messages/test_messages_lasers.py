@@ -67,13 +67,13 @@ def test_limits_that_are_none_are_not_used(limits: tuple[float, float], echoes: 
         ((90, -90, -45), [90, 45, 0, -45, -90], ""),  # to the right
         ((-90, 135, 45), [-90, -45, 0, 45, 90], ""),  # the angle after the last beam
         ((100, -80, 45), [100, 145, -170, -125, -80], ""),  # over the back
-        ((-90, 90, 0), [-90, -45, 0, 45, 90], "angle_max counts"),
-        ((-90, 90, NAN), [-90, -45, 0, 45, 90], "angle_max counts"),
-        ((-90, 90, 45 * 180 / np.pi), [-90, -45, 0, 45, 90], "angle_max counts"),  # in degrees
-        ((-90, NAN, 45), [-90, -45, 0, 45, 90], "the increment counts"),
-        ((-90, 90, 20), [-90, -70, -50, -30, -10], "the increment counts"),
+        ((-90, 90, 0), [-90, -45, 0, 45, 90], "angle_max is used"),
+        ((-90, 90, NAN), [-90, -45, 0, 45, 90], "angle_max is used"),
+        ((-90, 90, 45 * 180 / np.pi), [-90, -45, 0, 45, 90], "angle_max is used"),  # in degrees
+        ((-90, NAN, 45), [-90, -45, 0, 45, 90], "the increment is used"),
+        ((-90, 90, 20), [-90, -70, -50, -30, -10], "the increment is used"),
         ((90, -90, 45), [90, 135, 180, -135, -90], ""),
-        ((90, -45, 40), [90, 130, 170, -150, -110], "the increment counts"),
+        ((90, -45, 40), [90, 130, 170, -150, -110], "the increment is used"),
     ])  # fmt: skip
 def test_angles_come_from_the_increment_unless_it_gives_none(
     angles: tuple[float, ...], expected: list[float], text: str, caplog: pytest.LogCaptureFixture

@@ -111,7 +111,7 @@ def test_packets_that_name_no_model(recorded):
     with pytest.raises(ValueError, match="no model 'OS1': give one of VLP-16") as caught:
         scan_from_velodyne_scan(message, "OS1")
     assert not isinstance(caught.value, OgmError)
-    with pytest.raises(OgmError, match="VelodyneScan of velodyne at .* HDL-64E, whose angles differ"):
+    with pytest.raises(OgmError, match="VelodyneScan of velodyne at .* HDL-64E, which has individual angles"):
         scan_from_velodyne_scan(message, "HDL-64E S2")
     message.packets[1].data = message.packets[1].data[:-1]
     refused("151 packets, wanted some, of 1206 bytes each", scan_from_velodyne_scan, message, "VLP-16", error=OgmError)
@@ -186,7 +186,7 @@ def test_what_is_left_at_the_end_is_no_scan(recorded, tmp_path, caplog):
     capture(path, [*packets[:380], b"other", b"\0" * 512])
     scans = list(scans_from_pcap(path))
     assert [scan.stamp for scan in scans] == pytest.approx([1000, 1000.151], abs=0.003)
-    assert "at the end are no whole turn" in caplog.text
+    assert "at the end are no complete turn" in caplog.text
     capture(path, packets[:302])
     assert len(list(scans_from_pcap(path))) == 2
     capture(path, packets[:100])
