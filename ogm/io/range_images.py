@@ -65,7 +65,7 @@ def read_range_image(
         raise OgmError(f"{path} has {bad} beams with a range but with NaN or inf: set their range to 0")
     classes = np.clip(image[:, 5], -1, 2**31).astype(np.int64)
     if not np.array_equal(classes, image[:, 5]):
-        raise OgmError(f"{path} must have integer classes in its last column, got fractions")
+        raise OgmError(f"{path} must have integer classes in its last column, got other numbers")
     points = np.empty((len(image), 4), np.float32)
     with np.errstate(over="ignore"):  # refused by `LabelledPoints`
         points[:, :3] = image[:, :3] @ rotation_to_flu(axes).T

@@ -487,5 +487,5 @@ def test_a_height_of_no_sensor_is_refused_with_the_way_out():
     for height in (0.5, 1.73, 5.0):
         assert plausible_sensor_height(height) == height
     for height in (0.37, 0.49, 5.1, -1.0, np.nan):
-        message = f"a.feather, estimated from points, is {height:.2f} m, .* not plausible .* vehicle frame give `sensor_position`"
+        message = f"a.feather, estimated from points, is {height:.2f} m, .* vehicle frame give `sensor_position`"
         refused(message, plausible_sensor_height, height, "a.feather", error=OgmError)
