@@ -204,7 +204,6 @@ def sweep_times(raw: NDArray[Any], unit: float | None, where: Path | str) -> Swe
         Name of the file or message, for log messages.
     """
     # Subtract before 64-bit integers become floats, which cannot represent them.
-    # Subtract before whole numbers of 64 bits become floats, which cannot hold them.
     exact, usual = raw if raw.dtype.itemsize == 8 else raw.astype(np.float64), _usual_unit(raw)
     if _is_short(raw, unit or usual):
         since, count = (exact - exact.min()).astype(np.float64), unit or usual

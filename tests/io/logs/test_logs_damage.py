@@ -166,7 +166,7 @@ def test_the_first_bytes_decide_whatever_the_name(write: Callable[..., Path], na
         (b"stamp,x,y,z\n1,2,3,4\n", "is no log: it begins with b'stamp"),
         (bytes(range(256)) * 100, "is no log"),
         (b"\x28\xb5\x2f\xfd" + bytes(100), "unpack it first: zstd -d"),
-        (b"SQLite format 3\0" + bytes(5000), "no ROS 2 bag"),
+        (b"SQLite format 3\0" + bytes(5000), "no readable ROS 2 bag"),
         (b"#ROSBAG V1.2\n" + bytes(100), "begins with b'#ROSBAG V1.2"),
     ])  # fmt: skip
 @each("ending", [".mcap", ".db3", ".bag"])
