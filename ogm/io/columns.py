@@ -301,12 +301,13 @@ def _note_unit(count: float, usual: float, lasts: float, given: bool, where: Pat
 
 def unknown_as_nan(raw: NDArray[Any] | None, quantity: str, path: Path | str) -> NDArray[np.float32] | None:
     """Return a column as float32, with NaN for all values that are not finite."""
-    if raw is None or np.isfinite(raw).all():
-        return raw if raw is None else raw.astype(np.float32, copy=False)
-    unknown = np.count_nonzero(~np.isfinite(raw))
-    text = "%s: %d of %d points have %s that are NaN or infinite, and count as unknown"
-    notice(log, f"unknown {quantity}", text, path, unknown, raw.size, quantity, level=logging.INFO)
-    return np.where(np.isfinite(raw), raw, np.nan).astype(np.float32)
+    if raw is None:
+        return None
+    if unknown := int(np.count_nonzero(~np.isfinite(raw))):
+        text = "%s: %d of %d points have %s that are NaN or infinite, and count as unknown"
+        notice(log, f"unknown {quantity}", text, path, unknown, raw.size, quantity, level=logging.INFO)
+        raw = np.where(np.isfinite(raw), raw, np.nan)
+    return raw.astype(np.float32, copy=False)
 
 
 def check_whole(raw: NDArray[Any] | None, quantity: str, path: Path | str) -> NDArray[Any] | None:

@@ -163,17 +163,11 @@ def depth_scan(
     with np.errstate(invalid="ignore", over="ignore"):
         metres = np.multiply(image, np.float32(1 / scale), dtype=np.float32)
     _check_depths(metres, scale)
-    camera = (
-        np.float32(intrinsics.fx),
-        np.float32(intrinsics.fy),
-        np.float32(intrinsics.cx),
-        np.float32(intrinsics.cy),
-    )
+    fx, fy, cx, cy = map(np.float32, intrinsics[2:6])
     from ogm.io.depth_points import surface_points  # imports numba, which other readers do not need
 
-    points = surface_points(
-        metres, camera, np.float32(1 / math.tan(EDGE)), (np.float32(min_range), np.float32(max_range)), stride
-    )
+    slope, limits = np.float32(1 / math.tan(EDGE)), (np.float32(min_range), np.float32(max_range))
+    points = surface_points(metres, (fx, fy, cx, cy), slope, limits, stride)
     width = min(stride / min(intrinsics.fx, intrinsics.fy), math.pi)
     return Scan(points, stamp=stamp, kind="depth", max_range=float(max_range), beam_width=width)
 

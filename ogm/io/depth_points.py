@@ -34,33 +34,20 @@ def _is_mixture(depth: NDArray[np.float32], v: int, u: int, across: np.float32, 
 
 @kernel
 def _nearest(
-    depth: NDArray[np.float32], rows: tuple[int, int], columns: tuple[int, int], limits: tuple[np.float32, np.float32]
-) -> tuple[int, int]:
-    """Return row and column of the nearest pixel of a rectangle within limits, (-1, -1) if there is none."""
-    nearest, row, column = limits[1], -1, -1
-    for v in range(rows[0], rows[1]):
-        for u in range(columns[0], columns[1]):
-            z = depth[v, u]
-            if z >= limits[0] and z <= nearest and z > 0:
-                nearest, row, column = z, v, u
-    return row, column
-
-
-@kernel
-def _nearest_surface(
     depth: NDArray[np.float32],
     rows: tuple[int, int],
     columns: tuple[int, int],
     limits: tuple[np.float32, np.float32],
     slopes: tuple[np.float32, np.float32],
+    unmixed: bool,
 ) -> tuple[int, int]:
-    """Return the nearest pixel like `_nearest`, without mixtures."""
+    """Return row and column of the nearest (unmixed) pixel of a rectangle within limits, or (-1, -1)."""
     nearest, row, column = limits[1], -1, -1
     for v in range(rows[0], rows[1]):
         for u in range(columns[0], columns[1]):
             z = depth[v, u]
             near = z >= limits[0] and z <= nearest and z > 0
-            if near and not _is_mixture(depth, v, u, slopes[0], slopes[1]):
+            if near and not (unmixed and _is_mixture(depth, v, u, slopes[0], slopes[1])):
                 nearest, row, column = z, v, u
     return row, column
 
@@ -88,15 +75,15 @@ def surface_points(
     """
     fx, fy, cx, cy = camera
     rows, columns = depth.shape
-    across, down = per_tangent / fx, per_tangent / fy
+    slopes = per_tangent / fx, per_tangent / fy
     points = np.empty((((rows + stride - 1) // stride) * ((columns + stride - 1) // stride), 4), np.float32)
     count = 0
     for top in range(0, rows, stride):
         for first in range(0, columns, stride):
             bottom, last = min(top + stride, rows), min(first + stride, columns)
-            row, column = _nearest(depth, (top, bottom), (first, last), limits)
-            if row >= 0 and _is_mixture(depth, row, column, across, down):
-                row, column = _nearest_surface(depth, (top, bottom), (first, last), limits, (across, down))
+            row, column = _nearest(depth, (top, bottom), (first, last), limits, slopes, False)
+            if row >= 0 and _is_mixture(depth, row, column, *slopes):
+                row, column = _nearest(depth, (top, bottom), (first, last), limits, slopes, True)
             if row >= 0:
                 nearest = depth[row, column]
                 points[count, 0] = nearest

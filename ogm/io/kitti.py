@@ -170,10 +170,7 @@ def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
     stamps: list[float] = []
     for n, words in read_lines(path):
         if n != len(stamps) + 1:
-            raise OgmError(
-                f"line {len(stamps) + 1} of {path} is empty, but lines follow: give a time for every scan, as line k "
-                "belongs to scan k"
-            )
+            raise OgmError(f"line {len(stamps) + 1} of {path} is empty, but line k must be the time of scan k: add it")
         try:
             if len(words) == 1:
                 stamp = float(words[0])

@@ -123,9 +123,8 @@ def _scan(frame: Any, table: Any, path: Path, intensity_max: float | None, no_re
     if not received.any():
         return None
     if lost := int(np.count_nonzero(~received)):
-        notice(
-            log, "lost columns", "%s: %d of %d columns were not received", path, lost, len(received), level=logging.INFO
-        )
+        text = "%s: %d of %d columns were not received"
+        notice(log, "lost columns", text, path, lost, len(received), level=logging.INFO)
     hit = (ranges > 0) & received & (ranges <= REACH * _MM)
     xyz = table(ranges)[hit]
     points = np.zeros((len(xyz), 4), np.float32)

@@ -76,9 +76,7 @@ class Poses:
         if self.stamps is not None:
             return Trajectory(self.stamps, self.poses)
         if rate is None:
-            raise ValueError(
-                f"these poses ({self.format}) have no stamps: give the rate of the scans [1/s], usually 10"
-            )
+            raise ValueError(f"these poses ({self.format}) have no stamps: give the scan rate, usually 10 [1/s]")
         if not 0 < rate < np.inf:
             raise ValueError(f"rate must be above 0 [1/s], got {rate}")
         counted = np.arange(len(self)) if self.numbers is None else self.numbers

@@ -113,9 +113,8 @@ def optional(module: str, path: Path, extra: str = "io", verb: str = "read") -> 
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise ImportError(
-            f"{path} cannot be {verb} without the package {module}: {install_line(extra)}", name=module
-        ) from error
+        text = f"{path} cannot be {verb} without the package {module}: {install_line(extra)}"
+        raise ImportError(text, name=module) from error
 
 
 def reason(error: BaseException, path: Path) -> str:
@@ -299,8 +298,6 @@ def parse_array(data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool]
         raise OgmError(f"{path} holds an array of {dtype} and shape {shape}, wanted {wanted}")
     count, offset = math.prod(shape), stream.tell()
     if offset + count * dtype.itemsize > len(data):
-        raise OgmError(
-            f"{path} has {len(data) - offset} bytes after its header, wanted {count * dtype.itemsize} for "
-            f"shape {shape}: it is cut short"
-        )
+        wanted = count * dtype.itemsize
+        raise OgmError(f"{path} has {len(data) - offset} bytes of data, wanted {wanted} for {shape}: it is cut short")
     return np.frombuffer(data, dtype, count, offset).reshape(shape, order="F" if fortran else "C")

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.pose import Trajectory, check_pose, inverse
+from ogm.io.reading import rigid
+from ogm.pose import Trajectory, inverse
 from ogm.storage.files import OgmError
 
 __all__ = [
@@ -142,10 +143,7 @@ class TransformBuffer:
         where = f"the transform from {child!r} to {parent!r} at {stamp:.6f} s"
         if not parent or not child or parent == child or not math.isfinite(stamp):
             raise OgmError(f"{where} must have two different frames and a finite stamp")
-        try:
-            T = check_pose(transform.T_parent_child, where)
-        except ValueError as error:
-            raise OgmError(str(error)) from error
+        T = rigid(transform.T_parent_child, where)
         if (parent, child) not in self._edges:
             self._connect(parent, child)
         edge, T = self._edges[parent, child], T.copy()

@@ -117,9 +117,7 @@ def _from_environment(text: str) -> MemoryLimits:
         return MemoryLimits(**{name: float(value) for name, value in pairs})  # type: ignore[arg-type]
     except (ValueError, TypeError, OverflowError) as error:
         names = ", ".join(field.name for field in fields(MemoryLimits))
-        raise ValueError(
-            f"OGM_LIMITS must hold pairs NAME=BYTES such as file=4e9, with the names {names}, got {text!r}"
-        ) from error
+        raise ValueError(f"OGM_LIMITS must be pairs such as file=4e9, of {names}, got {text!r}") from error
 
 
 _now = [_from_environment(os.environ.get("OGM_LIMITS", ""))]

@@ -34,9 +34,7 @@ def object_store(url: str, storage: Mapping[str, str]) -> Any:
     try:
         from obstore.store import from_url
     except ImportError as error:
-        raise ImportError(
-            f"{url} lies in an object store, which needs obstore ({error}): {install_line('world')}"
-        ) from error
+        raise ImportError(f"{url} needs the package obstore ({error}): {install_line('world')}") from error
     client: Any = {"allow_http": True} if storage.get("endpoint", "").startswith("http://") else None
     config: Any = dict(storage)
     return from_url(url, config=config, client_options=client)

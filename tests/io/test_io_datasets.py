@@ -166,7 +166,7 @@ def test_stamps_are_dates_or_seconds(tmp_path):
         path.write_text(f"0.1\n{last}\n")
         refused("line 2 of .* must be a time", read_kitti_stamps, path, error=OgmError)
     path.write_text("0.1\n\n0.3\n")
-    refused("line 2 of .* is empty, but lines follow", read_kitti_stamps, path, error=OgmError)
+    refused("line 2 of .* is empty, but line k must be", read_kitti_stamps, path, error=OgmError)
     path.write_text("0.1\n0.2\n\n")
     assert len(read_kitti_stamps(path)) == 2
 

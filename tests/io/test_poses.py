@@ -106,7 +106,7 @@ def test_times_come_from_stamps_or_frame_numbers_or_the_count() -> None:
     np.testing.assert_array_equal(Poses(poses, stamps, numbers).trajectory(rate=10).stamps, stamps)
     np.testing.assert_allclose(Poses(poses, None, numbers).trajectory(rate=10).stamps, [1.0, 1.1, 1.5])
     np.testing.assert_allclose(Poses(poses).trajectory(rate=5).stamps, [0, 0.2, 0.4])
-    with pytest.raises(ValueError, match="give the rate"):
+    with pytest.raises(ValueError, match="give the scan rate"):
         Poses(poses).trajectory()
     with pytest.raises(ValueError, match="above 0"):
         Poses(poses).trajectory(rate=0)

@@ -126,9 +126,8 @@ def parse(data: bytes, path: Path) -> Table:
     if (suffix := next((ending for ending in PARSERS if path.name.lower().endswith(ending)), None)) is None:
         is_map = path.suffix.lower() in _MAPS
         way_out = "`ogm view` shows maps and pictures of maps" if is_map else "name the file after its format"
-        raise OgmError(
-            f"{path} ends in {path.suffix or 'no suffix'}, wanted {', '.join(PARSERS)}, also with .xz or .gz; {way_out}"
-        )
+        wanted = f"wanted {', '.join(PARSERS)}, also with .xz or .gz"
+        raise OgmError(f"{path} ends in {path.suffix or 'no suffix'}, {wanted}; {way_out}")
     for signature, found, suffixes in _SIGNATURES:
         if data.startswith(signature) and suffix not in suffixes:
             way_out = f"name it {' or '.join(suffixes)}" if suffixes else "give the point cloud itself"

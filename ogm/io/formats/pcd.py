@@ -90,9 +90,7 @@ def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
     (width,), (height,) = (_integers(entries, key, 1, path) for key in ("WIDTH", "HEIGHT"))
     (points,) = _integers(entries, "POINTS", 1, path) if "POINTS" in entries else [width * height]
     if min(width, height) < 0 or points != width * height:
-        raise OgmError(
-            f"{path} has POINTS {points} in its PCD header, wanted WIDTH {width} times HEIGHT {height}: it is damaged"
-        )
+        raise OgmError(f"{path} has POINTS {points} in its PCD header, wanted {width} x {height}: it is damaged")
     encoding = " ".join(entries["DATA"]).lower()
     if encoding not in ("ascii", "binary", "binary_compressed"):
         raise OgmError(f"{path} has DATA {encoding[:40]!r}, wanted ascii, binary or binary_compressed")
@@ -105,9 +103,8 @@ def _integers(entries: dict[str, list[str]], key: str, wanted: int, path: Path) 
     words = entries[key]
     digits = (word.removeprefix("-") for word in words)
     if len(words) != wanted or not all(d.isascii() and d.isdigit() and len(d) < 19 for d in digits):
-        raise OgmError(
-            f"{path} has {key} {' '.join(words)[:80]!r} in its PCD header, wanted {wanted} integer(s): it is damaged"
-        )
+        got = " ".join(words)[:80]
+        raise OgmError(f"{path} has {key} {got!r} in its PCD header, wanted {wanted} integer(s): it is damaged")
     return [int(word) for word in words]
 
 
@@ -144,10 +141,8 @@ def _unpacked(header: _Header, body: memoryview, path: Path) -> dict[str, np.nda
     if needed > current_limits().file:
         raise too_large(path, needed, "file")
     if size != needed or size > _LZF_EXPANSION * packed or min(field.count for field in header.fields) < 1:
-        raise OgmError(
-            f"{path} has {packed} bytes that unpack to {size} by its header, wanted {needed} for {header.points} "
-            "points: it is damaged"
-        )
+        wanted = f"wanted {needed} for {header.points} points"
+        raise OgmError(f"{path} has {packed} bytes for {size} unpacked, {wanted}: it is damaged")
     try:
         content = optional("lzf", path).decompress(bytes(body[8 : 8 + packed]), size) or b""
     except ValueError as error:
@@ -217,9 +212,7 @@ def _split_ply(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[
 def _single(fields: list[Field | None], element: str, path: Path) -> list[Field]:
     single = [field for field in fields if field is not None]
     if len(single) < len(fields):
-        raise OgmError(
-            f"{path} has lists in its PLY element {element}, wanted single numbers: write the points without them"
-        )
+        raise OgmError(f"{path} has lists in its PLY element {element}, wanted single numbers: write it without them")
     refuse_doubles((field.name for field in single), path)
     return single
 

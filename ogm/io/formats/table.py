@@ -146,9 +146,7 @@ def text_columns(fields: list[Field], points: int, body: memoryview, path: Path)
     except (ValueError, OverflowError) as error:
         raise OgmError(f"{path} has a line that is not {per_line} numbers, as stated by its header: {error}") from error
     if len(table) < points:
-        raise OgmError(
-            f"{path} has {len(table)} lines of points, its header states {points}: it is cut short or damaged"
-        )
+        raise OgmError(f"{path} has {len(table)} lines of points, its header states {points}: it is cut short")
     columns: dict[str, np.ndarray] = {}
     for i, field in enumerate(fields):
         columns.setdefault(field.name, table[str(i)][:, 0])

@@ -28,9 +28,7 @@ def check_crs(crs: str, path: Path) -> Any:
     try:
         system = CRS.from_user_input(crs)
     except (CRSError, ValueError) as error:
-        raise ValueError(
-            f"{crs!r} is no coordinate reference system ({error}); wanted one such as EPSG:25832"
-        ) from error
+        raise ValueError(f"{crs!r} is no coordinate reference system ({error}); give one like EPSG:25832") from error
     if not system.is_projected or not math.isclose(system.linear_units_factor[1], 1.0):
         raise ValueError(f"{crs} is not projected in metres; give a projected system, such as UTM (EPSG:25832)")
     return system

@@ -216,9 +216,8 @@ def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
         fields = []
         for part in top.get(8, []):
             field = _fields(part)
-            fields.append(
-                SimpleNamespace(name=_last(field, 1, b"").decode(), offset=_whole(field, 2), type=_last(field, 3, 0))
-            )
+            name, kind = _last(field, 1, b"").decode(), _last(field, 3, 0)
+            fields.append(SimpleNamespace(name=name, offset=_whole(field, 2), type=kind))
         return SimpleNamespace(
             timestamp=SimpleNamespace(sec=_last(time, 1, 0), nanosec=_last(time, 2, 0)),
             frame_id=_last(top, 2, b"").decode(),

@@ -100,9 +100,7 @@ def check_map_server(path: Path, mode: MapMode = "trinary") -> None:
         with open(image_path, "rb") as file:
             if _CREATOR.encode() in file.read(256):
                 return
-    raise ValueError(
-        f"{path} would replace {image_path}, which is no image of that map: give another name, or move the image"
-    )
+    raise ValueError(f"{path} would replace {image_path}, which is no image of that map: give another name, or move it")
 
 
 def _image_of(path: Path, mode: MapMode) -> Path:
@@ -203,9 +201,7 @@ def _image_path(path: Path, name: Any) -> Path:
     folder = Path(os.path.abspath(path.parent))
     image = Path(os.path.abspath(folder / name))
     if not image.is_relative_to(folder):
-        raise OgmError(
-            f"{path}: image {_brief(name)} lies outside of the file's folder; copy it there and give only its name"
-        )
+        raise OgmError(f"{path}: image {_brief(name)} lies outside of the file's folder; copy it there")
     if not image.is_file():
         raise OgmError(f"{path}: there is no image {_brief(name)} beside it; copy it there")
     return image

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.extras import install_line
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.placed import PlacedGrid, nanometres
@@ -236,9 +235,8 @@ def _axis(dataset: "Dataset", axis: str, stated: float) -> _Axis:
         step = stated
     even = centres[0] + step * np.arange(count)
     if not (step > 0 and np.allclose(centres, even, rtol=0, atol=max(1e-3 * step, 1e-9 * abs(centres[0])))):
-        raise OgmError(
-            f"{axis} must have equal steps [m], got {np.diff(centres).min():g} to {np.diff(centres).max():g}"
-        )
+        steps = np.diff(centres)
+        raise OgmError(f"{axis} must have equal steps [m], got {steps.min():g} to {steps.max():g}")
     return _Axis(float(centres[0]), step, decreases)
 
 
@@ -325,10 +323,5 @@ def check_scientific(path: Path) -> None:
 
 def _need(path: Path, verb: str) -> Any:
     """Return xarray; raise if it or the package of the format is missing."""
-    xarray = optional("xarray", path, "geo", verb)
-    for_format = "zarr" if path.suffix.lower() == ".zarr" else "netCDF4"
-    if find_spec(for_format) is None:
-        raise ImportError(
-            f"{path} cannot be {verb} without the package {for_format}: {install_line('geo')}", name=for_format
-        )
-    return xarray
+    optional("zarr" if path.suffix.lower() == ".zarr" else "netCDF4", path, "geo", verb)
+    return optional("xarray", path, "geo", verb)

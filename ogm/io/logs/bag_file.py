@@ -102,10 +102,8 @@ class BagFile(ChunkedFile):
         whole = position == size
         self._note_chunk(pending if whole else [])  # some index records of the last chunk may be missing
         if not whole or not 0 < index <= size:
-            self.warnings.append(
-                f"{self.path} is cut or damaged at byte {position} of {size}: only earlier messages are read; record "
-                "or copy the complete file"
-            )
+            problem = f"cut or damaged at byte {position} of {size}"
+            self.warnings.append(f"{self.path} is {problem}: only earlier messages are read; record or copy all of it")
         if cut is not None:
             self._rescue(cut)
 

@@ -134,10 +134,8 @@ class Db3File:
             self._warn(f"{size} of {wanted} bytes")
 
     def _warn(self, reason: str) -> None:
-        self.warnings.append(
-            f"{self.path} is cut or damaged ({reason}): only the remaining messages are read; record or copy the "
-            "complete file"
-        )
+        text = f"cut or damaged ({reason}): only the remaining messages are read; record or copy all of it"
+        self.warnings.append(f"{self.path} is {text}")
 
 
 def _unpacked(data: bytes) -> bytes:

@@ -102,10 +102,8 @@ class McapFile(ChunkedFile):
         """Add the complete messages at the end of a cut file."""
         size = self._file.size
         damaged = not opcode and position < size - _RECORD.size
-        self.warnings.append(
-            f"{self.path} is {'damaged' if damaged else 'cut'} at byte {position} of {size}: only earlier messages are "
-            "read; record or copy the complete file"
-        )
+        problem = f"{'damaged' if damaged else 'cut'} at byte {position} of {size}"
+        self.warnings.append(f"{self.path} is {problem}: only earlier messages are read; record or copy all of it")
         if opcode == _CHUNK and size - position > _CHUNK_HEAD:
             self._rescue(_chunk(stream))
 

@@ -160,9 +160,8 @@ def point_cloud2(scan: Scan, *, frame_id: str, stamp: float | None = None) -> Si
     for name in ("time", "doppler", "rcs"):
         if getattr(scan, name) is not None:
             columns[name] = getattr(scan, name).astype(np.float32)
-    records = np.empty(
-        len(scan), np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
-    )
+    kind = np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
+    records = np.empty(len(scan), kind)
     for name, column in columns.items():
         records[name] = column
     offsets: Any = records.dtype.fields

@@ -305,10 +305,7 @@ def cells_from_update(
     if data.dtype.kind not in "iu" or data.size != width * height:
         raise OgmError(f"{where} has {data.size} values of {data.dtype}, wanted int8 for {width} x {height} cells")
     if min(x, y) < 0 or x + width > shape[0] or y + height > shape[1]:
-        raise OgmError(
-            f"{where} has {width} x {height} cells from ({x}, {y}) on, wanted cells inside of the map of {shape[0]} x "
-            f"{shape[1]}"
-        )
+        raise OgmError(f"{where} has {width} x {height} cells from ({x}, {y}) on, wanted cells of the map, {shape}")
     mass = mass_from_occupancy(data.reshape(height, width).T)
     return x, y, mass, stamp_seconds(message.header.stamp) or stamp
 

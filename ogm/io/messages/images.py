@@ -54,9 +54,7 @@ def scan_from_depth_image(message: Any, intrinsics: Intrinsics, *, scale: float 
     if not kind:
         raise OgmError(f"{where} has the encoding {encoding}, {wanted}: choose the topic of a depth camera")
     if (scale := scale or usual) is None:
-        raise OgmError(
-            f"{where} has the encoding {encoding}, {wanted}: if it holds depths, give --depth-scale, 1000 for mm"
-        )
+        raise OgmError(f"{where} has the encoding {encoding}, {wanted}: for depths give --depth-scale, 1000 for mm")
     image = _unpacked(message, kind, where) if packed else _pixels(message, kind, where)
     with error_context(where, ValueError):
         return depth_scan(image, intrinsics, scale, stamp=stamp_seconds(message.header.stamp))
@@ -118,9 +116,8 @@ def intrinsics_from_camera_info(message: Any, *, rectified: bool = False) -> Int
     """
     where = describe_message(message, "CameraInfo")
     with error_context(f"{where} has a matrix that is not numeric", TypeError, ValueError, OverflowError):
-        matrix, lens, projection = (
-            np.array(getattr(message, name if hasattr(message, name) else name.lower()), np.float64) for name in "KDP"
-        )
+        names = (name if hasattr(message, name) else name.lower() for name in "KDP")
+        matrix, lens, projection = (np.array(getattr(message, name), np.float64) for name in names)
         matrix = matrix.reshape(3, 3)
         if rectified and projection.size == 12 and projection[0] > 0:
             matrix = projection.reshape(3, 4)

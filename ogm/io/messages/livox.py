@@ -70,9 +70,7 @@ def _from_bytes(data: memoryview) -> _CustomMsg:
             return read(data)
         except (struct.error, IndexError):
             continue
-    raise OgmError(
-        f"{len(data)} bytes are no Livox CustomMsg of ROS 2 (CDR) or ROS 1: they are cut short, or have another type"
-    )
+    raise OgmError(f"{len(data)} bytes are no Livox CustomMsg of ROS 1 or ROS 2 (CDR): cut short or of another type")
 
 
 def _from_cdr(data: memoryview) -> _CustomMsg:

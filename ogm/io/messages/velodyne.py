@@ -116,9 +116,8 @@ class VelodyneDecoder:
             raise OgmError(f"{where} is from an HDL-64E, which has individual angles: give its file as calibration")
         kind = getattr(self.library.Model, name)
         options = {} if angles is None else {"calibration": angles}
-        self.config = self.library.Config(
-            model=kind, min_range=0.0, max_range=1000.0, timestamp_first_packet=True, **options
-        )
+        limits: Any = {"min_range": 0.0, "max_range": 1000.0}
+        self.config = self.library.Config(model=kind, timestamp_first_packet=True, **limits, **options)
 
     def scan(self, packets: Sequence[Packet], stamp: float, no_returns: bool, where: str) -> Scan:
         """Return the scan of some packets; its times count from `stamp`."""
@@ -232,9 +231,8 @@ def scans_from_pcap(
             turn, advance = [], 0
         turn.append(packet)
     if not turn:
-        raise OgmError(
-            f"{path} has no packets of {PACKET_BYTES} bytes{f' from {source}' if source else ''}, as sent by a Velodyne"
-        )
+        sender = f" from {source}" if source else ""
+        raise OgmError(f"{path} has no packets of {PACKET_BYTES} bytes{sender}, as sent by a Velodyne")
     if advance + step >= 36000:
         decoder = decoder or VelodyneDecoder(turn, model, calibration, str(path))
         yield decoder.scan(turn, turn[0].stamp, no_returns, str(path))
