@@ -4,7 +4,6 @@
 >>> boxes = read_argoverse2("av2/val/LOG").boxes(0)                         # doctest: +SKIP
 """
 
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.formats.feather import check_sizes
+from ogm.io.formats.feather import read_columns
 from ogm.io.labels import BoxRow, boxes_of
-from ogm.io.reading import from_quaternions, need, need_numbers, numbers, optional, parse_array, read_bytes, read_json
+from ogm.io.reading import from_quaternions, need, need_numbers, numbers, parse_array, read_bytes, read_json
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.storage.files import FilePath, OgmError, error_context
@@ -216,22 +215,11 @@ class _Table(NamedTuple):
 
 def _table(path: Path, columns: Sequence[str]) -> _Table:
     """Read some columns of a Feather table."""
-    pyarrow, ipc = optional("pyarrow", path), optional("pyarrow.ipc", path)
-    data = read_bytes(path)[0]
-    try:
-        buffer = pyarrow.py_buffer(data)
-        schema = ipc.open_file(buffer).schema
-        wanted = [k for k, name in enumerate(schema.names) if name in columns]
-        check_sizes(data, path, schema.types, wanted)
-        table = ipc.open_file(buffer, options=ipc.IpcReadOptions(included_fields=wanted or None)).read_all()
-        table.validate(full=True)  # lengths beyond the buffers would read foreign memory
-        found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names}
-    except (pyarrow.ArrowException, ValueError, OSError, MemoryError, struct.error) as error:
-        if isinstance(error, OgmError):
-            raise
-        raise OgmError(f"{path} is not a readable Feather table, damaged or wrongly named ({error})"[:400]) from error
+    found, schema = read_columns(
+        read_bytes(path)[0], path, lambda schema: [k for k, name in enumerate(schema.names) if name in columns]
+    )
     if missing := [name for name in columns if name not in found]:
         raise OgmError(f"{path} has no column {', '.join(missing)}, found only {', '.join(schema.names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
-        raise OgmError(f"all timestamp_ns of {path} must be integers [ns], got {table['timestamp_ns'].type}")
+        raise OgmError(f"all timestamp_ns of {path} must be integers [ns], got {found['timestamp_ns'].dtype}")
     return _Table(path, found)

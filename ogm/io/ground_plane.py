@@ -140,7 +140,7 @@ def ground_plane(points: NDArray[np.floating], side: float = 1.0) -> GroundPlane
         if fit is None:
             continue
         around = _lowest(points[(distance >= reach) & (distance < 2 * reach)])
-        depth = _heights(fit, around) - around[:, 2]
+        depth = around[:, :2] @ fit[:2] + fit[2] - around[:, 2]
         deep = depth > _BELOW + (_DESCENT + math.hypot(*fit[:2])) * np.hypot(around[:, 0], around[:, 1])
         if len(around) >= fewest and np.count_nonzero(deep) > len(around) / 2:
             continue  # a roof, a table or a hedge
@@ -181,11 +181,6 @@ def _lowest(points: NDArray[np.floating]) -> NDArray[np.float64]:
     order = np.lexsort((near[:, 2], column))
     lowest: NDArray[np.float64] = near[order][np.unique(column[order], return_index=True)[1]]
     return lowest
-
-
-def _heights(plane: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    heights: NDArray[np.float64] = points[:, :2] @ plane[:2] + plane[2]
-    return heights
 
 
 def _fit(lowest: NDArray[np.float64], fewest: int) -> NDArray[np.float64] | None:

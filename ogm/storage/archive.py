@@ -20,20 +20,8 @@ from ogm.storage.files import OgmError, atomic_write, update_hint
 from ogm.storage.limits import current_limits, too_large
 
 UNREADABLE = (  # errors of zipfile, zlib and numpy for damaged archives, and of grids for invalid content
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    tokenize.TokenError,
-    ArithmeticError,
-    EOFError,
-    LookupError,
-    AttributeError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
+    *(zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, ArithmeticError, EOFError, LookupError),
+    *(AttributeError, MemoryError, OSError, RuntimeError, SyntaxError, TypeError, ValueError),
 )
 _MAX_TEXT = 2**20  # [bytes] for headers and texts
 _CHECKSUMS = "checksums"  # array with rows of (array name, SHA-256 of its .npy)

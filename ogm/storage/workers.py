@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -86,7 +87,7 @@ class Workers:
                     started = cluster(self.scheduler) if self.scheduler else processes(self.workers)
                     self._submit = self._running.enter_context(started)
                 submit, self.count = self._submit
-                for k, result in as_completed(submit, _Numbered(function), todo, 2 * self.count):
+                for k, result in as_completed(submit, partial(_numbered, function), todo, 2 * self.count):
                     done.add(k)
                     yield k, result
                 return
@@ -111,14 +112,9 @@ def deaths_explained(finished: str) -> Iterator[None]:
         ) from error
 
 
-class _Numbered:
-    """Function of a numbered job that returns the number and the result."""
-
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self.function = function
-
-    def __call__(self, job: tuple[int, Any]) -> tuple[int, Any]:
-        return job[0], self.function(job[1])
+def _numbered(function: Callable[[Any], Any], job: tuple[int, Any]) -> tuple[int, Any]:
+    """Return the number of a numbered job and its result."""
+    return job[0], function(job[1])
 
 
 def as_completed(submit: Submit, function: Callable[[Any], Any], jobs: Sequence[Any], ahead: int) -> Iterator[Any]:

@@ -1,8 +1,11 @@
 """Feather tables (Arrow IPC files), the format of Argoverse 2, by `pyarrow`."""
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
 
 from ogm.io.formats.table import KNOWN, Table, plain, refuse_doubles
 from ogm.io.reading import optional
@@ -23,32 +26,52 @@ def parse_feather(data: bytes, path: Path) -> Table:
     path : Path
         File name, for messages.
     """
-    pyarrow, ipc, dataset = (optional(name, path) for name in ("pyarrow", "pyarrow.ipc", "pyarrow.dataset"))
     if data.startswith(b"FEA1"):
         raise OgmError(f"{path} is Feather of version 1, wanted version 2: rewrite it with pyarrow")
-    buffer, types = pyarrow.py_buffer(data), pyarrow.types
-    try:
-        schema = ipc.open_file(buffer).schema
-        names = schema.names
+    pyarrow, dataset = optional("pyarrow", path), optional("pyarrow.dataset", path)
+    fields: list[str] = []
+
+    def known(schema: Any) -> list[int]:
+        """Return the numbers of the columns to unpack, and check their size without unpacking."""
+        types = pyarrow.types
         numeric = [i for i, kind in enumerate(schema.types) if types.is_integer(kind) or types.is_floating(kind)]
-        fields = tuple(names[i] for i in numeric)
+        fields.extend(schema.names[i] for i in numeric)
         refuse_doubles(fields, path)
-        wanted = [i for i in numeric if plain(names[i]) in KNOWN]
+        wanted = [i for i in numeric if plain(schema.names[i]) in KNOWN]
         width = sum(schema.types[i].bit_width // 8 for i in wanted)
-        if not wanted:  # pyarrow reads all fields if none are given
-            return Table("Feather", {}, fields=fields)
-        rows = dataset.IpcFileFormat().make_fragment(buffer).count_rows(use_threads=False)  # unpacks nothing
-        if rows * width > current_limits().file:
-            raise too_large(path, rows * width, "file")
+        fragment = dataset.IpcFileFormat().make_fragment(pyarrow.py_buffer(data))
+        if wanted and (size := fragment.count_rows(use_threads=False) * width) > current_limits().file:
+            raise too_large(path, size, "file")
+        return wanted
+
+    return Table("Feather", read_columns(data, path, known)[0], fields=tuple(fields))
+
+
+def read_columns(data: bytes, path: Path, choose: Callable[[Any], list[int]]) -> tuple[dict[str, NDArray[Any]], Any]:
+    """Return columns of a Feather table, by a function from its schema to their numbers, and the schema.
+
+    Raises
+    ------
+    OgmError
+        If the table is damaged, or too large.
+    ImportError
+        If pyarrow is missing.
+    """
+    pyarrow, ipc = optional("pyarrow", path), optional("pyarrow.ipc", path)
+    try:
+        buffer = pyarrow.py_buffer(data)
+        schema = ipc.open_file(buffer).schema
+        if not (wanted := choose(schema)):  # pyarrow reads all fields if none are given
+            return {}, schema
         check_sizes(data, path, schema.types, wanted)
         table = ipc.open_file(buffer, options=ipc.IpcReadOptions(included_fields=wanted)).read_all()
         table.validate(full=True)  # lengths beyond the buffers would read foreign memory
-        columns = {name: table[name].to_numpy() for name in table.column_names}
+        return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}, schema
     except OgmError:
         raise
     except (pyarrow.ArrowException, ValueError, OSError, MemoryError, struct.error) as error:
-        raise OgmError(f"{path} is no readable Feather table: it is damaged or wrongly named ({error})") from error
-    return Table("Feather", columns, fields=fields)
+        text = f"{path} is no readable Feather table: it is damaged or wrongly named ({error})"
+        raise OgmError(text[:400]) from error
 
 
 def check_sizes(data: bytes, path: Path, types: list[Any], wanted: list[int]) -> None:

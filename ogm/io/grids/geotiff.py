@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
@@ -87,7 +86,9 @@ def read_geotiff(path: Path) -> PlacedGrid:
                 raise OgmError(f"{path} has two bands of one name: {', '.join(names)[:80]}")
             resolution, (x, y, yaw), down = _place(image.transform, image.height, path)
             spec = GridSpec(resolution, (image.width, image.height), (x, y))
-            bands = {name: _band(image, number)[:: -1 if down else 1].T for name, number in read.items()}
+            rows = slice(None, None, -1 if down else 1)
+            values = {name: image.read(k, out_dtype="float32", masked=True) for name, k in read.items()}
+            bands = {name: band.filled(np.nan)[rows].T for name, band in values.items()}
             tags, crs = image.tags(), None if image.crs is None else image.crs.to_string()
     except OgmError:
         raise
@@ -97,13 +98,6 @@ def read_geotiff(path: Path) -> PlacedGrid:
         check_crs(crs, path)
     facts = {"frame_id": tags.get("frame_id", "map"), "stamp": _stamp(tags.get("stamp")), "crs": crs}
     return placed_at(LayeredGrid(spec, bands), yaw, **facts)
-
-
-def _band(image: Any, number: int) -> NDArray[np.float32]:
-    """Read a band, (height, width); NaN for nodata."""
-    read = image.read(number, out_dtype="float32", masked=True)
-    values: NDArray[np.float32] = read.filled(np.nan)
-    return values
 
 
 def _place(transform: Any, rows: int, path: Path) -> tuple[float, Corner, bool]:

@@ -197,7 +197,6 @@ def _placed(message: LogMessage) -> PlacedGrid:
 
 
 _SIZES = {1: 8, 5: 4}  # [byte] of wire types of fixed length
-_XY, _XYZ, _XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
 
 
 def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
@@ -221,9 +220,9 @@ def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
         return SimpleNamespace(
             timestamp=SimpleNamespace(sec=_last(time, 1, 0), nanosec=_last(time, 2, 0)),
             frame_id=_last(top, 2, b"").decode(),
-            pose=SimpleNamespace(position=_vector(pose, 1, _XYZ), orientation=_vector(pose, 2, _XYZW)),
+            pose=SimpleNamespace(position=_vector(pose, 1, "xyz"), orientation=_vector(pose, 2, "xyzw")),
             column_count=_whole(top, 4),
-            cell_size=_vector(top, 5, _XY),
+            cell_size=_vector(top, 5, "xy"),
             row_stride=_whole(top, 6),
             cell_stride=_whole(top, 7),
             fields=fields,
@@ -276,7 +275,7 @@ def _whole(fields: dict[int, list[Any]], number: int) -> int:
     return int(struct.unpack("<I", _last(fields, number, bytes(4)))[0])
 
 
-def _vector(fields: dict[int, list[Any]], number: int, names: tuple[str, ...]) -> SimpleNamespace:
+def _vector(fields: dict[int, list[Any]], number: int, names: str) -> SimpleNamespace:
     """Return a message of doubles."""
     inner = _fields(_last(fields, number, b""))
     numbers = (struct.unpack("<d", _last(inner, k, bytes(8)))[0] for k in range(1, len(names) + 1))

@@ -4,7 +4,6 @@ import errno
 import json
 import math
 import os
-import struct
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,6 +17,7 @@ from ogm.io.grids.placed import PlacedGrid, nanometres
 from ogm.io.messages.grids import AnyGrid, is_derived
 from ogm.io.reading import optional, reason
 from ogm.pose import pose
+from ogm.storage.archive import UNREADABLE
 from ogm.storage.files import OgmError, update_hint
 from ogm.storage.limits import current_limits, too_large
 from ogm.storage.whole_path import whole_path
@@ -52,10 +52,6 @@ _MASSES = ("free", "occupied", "unknown", "static", "dynamic")
 _CHUNK = 1024  # [cells] side of a chunk
 _STRIP = 2**18  # least number of cells read at once
 _SAME_STEP = 1e-6  # departure of a step from the others by rounding, in cells
-_READ_ERRORS = (
-    *(OSError, ValueError, LookupError, TypeError, RuntimeError, AttributeError, MemoryError, ArithmeticError),
-    struct.error,
-)
 
 
 def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
@@ -296,7 +292,7 @@ def read_scientific(path: Path) -> PlacedGrid:
             options = {"engine": "zarr", "zarr_format": 3, "consolidated": False}  # filters of format 2 can unpickle
         with xarray.open_dataset(path, **options, decode_times=False, cache=False) as dataset:
             return from_xarray(dataset)
-    except _READ_ERRORS as error:
+    except UNREADABLE as error:
         if isinstance(error, OgmError | PermissionError):
             raise
         raise OgmError(f"{path} is damaged or no {path.suffix} file: {reason(error, path)}") from error

@@ -13,7 +13,7 @@ from typing import Any, Self
 from ogm.io.logs.definitions import LOG_ENDINGS, message_types
 from ogm.io.messages.plain import ros_stamp
 from ogm.io.reading import optional
-from ogm.storage.files import FilePath, OgmError, atomic_write, naming
+from ogm.storage.files import FilePath, OgmError, atomic_write, naming, replaced_path
 from ogm.storage.whole_path import whole_path
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
@@ -59,9 +59,7 @@ class LogWriter:
             raise ValueError(f"cannot write a log to {path}: name it {', '.join(LOG_ENDINGS)}")
         if compression not in ("", "zstd") or (compression and ending != ".mcap"):
             raise ValueError(f"compression must be '', or 'zstd' for .mcap, got {compression!r} for {path}")
-        if not self.path.parent.is_dir():
-            raise FileNotFoundError(f"cannot write {path}: there is no folder {self.path.parent}; create it first")
-        if self.path.is_dir():
+        if replaced_path(path)[0].is_dir():
             raise IsADirectoryError(f"cannot write {path}: it is a folder; give a file name")
         self._ending, self._stack = ending, ExitStack()
         self._write: Write | None = None
