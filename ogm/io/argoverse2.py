@@ -183,9 +183,8 @@ def _map(folder: Path) -> Argoverse2Map | None:
     data, _ = read_bytes(heights)
     raster = parse_array(data, heights, lambda shape: len(shape) == 2 and min(shape) > 0, "heights (rows, columns)")
     position = read_json(placing, dict, "the position of the raster in the city: R, t, s")
-    rotation, shift, scale = (
-        need_numbers(position, key, shape, placing) for key, shape in (("R", 4), ("t", 2), ("s", ()))
-    )
+    shapes: dict[str, int | tuple[int, ...]] = {"R": 4, "t": 2, "s": ()}
+    rotation, shift, scale = (need_numbers(position, key, shape, placing) for key, shape in shapes.items())
     with np.errstate(invalid="ignore"):  # unknown heights are NaN, also signalling
         raster = raster.astype(np.float64)
     return Argoverse2Map(tuple(areas), raster, rotation.reshape(2, 2), shift, float(scale))
@@ -215,9 +214,8 @@ class _Table(NamedTuple):
 
 def _table(path: Path, columns: Sequence[str]) -> _Table:
     """Read some columns of a Feather table."""
-    found, schema = read_columns(
-        read_bytes(path)[0], path, lambda schema: [k for k, name in enumerate(schema.names) if name in columns]
-    )
+    data = read_bytes(path)[0]
+    found, schema = read_columns(data, path, lambda table: [k for k, name in enumerate(table.names) if name in columns])
     if missing := [name for name in columns if name not in found]:
         raise OgmError(f"{path} has no column {', '.join(missing)}, found only {', '.join(schema.names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":

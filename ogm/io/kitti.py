@@ -181,10 +181,8 @@ def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
             if not abs(stamp) <= LATEST:
                 raise ValueError("not finite, or not in seconds")
         except ValueError as error:
-            raise OgmError(
-                f"line {n} of {path} must be a time without a zone, such as 2011-09-26 13:02:25.964389445, or seconds, "
-                f"got {' '.join(words)[:60]!r}"
-            ) from error
+            wanted = "a time without a zone, such as 2011-09-26 13:02:25.964389445, or seconds"
+            raise OgmError(f"line {n} of {path} must be {wanted}, got {' '.join(words)[:60]!r}") from error
         stamps.append(stamp)
     return np.array(stamps, np.float64)
 
@@ -192,10 +190,8 @@ def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
 def _lines(path: Path, columns: int, meaning: str) -> Iterator[tuple[int, list[str]]]:
     for n, words in read_lines(path):
         if len(words) not in (columns, columns + 1):
-            raise OgmError(
-                f"line {n} of {path} has {len(words)} columns, wanted {columns} ({meaning}), or {columns + 1} with a "
-                "score: the file is cut short, or holds other labels"
-            )
+            wanted = f"wanted {columns} ({meaning}), or {columns + 1} with a score"
+            raise OgmError(f"line {n} of {path} has {len(words)} columns, {wanted}: cut short, or of other labels")
         yield n, words
 
 
@@ -207,10 +203,8 @@ def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.f
             continue
         height, width, length, x, y, z, turn = numbers(words[8:15], 7, f"the box in line {n} of {path}")
         if min(height, width, length) <= 0:
-            raise OgmError(
-                f"the {words[0]} in line {n} of {path} must have height, width and length above 0 m, got {height:g}, "
-                f"{width:g}, {length:g}: drop the line, or rename it DontCare"
-            )
+            got = f"{height:g}, {width:g}, {length:g}: drop the line, or rename it DontCare"
+            raise OgmError(f"the {words[0]} in line {n} of {path} must have height, width, length above 0 m, got {got}")
         center = T[:3, :3] @ [x, y, z] + T[:3, 3] + [0, 0, height / 2]  # the file gives the centre of the bottom
         ahead = T[:3, :3] @ [np.cos(turn), 0.0, -np.sin(turn)]
         yaw = np.arctan2(ahead[1], ahead[0])

@@ -45,10 +45,8 @@ def boxes_of(rows: Sequence[BoxRow], where: object) -> Boxes:
     far = np.abs(np.column_stack([boxes.center, boxes.size])).max(axis=1) > REACH
     if far.any():
         k = int(np.argmax(far))
-        raise OgmError(
-            f"{where}: box {k} ({label[k]}) must lie within {REACH:g} m, got center {boxes.center[k].tolist()}, size "
-            f"{boxes.size[k].tolist()}: drop it, or correct the label"
-        )
+        got = f"center {boxes.center[k].tolist()}, size {boxes.size[k].tolist()}"
+        raise OgmError(f"{where}: box {k} ({label[k]}) must lie within {REACH:g} m, got {got}: drop or correct it")
     return boxes
 
 

@@ -200,10 +200,8 @@ def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
 def _inside(folder: Path, name: str, where: str = "sample_data.json") -> Path:
     """Return a file of the dataset by its name in a table."""
     if Path(name).is_absolute() or ".." in Path(name).parts or not is_file_name(name):
-        raise OgmError(
-            f"{where} names the file {name[:200]!r}, wanted a file under {folder}, such as samples/LIDAR_TOP/...: do "
-            "not trust these tables"
-        )
+        wanted = f"wanted a file under {folder}, such as samples/LIDAR_TOP/..."
+        raise OgmError(f"{where} names the file {name[:200]!r}, {wanted}: do not trust these tables")
     return folder / name
 
 

@@ -282,10 +282,8 @@ def _check_increasing(where: _Where, column: NDArray[Any], quantity: str) -> Non
     stuck = np.diff(column) <= 0
     if stuck.any():
         k = int(np.argmax(stuck))
-        raise OgmError(
-            f"{quantity} must increase, but {where(k)} has {column[k].item()!r} and the next has "
-            f"{column[k + 1].item()!r}: sort the rows, or drop duplicates"
-        )
+        got = f"{where(k)} has {column[k].item()!r} and the next has {column[k + 1].item()!r}"
+        raise OgmError(f"{quantity} must increase, but {got}: sort the rows, or drop duplicates")
 
 
 def _from_matrices(path: Path, where: _Where, table: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -19,10 +19,8 @@ from ogm.storage.files import FilePath, OgmError, error_context
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
 
 # Classes of the nuScenes frames shipped with PCLSegmentation (ika, RWTH Aachen), by number
-NUSCENES_ELEVEN = {
-    **{0: "road", 1: "sidewalk", 2: "building", 3: "pole", 4: "vegetation", 5: "person", 6: "two-wheeler"},
-    **{7: "car", 8: "truck", 9: "bus", 10: "none"},
-}
+_ELEVEN = "road, sidewalk, building, pole, vegetation, person, two-wheeler, car, truck, bus, none"
+NUSCENES_ELEVEN = dict(enumerate(_ELEVEN.split(", ")))
 
 _WANTED = "numbers of shape (layers, azimuths, 6): x, y, z, intensity, range, class"
 

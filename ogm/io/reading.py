@@ -260,10 +260,8 @@ def from_quaternions(
     bad = ~(np.isfinite(positions).all(axis=1) & (np.abs(length - 1) <= _UNIT))
     if bad.any():
         k = int(np.argmax(bad))
-        raise OgmError(
-            f"{where(k)} must have a finite position and a quaternion of length 1, got {length[k]:.4g}: "
-            f"{positions[k].tolist()}, {quaternions[k].tolist()}"
-        )
+        got = f"{length[k]:.4g}: {positions[k].tolist()}, {quaternions[k].tolist()}"
+        raise OgmError(f"{where(k)} must have a finite position and a quaternion of length 1, got {got}")
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     if len(poses):
         poses[:, :3, :3] = quaternion_to_matrix(quaternions)

@@ -30,12 +30,11 @@ SEMANTIC_KITTI = {
 SEMANTIC_KITTI_MOVING = frozenset(range(252, 260))
 
 # The 20 training classes, by number
-SEMANTIC_KITTI_TRAINING = {
-    **{0: "unlabeled", 1: "car", 2: "bicycle", 3: "motorcycle", 4: "truck", 5: "other-vehicle", 6: "person"},
-    **{7: "bicyclist", 8: "motorcyclist", 9: "road", 10: "parking", 11: "sidewalk", 12: "other-ground"},
-    **{13: "building", 14: "fence", 15: "vegetation", 16: "trunk", 17: "terrain", 18: "pole"},
-    **{19: "traffic-sign"},
-}
+_TRAINING = (
+    "unlabeled, car, bicycle, motorcycle, truck, other-vehicle, person, bicyclist, motorcyclist, road, parking, "
+    "sidewalk, other-ground, building, fence, vegetation, trunk, terrain, pole, traffic-sign"
+)
+SEMANTIC_KITTI_TRAINING = dict(enumerate(_TRAINING.split(", ")))
 
 _LABEL = np.dtype("<u4")
 

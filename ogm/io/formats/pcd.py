@@ -80,10 +80,8 @@ def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
     refuse_doubles((name for name in names if name != "_"), path)
     kinds = [kind.upper() + size for kind, size in zip(entries["TYPE"], entries["SIZE"], strict=False)]
     if not len(names) == len(entries["TYPE"]) == len(entries["SIZE"]) or not _KINDS.issuperset(kinds):
-        raise OgmError(
-            f"{path} has TYPE and SIZE {' '.join(kinds)[:80]} for {len(names)} FIELDS in its PCD header, "
-            f"wanted one of {', '.join(sorted(_KINDS))} for each: it is damaged"
-        )
+        got, wanted = f"{' '.join(kinds)[:80]} for {len(names)} FIELDS", f"one of {', '.join(sorted(_KINDS))} for each"
+        raise OgmError(f"{path} has TYPE and SIZE {got} in its PCD header, wanted {wanted}: it is damaged")
     counts = _integers(entries, "COUNT", len(names), path) if "COUNT" in entries else [1] * len(names)
     if any(count < 1 for name, count in zip(names, counts, strict=True) if name != "_"):
         raise OgmError(f"{path} has COUNT {counts} in its PCD header, wanted 1 or more: it is damaged")

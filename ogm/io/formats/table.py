@@ -85,10 +85,8 @@ def refuse_doubles(names: Iterable[str], path: Path | str) -> None:
     names = list(names)
     count = Counter(plain(name) for name in names)
     if doubled := [name for name in names if plain(name) in POSITION and count[plain(name)] > 1]:
-        raise OgmError(
-            f"{path} has the fields {', '.join(doubled)[:200]}, which differ only in case or scalar_, wanted one of "
-            "each: remove or rename the others"
-        )
+        got = f"{', '.join(doubled)[:200]}, which differ only in case or scalar_"
+        raise OgmError(f"{path} has the fields {got}, wanted one of each: remove or rename the others")
     if doubled := [name for name in names if plain(name) in KNOWN and count[plain(name)] > 1]:
         text = "%s has the fields %s, which differ only in case or scalar_: the first is used"
         notice(log, "doubled fields", text, path, ", ".join(doubled)[:200])
@@ -167,10 +165,8 @@ def _rows(types: list[np.dtype], fields: list[Field], points: int, body: memoryv
 def check_size(needed: int, points: int, body: memoryview, path: Path) -> None:
     """Raise if the body is smaller than the header implies."""
     if needed > len(body):
-        raise OgmError(
-            f"{path} has {len(body)} bytes after its header, wanted at least {needed} for the stated {points} points: "
-            "it is cut short or its header is damaged"
-        )
+        wanted = f"wanted at least {needed} for the stated {points} points"
+        raise OgmError(f"{path} has {len(body)} bytes after its header, {wanted}: it is cut short or damaged")
 
 
 def check_text(body: memoryview, path: Path) -> None:

@@ -173,10 +173,8 @@ def _topic(log: LogReader, path: Path) -> str:
         raise OgmError(f"{path} has grids of {', '.join(found)}: give one as `topic`")
     there = ", ".join(f"{name} ({facts.type})" for name, facts in log.topics.items())
     if any(facts.type == _UPDATE and facts.count for facts in log.topics.values()):
-        raise OgmError(
-            f"{path} has updates of a map, but no complete map, only {there}: start recording before the map is "
-            "published, or publish it again"
-        )
+        way_out = "start recording before the map is published, or publish it again"
+        raise OgmError(f"{path} has updates of a map, but no complete map, only {there}: {way_out}")
     raise OgmError(f"{path} has no grids ({', '.join(_READERS)}), only {there or 'nothing'}: make them by ogm fuse")
 
 

@@ -88,10 +88,9 @@ class PlacedGrid:
         T, (x, y) = self.T_frame_grid, self.grid.spec.origin
         if math.hypot(T[2, 0], T[2, 1]) > _MAX_TILT or T[2, 2] < 0:
             tilt = math.degrees(math.acos(min(max(T[2, 2], -1), 1)))
-            raise ValueError(
-                f"the grid is tilted by {tilt:.3g} degrees in frame {self.frame_id!r}; a map file stores only a "
-                "rotation about the vertical: give a T_frame_grid without roll and pitch"
-            )
+            got = f"the grid is tilted by {tilt:.3g} degrees in frame {self.frame_id!r}"
+            wanted = "a rotation about the vertical: give a T_frame_grid without roll and pitch"
+            raise ValueError(f"{got}; a map file stores only {wanted}")
         yaw = math.atan2(T[1, 0], T[0, 0])
         corner = T[:2, :2] @ (x, y) + T[:2, 3]
         return Corner(float(corner[0]), float(corner[1]), 0.0 if abs(yaw) < _NO_TURN else yaw)

@@ -134,10 +134,8 @@ class BagFile(ChunkedFile):
         number = _number(header, "conn")
         if number not in self.channels:
             facts = _fields(memoryview(data))
-            topic, name, text = (
-                found.decode("utf-8", "replace")
-                for found in (header.get("topic", b""), facts.get("type", b""), facts.get("message_definition", b""))
-            )
+            parts = header.get("topic", b""), facts.get("type", b""), facts.get("message_definition", b"")
+            topic, name, text = (part.decode("utf-8", "replace") for part in parts)
             self.channels[number] = Channel(topic, ros2_name(name), "ros1", text, "ros1msg")
 
 

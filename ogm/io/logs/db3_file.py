@@ -86,9 +86,8 @@ class Db3File:
         rows = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
         definitions = {}
         if connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
-            found = connection.execute(
-                "SELECT topic_type, encoded_message_definition, encoding FROM message_definitions"
-            )
+            columns = "topic_type, encoded_message_definition, encoding"
+            found = connection.execute(f"SELECT {columns} FROM message_definitions")
             definitions = {name: (str(text or ""), str(form or "")) for name, text, form in found}
         return {
             number: Channel(str(topic), str(name), encoding or "cdr", *definitions.get(name, ("", "")))
@@ -119,10 +118,8 @@ class Db3File:
             if len(mine):
                 self.index[number] = np.column_stack([mine[:, 1:], np.zeros(len(mine), np.int64)])
         if count:
-            self.warnings.append(
-                f"{self.path}: {count} messages are left out: their topic is not in the table topics, or their time is "
-                "no integer"
-            )
+            text = "messages are left out: their topic is not in the table topics, or their time is no integer"
+            self.warnings.append(f"{self.path}: {count} {text}")
 
     def _check_size(self) -> None:
         """Warn if the file has fewer pages than it states: SQLite reads missing parts of a page as zeros."""

@@ -83,10 +83,8 @@ def _unpacked(message: Any, kind: str, where: str) -> NDArray[Any]:
     if not data.startswith(_PNG):
         if not data[_HEADER.size :].startswith(_PNG):
             way_out = "the Image itself" if kind == "f4" else "compressed, which is also PNG"
-            raise OgmError(
-                f"{where} has the format {str(message.format)!r}, wanted depths as PNG: record PNG (the parameter "
-                f"format of compressedDepth), or {way_out}"
-            )
+            way_out = f"record PNG (the parameter format of compressedDepth), or {way_out}"
+            raise OgmError(f"{where} has the format {str(message.format)!r}, wanted depths as PNG: {way_out}")
         _, a, b = _HEADER.unpack_from(data)
         data = data[_HEADER.size :]
     pixels = deep_pixels(where, data)
@@ -126,10 +124,8 @@ def intrinsics_from_camera_info(message: Any, *, rectified: bool = False) -> Int
         count = _LENSES.get(str(message.distortion_model), 0)
         if len(lens) > count and not np.abs(lens[count:]).max() <= 0:
             wanted = " or ".join(f"{name} with {number}" for name, number in _LENSES.items())
-            raise OgmError(
-                f"{where} has a lens of the model {str(message.distortion_model)!r} with {len(lens)} coefficients, "
-                f"wanted {wanted}: record rectified images"
-            )
+            got = f"{str(message.distortion_model)!r} with {len(lens)} coefficients"
+            raise OgmError(f"{where} has the lens model {got}, wanted {wanted}: record rectified images")
         distortion = tuple(lens[:count].tolist())
     region, across, down = message.roi, max(int(message.binning_x), 1), max(int(message.binning_y), 1)
     width, height = int(region.width) or int(message.width), int(region.height) or int(message.height)

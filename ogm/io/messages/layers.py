@@ -133,10 +133,8 @@ def layers_from_grid_map(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]
     side = float(info.resolution)
     cells = (float(info.length_x) / side, float(info.length_y) / side) if side > 0 else (0.0, 0.0)
     if not np.isfinite(cells).all() or min(cells) < 0.5 or len(message.layers) != len(message.data):
-        raise OgmError(
-            f"{where} has {len(message.layers)} names for {len(message.data)} layers, and {info.length_x:g} x "
-            f"{info.length_y:g} m in cells of {side:g} m: it is damaged"
-        )
+        got = f"{len(message.layers)} names for {len(message.data)} layers, {info.length_x:g} x {info.length_y:g} m"
+        raise OgmError(f"{where} has {got} in cells of {side:g} m: it is damaged")
     shape = (round(cells[0]), round(cells[1]))
     corner = transform_of_pose(info.pose, where) @ pose(-shape[0] * side / 2, -shape[1] * side / 2)
     origin, T = split_corner(corner)
