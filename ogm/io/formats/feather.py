@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,23 +29,27 @@ def parse_feather(data: bytes, path: Path) -> Table:
     """
     if data.startswith(b"FEA1"):
         raise OgmError(f"{path} is Feather of version 1, wanted version 2: rewrite it with pyarrow")
+    columns, schema = read_columns(data, path, partial(_known_columns, data, path))
+    return Table("Feather", columns, fields=tuple(schema.names[i] for i in _numeric_columns(schema)))
+
+
+def _numeric_columns(schema: Any) -> list[int]:
+    from pyarrow import types
+
+    return [i for i, kind in enumerate(schema.types) if types.is_integer(kind) or types.is_floating(kind)]
+
+
+def _known_columns(data: bytes, path: Path, schema: Any) -> list[int]:
+    """Return the numbers of the columns to unpack, after checking their size without unpacking."""
     pyarrow, dataset = optional("pyarrow", path), optional("pyarrow.dataset", path)
-    fields: list[str] = []
-
-    def known(schema: Any) -> list[int]:
-        """Return the numbers of the columns to unpack, and check their size without unpacking."""
-        types = pyarrow.types
-        numeric = [i for i, kind in enumerate(schema.types) if types.is_integer(kind) or types.is_floating(kind)]
-        fields.extend(schema.names[i] for i in numeric)
-        refuse_doubles(fields, path)
-        wanted = [i for i in numeric if plain(schema.names[i]) in KNOWN]
-        width = sum(schema.types[i].bit_width // 8 for i in wanted)
-        fragment = dataset.IpcFileFormat().make_fragment(pyarrow.py_buffer(data))
-        if wanted and (size := fragment.count_rows(use_threads=False) * width) > current_limits().file:
-            raise too_large(path, size, "file")
-        return wanted
-
-    return Table("Feather", read_columns(data, path, known)[0], fields=tuple(fields))
+    numeric = _numeric_columns(schema)
+    refuse_doubles((schema.names[i] for i in numeric), path)
+    wanted = [i for i in numeric if plain(schema.names[i]) in KNOWN]
+    width = sum(schema.types[i].bit_width // 8 for i in wanted)
+    fragment = dataset.IpcFileFormat().make_fragment(pyarrow.py_buffer(data))
+    if wanted and (size := fragment.count_rows(use_threads=False) * width) > current_limits().file:
+        raise too_large(path, size, "file")
+    return wanted
 
 
 def read_columns(data: bytes, path: Path, choose: Callable[[Any], list[int]]) -> tuple[dict[str, NDArray[Any]], Any]:

@@ -238,9 +238,8 @@ def scan_from_continental(message: Any) -> Scan:
     if not isinstance(message.detections, Iterable):
         raise OgmError(f"{where} must have a list of detections, got {type(message.detections).__name__}")
     valid = [row for row in message.detections if not any(getattr(row, flag, False) for flag in flags)]
-    elevations = (getattr(row, "elevation_angle", 0.0) for row in valid)
     rows = [
-        (row.range, row.azimuth_angle, e, row.range_rate, row.rcs) for row, e in zip(valid, elevations, strict=True)
+        (row.range, row.azimuth_angle, getattr(row, "elevation_angle", 0.0), row.range_rate, row.rcs) for row in valid
     ]
     return _scan(message, "ContinentalDetectionList", rows, ("doppler", "rcs"))
 
