@@ -69,7 +69,7 @@ def test_a_pose_and_a_system_place_the_map_on_earth(tmp_path: Path) -> None:
     wanted = PlacedGrid(grid(), pose(367000, 5600000, yaw=-0.5)).corner
     assert placed.crs == "EPSG:25832"
     assert placed.corner == pytest.approx(wanted, abs=1e-8)
-    refused_command("turned by", "convert", tmp_path / "new" / "m.tif", tmp_path / "back.npz")
+    refused_command("rotated by", "convert", tmp_path / "new" / "m.tif", tmp_path / "back.npz")
     assert ogm("convert", tmp_path / "new" / "m.tif", tmp_path / "m.yaml", "--mode", "raw").exit_code == 0
     assert read_placed_grid(tmp_path / "m.yaml").corner == pytest.approx(wanted, abs=1e-8)
 

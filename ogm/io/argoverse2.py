@@ -217,7 +217,7 @@ def _table(path: Path, columns: Sequence[str]) -> _Table:
     data = read_bytes(path)[0]
     found, schema = read_columns(data, path, lambda table: [k for k, name in enumerate(table.names) if name in columns])
     if missing := [name for name in columns if name not in found]:
-        raise OgmError(f"{path} has no column {', '.join(missing)}, found only {', '.join(schema.names)[:200]}")
+        raise OgmError(f"{path} has no column {', '.join(missing)}, only {', '.join(schema.names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
         raise OgmError(f"all timestamp_ns of {path} must be integers [ns], got {found['timestamp_ns'].dtype}")
     return _Table(path, found)

@@ -53,7 +53,7 @@ def open_image(path: FilePath, formats: Sequence[str] = ("PNG",), data: bytes | 
         text = str(error).replace(str(path), "it") or type(error).__name__
         raise OgmError(f"{path} is damaged or no image ({text}), wanted {', '.join(formats)}") from error
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # by PIL.Image.MAX_IMAGE_PIXELS
-        raise OgmError(f"{path} is damaged or too large for Pillow: {error}") from error
+        raise OgmError(f"{path} is damaged or no image that Pillow decodes: {error}") from error
 
 
 def deep_pixels(path: FilePath, data: bytes | None = None) -> NDArray[np.uint16]:

@@ -274,7 +274,7 @@ def remove(folder, name):
         ("argoverse 2", "map/*.npy", r"must have one file of each .*found 1, 0, 1"),
         ("argoverse 2", "city_SE3_egovehicle.feather", r"no file .*city_SE3"),
         ("nuscenes", "v1.0-mini/instance.json", r"no file .*instance.json"),
-        ("nuscenes", "samples/LIDAR_TOP/*", r"names no key frame of LIDAR_TOP whose points are under"),
+        ("nuscenes", "samples/LIDAR_TOP/*", r"names no key frame of LIDAR_TOP with points under"),
     ])  # fmt: skip
 def test_a_part_is_missing(fresh, tmp_path, name, without, message):
     folder = fresh(name, tmp_path)

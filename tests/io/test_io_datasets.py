@@ -76,7 +76,7 @@ def test_labelled_points_must_fit():
     points = np.zeros((3, 4), np.float32)
     found = LabelledPoints(points, np.array([0, 2, 0]), {0: "road", 1: "car", 2: "none"})
     assert found.named().tolist() == ["road", "none", "road"]
-    with pytest.raises(OgmError, match=r"one of classes per point, got \(2,\) for 3"):
+    with pytest.raises(OgmError, match=r"one class per point, got \(2,\) for 3"):
         LabelledPoints(points, np.zeros(2, np.int64), {0: "road"})
     with pytest.raises(OgmError, match="class 5, 7 is not one of the 1 that are known"):
         LabelledPoints(points, np.array([0, 5, 7]), {0: "road"})
@@ -447,7 +447,7 @@ def test_damaged_annotations_are_named(tmp_path, change, message):
 
 
 @each("change, message", [
-        (lambda t: t["ego_pose"].clear(), "refers to ego_pose p, which ego_pose.json does not have"),
+        (lambda t: t["ego_pose"].clear(), "refers to ego_pose p, which ego_pose.json lacks"),
         (lambda t: t["sample_data"][0].pop("filename"), "has no 'filename'"),
         (lambda t: t["sample_data"][0].update(is_key_frame=False), "names no key frame of LIDAR_TOP"),
         (lambda t: t.update(scene={"token": "s"}), "holds a JSON dict, wanted a list: the table scene"),
@@ -502,7 +502,7 @@ def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
         ("{", "is no JSON"),
         ("[" * 100_000, "is no JSON"),
         ('{"a": 1}', "has no 'metainfo', only a"),
-        ('{"metainfo": {"dataset": "waymo", "categories": {}}, "data_list": []}', "is of waymo, wanted nuscenes"),
+        ('{"metainfo": {"dataset": "waymo", "categories": {}}, "data_list": []}', "dataset waymo, wanted nuscenes"),
         ('{"metainfo": {"dataset": "nuscenes", "categories": {}}}', "has no 'data_list'"),
         ('{"metainfo": {"dataset": "nuscenes", "categories": ["car"]}}', "'categories' of .* wanted a dict"),
         ('{"metainfo": {"dataset": "nuscenes", "categories": {}}, "data_list": 3}', "'data_list' of .* a list"),

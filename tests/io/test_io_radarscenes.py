@@ -164,8 +164,8 @@ _HOSTILE = {
     "text column": (_replaced("odometry", data=_PATH.astype([(n, "S9") for n in _PATH.dtype.names])), "kind 'iu'"),
     "back in time": (_replaced("odometry", data=_PATH[::-1]), "increasing timestamps"),
     "nowhere": (_replaced("odometry", data=_PATH[:0]), "got 0 rows"),
-    "short": (_replaced("radar_data", data=detections()[0][:20]), "are scenes.json and radar_data.h5 of one sequence"),
-    "others' rows": (_replaced("radar_data", data=detections()[0][::-1]), "of another sensor than radar_"),
+    "short": (_replaced("radar_data", data=detections()[0][:20]), "use scenes.json and radar_data.h5 of one sequence"),
+    "others' rows": (_replaced("radar_data", data=detections()[0][::-1]), "of another sensor, wanted only radar_"),
 }  # fmt: skip
 
 

@@ -61,13 +61,13 @@ def test_a_turn_is_kept_or_refused(tmp_path: Path, ending: str) -> None:
     placed = PlacedGrid(grid(), pose(3.0, 4.0, yaw=-2.0))
     path = tmp_path / f"m{ending}"
     if ending in (".npz", ".png"):
-        with pytest.raises(ValueError, match="turned by -114.592 degrees"):
+        with pytest.raises(ValueError, match="rotated by -114.592 degrees"):
             write_grid(path, placed)
         assert not list(tmp_path.iterdir())
         return
     write_grid(path, placed)
     assert read_placed_grid(path).corner == pytest.approx(placed.corner, abs=1e-8)
-    with pytest.raises(OgmError, match=rf"m\{ending}: the grid is turned by -114.592 degrees"):
+    with pytest.raises(OgmError, match=rf"m\{ending}: the grid is rotated by -114.592 degrees"):
         read_grid(path)
 
 

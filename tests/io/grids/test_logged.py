@@ -174,7 +174,7 @@ def test_several_topics_ask_for_one(tmp_path: Path) -> None:
     assert read_placed_grid(path).frame_id == "map"
     refused(r"maps\.bag has no topic /x; there are /costmap", read_grid, path, error=OgmError, topic="/x")
     refused("has grids of /a, /b: give one as `topic`", read_grid, write("/a", "/b"), error=OgmError)
-    refused(r"topic is for \.mcap", read_grid, tmp_path / "maps.npz", topic="/a")
+    refused(r"topic is only for \.mcap", read_grid, tmp_path / "maps.npz", topic="/a")
 
 
 def test_logs_without_grids_and_damaged_ones_are_refused(tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_an_error_inside_leaves_what_was_there(tmp_path: Path) -> None:
 def test_options_are_checked_before_the_work(tmp_path: Path) -> None:
     for path, message, text in (
         ("m.mcap", "map", "message must be one of occupancy-grid, grid-map, foxglove-grid"),
-        ("m.npz", "grid-map", r"message is for \.mcap"),
+        ("m.npz", "grid-map", r"message is only for \.mcap"),
         ("m.db3", "foxglove-grid", r"only for \.mcap files"),
     ):
         refused(text, write_grid, tmp_path / path, l_shape(), message=message)

@@ -331,4 +331,4 @@ def test_costs_as_occupancy_are_the_values_that_nav2_publishes():
         refused("costs must be integers from 0 to 255", nav2_costmap, LayeredGrid(spec, {"cost": wrong}))
     message = nav2_costmap(LayeredGrid(spec, {"cost": costs}))
     message.metadata.size_x = 15
-    refused("has 256 values, wanted those of 15 x 16 cells", layers_from_nav2_costmap, message, error=OgmError)
+    refused("has 256 values, wanted 15 x 16", layers_from_nav2_costmap, message, error=OgmError)

@@ -89,7 +89,7 @@ def test_angles_come_from_the_increment_unless_it_gives_none(
         ({"angle_increment": 0.0, "angle_max": -0.5, "angle_min": -0.5}, "give no directions within a turn"),
         ({"angle_min": -90.0, "angle_max": 90.0, "angle_increment": 1.0}, "wanted radians"),
         ({"angle_min": NAN}, "wanted radians"),
-        ({"ranges": ["a"] * 4}, "ranges that are no numbers"),
+        ({"ranges": ["a"] * 4}, "ranges that are not numeric"),
         ({"ranges": 4.0}, "no lists"),
     ])  # fmt: skip
 def test_angles_and_ranges_that_decide_the_scan_are_refused(changed: dict[str, Any], message: str) -> None:
@@ -142,4 +142,4 @@ def test_a_binary_ranger_is_free_without_detection_and_unknown_with_one(caplog: 
 def test_unknown_ranges_are_counted(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO):
         scan_from_laser_scan(laser([1.0, 0.0, NAN, INF]))
-    assert "2 of 4 ranges are 0, too near or no number; their beams are unknown" in caplog.text
+    assert "2 of 4 ranges are 0, too near or NaN; their beams are unknown" in caplog.text
