@@ -69,7 +69,7 @@ def test_a_pose_and_a_system_place_the_map_on_earth(tmp_path: Path) -> None:
     wanted = PlacedGrid(grid(), pose(367000, 5600000, yaw=-0.5)).corner
     assert placed.crs == "EPSG:25832"
     assert placed.corner == pytest.approx(wanted, abs=1e-8)
-    refused_command("turned by", "convert", tmp_path / "new" / "m.tif", tmp_path / "back.npz")
+    refused_command("rotated by", "convert", tmp_path / "new" / "m.tif", tmp_path / "back.npz")
     assert ogm("convert", tmp_path / "new" / "m.tif", tmp_path / "m.yaml", "--mode", "raw").exit_code == 0
     assert read_placed_grid(tmp_path / "m.yaml").corner == pytest.approx(wanted, abs=1e-8)
 
@@ -88,11 +88,11 @@ def test_pictures_need_their_extent(tmp_path: Path) -> None:
 @each("words, message", [
         (("m.npz", "x.txt"), "a grid is written as .npz, .yaml"), (("m.npz", "m.npz"), "would take the place of"),
         (("m.yaml", "m.png"), "would take the place of"), (("none.npz", "x.tif"), "there is no file"),
-        (("m.txt", "x.tif"), "no grid that can be read"), (("m.npz", "x.tif", "--mode", "raw"), "mode must be"),
+        (("m.txt", "x.tif"), "no readable grid"), (("m.npz", "x.tif", "--mode", "raw"), "mode must be"),
         (("m.npz", "x.yaml", "--mode", "grey"), "mode must be"),
-        (("m.npz", "x.tif", "--message", "grid-map"), "message is for"),
-        (("m.npz", "x.tif", "--topic", "/map"), "topic is for"),
-        (("m.npz", "x.tif", "--crs", "EPSG:4326"), "not in metres on a plane"),
+        (("m.npz", "x.tif", "--message", "grid-map"), "message is only for"),
+        (("m.npz", "x.tif", "--topic", "/map"), "topic is only for"),
+        (("m.npz", "x.tif", "--crs", "EPSG:4326"), "not projected in metres"),
         (("m.npz", "."), "a grid is written as"), (("m.npz", "m.yaml/x.tif"), "m.yaml"),
     ])  # fmt: skip
 def test_wrong_words_are_one_line_and_exit_code_2(
@@ -229,7 +229,7 @@ def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: P
     result = fused(drive, tmp_path / "m.png", "--picture", tmp_path / "m.png")
     assert "both be written" in result.output
     result = fused(drive, tmp_path / "m.npz", "--message", "grid-map")
-    assert "message is for" in result.output
+    assert "message is only for" in result.output
 
 
 @each("ending", ["zarr", "png", "mcap"])

@@ -112,7 +112,7 @@ def test_without_locks_only_what_is_old_is_swept(tmp_path: Path, monkeypatch: py
     old, new = (tmp_path / f".ogm-{k:016x}.tmp" for k in range(2))
     for path in (old, new):
         path.mkdir()
-    os.utime(old, (time.time() - 2 * locks.OLD,) * 2)
+    os.utime(old, (time.time() - 2 * locks.MAX_AGE,) * 2)
     sweep(tmp_path)
     assert os.listdir(tmp_path) == [new.name]
     with locked(tmp_path), locked(tmp_path):  # nothing is locked

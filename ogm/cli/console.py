@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli.interrupts import received
-from ogm.storage.files import OF_DISK, error_text
+from ogm.storage.files import DISK_ERRORS, error_text
 
 if TYPE_CHECKING:
     from ogm.grid import GridSpec
@@ -116,7 +116,7 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
                 stderr.print(f"ogm: interrupted; {_WHOLE}", markup=False)
                 raise typer.Exit(130) from None
             complain(error_text(error))
-            raise typer.Exit(1 if isinstance(error, OSError) and error.errno in OF_DISK else 2) from None
+            raise typer.Exit(1 if isinstance(error, OSError) and error.errno in DISK_ERRORS else 2) from None
         except KeyboardInterrupt as interrupt:
             text = str(interrupt) or _WHOLE
             stderr.print(f"ogm: interrupted; {text}", markup=False)

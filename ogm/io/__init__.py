@@ -1,6 +1,6 @@
-"""Point clouds, poses and labels in: any supported file to metres, x forward, y left, z up. Grids both ways.
+"""Readers of point clouds, poses and labels, in metres, x forward, y left, z up; grid files, read and written.
 
-A new format of point clouds goes to `ogm.io.formats`. The module of its name reads the labels of a dataset:
+A new format of point clouds belongs in `ogm.io.formats`. Labels of a dataset are read by the module of its name:
 `ogm.io.kitti`, `ogm.io.nuscenes`, ...
 
 >>> import numpy as np

@@ -1,10 +1,9 @@
-"""Argoverse 2: one log of the sensor data set, with boxes, poses, and a map of the ground (Wilson et al. 2021).
+"""Argoverse 2: one log of the sensor dataset, with boxes, poses, and a map of the ground (Wilson et al. 2021).
 
 >>> from ogm.io.argoverse2 import read_argoverse2
 >>> boxes = read_argoverse2("av2/val/LOG").boxes(0)                         # doctest: +SKIP
 """
 
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.formats.feather import check_sizes
+from ogm.io.formats.feather import read_columns
 from ogm.io.labels import BoxRow, boxes_of
-from ogm.io.reading import from_quaternions, need, need_numbers, numbers, optional, parse_array, read_bytes, read_json
+from ogm.io.reading import from_quaternions, need, need_numbers, numbers, parse_array, read_bytes, read_json
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.storage.files import FilePath, OgmError, error_context
@@ -27,16 +26,16 @@ _SIZE = ("length_m", "width_m", "height_m")
 
 
 class Argoverse2Map(NamedTuple):
-    """Where a log's city may be driven on, and how high its ground lies.
+    """Drivable areas of a log's city, and the height of its ground.
 
     Parameters
     ----------
     areas : tuple of (N, 3) float64
         Outlines of the drivable areas [m, city].
     raster : (rows, columns) float64
-        Height of the ground [m, city]; NaN where it is not known.
+        Height of the ground [m, city]; NaN if unknown.
     rotation, shift, scale : (2, 2), (2,), float
-        From the city to the raster: ``scale * (rotation @ (x, y) + shift)`` is (column, row).
+        Transform from the city to the raster: ``scale * (rotation @ (x, y) + shift)`` is (column, row).
     """
 
     areas: tuple[NDArray[np.float64], ...]
@@ -46,23 +45,23 @@ class Argoverse2Map(NamedTuple):
     scale: float
 
     def outlines(self, T_city_sensor: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the outlines of the drivable areas from above, in a sensor's frame, (N, 2) each [m]."""
+        """Return the drivable areas from above, in a sensor's frame, (N, 2) each [m]."""
         T = inverse(T_city_sensor)
         return [transform_points(T, area)[:, :2] for area in self.areas]
 
     def ground(self, xyz: NDArray[np.floating[Any]], T_city_sensor: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the z of the ground at some places, in a sensor's frame.
+        """Return the ground height at some places, in a sensor's frame.
 
         Parameters
         ----------
         xyz : (N, 3) float
-            The places [m]; the vehicle may tilt by a degree, so that z matters a little.
+            Places [m]. z matters slightly, as the vehicle may tilt by a degree.
         T_city_sensor : (4, 4) float
 
         Returns
         -------
         (N,) float64
-            z [m]; NaN where the map has no ground.
+            z [m]; NaN outside of the mapped ground.
         """
         xyz = np.asarray(xyz, np.float64)
         city = xyz @ T_city_sensor[:3, :3].T + T_city_sensor[:3, 3]
@@ -75,22 +74,22 @@ class Argoverse2Map(NamedTuple):
 
 
 class Argoverse2Log(NamedTuple):
-    """One log. The vehicle's frame: x forward, y left, z up, its origin above the rear axle.
+    """One log in the vehicle frame: x forward, y left, z up, origin above the rear axle.
 
     Parameters
     ----------
     sweeps : tuple of Path
-        The files of the two lidars' points, in the vehicle's frame, by time.
+        Files with the points of both lidars, in the vehicle frame, by time.
     stamps : tuple of int
-        Their times [ns].
+        Times of the sweeps [ns].
     poses : dict of int to (4, 4) float64
-        ``T_city_vehicle`` at those times.
+        ``T_city_vehicle`` by stamp.
     lidars : dict of str to (3,) float64
-        Positions of ``up_lidar`` and ``down_lidar`` in the vehicle's frame [m]. Empty without calibration.
+        Positions of ``up_lidar`` and ``down_lidar`` in the vehicle frame [m]. Empty without calibration.
     annotations : table or None
-        The table of boxes; None where there is none, as in the test part.
+        Table of boxes; None if missing, as in the test part.
     map : Argoverse2Map or None
-        None where the log has no map.
+        None if the log has no map.
     """
 
     sweeps: tuple[Path, ...]
@@ -101,7 +100,7 @@ class Argoverse2Log(NamedTuple):
     map: Argoverse2Map | None
 
     def boxes(self, n: int) -> Boxes:
-        """Return the boxes at sweep n, in the vehicle's frame: none where there are no annotations."""
+        """Return the boxes at sweep n, in the vehicle frame; empty without annotations."""
         if self.annotations is None:
             return Boxes.empty()
         table = self.annotations
@@ -114,12 +113,12 @@ class Argoverse2Log(NamedTuple):
 
 
 def read_argoverse2(path: FilePath) -> Argoverse2Log:
-    """Read what a log holds besides its points.
+    """Read the poses, boxes and map of a log, and the names of its sweeps.
 
     Parameters
     ----------
     path : path
-        The folder of the log, with ``sensors/lidar/`` in it.
+        Folder of the log, with ``sensors/lidar/``.
 
     Returns
     -------
@@ -130,37 +129,37 @@ def read_argoverse2(path: FilePath) -> Argoverse2Log:
     FileNotFoundError
         If there are no sweeps, or no poses.
     OgmError
-        If a table lacks a column, a sweep has no pose, or the map is of another kind.
+        If a table lacks a column, a sweep has no pose, or the map has another layout.
     ImportError
-        If pyarrow is not there.
+        If pyarrow is missing.
     """
     folder = Path(path)
     if not (sweeps := sorted(folder.glob("sensors/lidar/*.feather"))):
         raise FileNotFoundError(f"{folder} has no sensors/lidar/*.feather: give the folder of one log")
     with error_context(f"sweeps of {folder} must be named by their times [ns]"):
-        stamps = tuple(int(one.stem) for one in sweeps)
+        stamps = tuple(int(sweep.stem) for sweep in sweeps)
     file = folder / "city_SE3_egovehicle.feather"
     table = _table(file, ("timestamp_ns", *_POSITION, *_QUATERNION))
     row = {int(stamp): n for n, stamp in enumerate(table.columns["timestamp_ns"])}
     if lost := [stamp for stamp in stamps if stamp not in row]:
         raise OgmError(f"{file} has no pose for the sweep at {lost[0]} (and {len(lost) - 1} others)")
     poses = table.poses(np.array([row[stamp] for stamp in stamps]))
-    notes = folder / "annotations.feather"
+    boxes = folder / "annotations.feather"
     wanted = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_QUATERNION, *_POSITION)
-    annotations = _table(notes, wanted) if notes.is_file() else None
+    annotations = _table(boxes, wanted) if boxes.is_file() else None
     found = dict(zip(stamps, poses, strict=True))
     return Argoverse2Log(tuple(sweeps), stamps, found, _lidars(folder), annotations, _map(folder))
 
 
 def _lidars(folder: Path) -> dict[str, NDArray[np.float64]]:
-    files = sorted(folder.glob("calibration*/egovehicle_SE3_sensor.feather"))  # the log's own comes first
+    files = sorted(folder.glob("calibration*/egovehicle_SE3_sensor.feather"))  # the log's own calibration comes first
     if not files:
         return {}
     file = files[0]
     table = _table(file, ("sensor_name", *_POSITION))
     positions = table.numbers(_POSITION)
     if not np.isfinite(positions).all():
-        raise OgmError(f"{file} has sensors without finite position: take the calibration of another log")
+        raise OgmError(f"{file} has sensors without finite position: use the calibration of another log")
     return dict(zip(map(str, table.columns["sensor_name"]), positions, strict=True))
 
 
@@ -171,7 +170,7 @@ def _map(folder: Path) -> Argoverse2Map | None:
     if any(len(files) != 1 for files in found):
         raise OgmError(
             f"{folder}/map must have one file of each {', '.join(_MAP_FILES)}, found "
-            f"{', '.join(str(len(files)) for files in found)}: complete it, or remove the folder to do without"
+            f"{', '.join(str(len(files)) for files in found)}: complete it, or remove the folder to read without a map"
         )
     (plan,), (heights,), (placing,) = found
     drivable = need(read_json(plan, dict, "a map of Argoverse 2"), "drivable_areas", plan, dict)
@@ -184,10 +183,9 @@ def _map(folder: Path) -> Argoverse2Map | None:
     data, _ = read_bytes(heights)
     raster = parse_array(data, heights, lambda shape: len(shape) == 2 and min(shape) > 0, "heights (rows, columns)")
     position = read_json(placing, dict, "the position of the raster in the city: R, t, s")
-    rotation, shift, scale = (
-        need_numbers(position, key, shape, placing) for key, shape in (("R", 4), ("t", 2), ("s", ()))
-    )
-    with np.errstate(invalid="ignore"):  # NaN, also signalling ones, where the height is not known
+    shapes: dict[str, int | tuple[int, ...]] = {"R": 4, "t": 2, "s": ()}
+    rotation, shift, scale = (need_numbers(position, key, shape, placing) for key, shape in shapes.items())
+    with np.errstate(invalid="ignore"):  # unknown heights are NaN, also signalling
         raster = raster.astype(np.float64)
     return Argoverse2Map(tuple(areas), raster, rotation.reshape(2, 2), shift, float(scale))
 
@@ -202,36 +200,24 @@ class _Table(NamedTuple):
     columns: Mapping[str, NDArray[Any]]
 
     def numbers(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return columns of numbers side by side, (K, C)."""
+        """Return numeric columns as an array, (K, C)."""
         if wrong := [name for name in names if self.columns[name].dtype.kind not in "iuf"]:
             got = self.columns[wrong[0]].dtype
             raise OgmError(f"{', '.join(wrong)} of {self.path} must be columns of numbers, got {got}")
         return np.column_stack([self.columns[name] for name in names]).astype(np.float64)
 
     def poses(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return transforms (K, 4, 4) of some rows."""
+        """Return the transforms of some rows, (K, 4, 4)."""
         positions, quaternions = self.numbers(_POSITION)[rows], self.numbers(_QUATERNION)[rows]
         return from_quaternions(positions, quaternions, lambda k: f"row {rows[k]} of {self.path}")
 
 
 def _table(path: Path, columns: Sequence[str]) -> _Table:
     """Read some columns of a Feather table."""
-    pyarrow, ipc = optional("pyarrow", path), optional("pyarrow.ipc", path)
     data = read_bytes(path)[0]
-    try:
-        buffer = pyarrow.py_buffer(data)
-        schema = ipc.open_file(buffer).schema
-        wanted = [k for k, name in enumerate(schema.names) if name in columns]
-        check_sizes(data, path, schema.types, wanted)
-        table = ipc.open_file(buffer, options=ipc.IpcReadOptions(included_fields=wanted or None)).read_all()
-        table.validate(full=True)  # else lengths beyond the buffers are read from whatever memory follows
-        found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names}
-    except (pyarrow.ArrowException, ValueError, OSError, MemoryError, struct.error) as error:
-        if isinstance(error, OgmError):
-            raise
-        raise OgmError(f"{path} is no readable Feather table, damaged or wrongly named ({error})"[:400]) from error
+    found, schema = read_columns(data, path, lambda table: [k for k, name in enumerate(table.names) if name in columns])
     if missing := [name for name in columns if name not in found]:
         raise OgmError(f"{path} has no column {', '.join(missing)}, only {', '.join(schema.names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
-        raise OgmError(f"all timestamp_ns of {path} must be whole numbers [ns], got {table['timestamp_ns'].type}")
+        raise OgmError(f"all timestamp_ns of {path} must be integers [ns], got {found['timestamp_ns'].dtype}")
     return _Table(path, found)

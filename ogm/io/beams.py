@@ -1,4 +1,4 @@
-"""Beams in one plane, as messages and logs of planar lasers have them: ranges by angle to a scan."""
+"""Beams of planar lasers, from messages and logs: ranges and angles to a scan."""
 
 import logging
 import math
@@ -14,7 +14,7 @@ from ogm.scan import Scan
 
 log: logging.Logger = logging.getLogger(__name__)
 
-_SLACK = 1e-3  # [m] below the greatest range, within which a range is the greatest: drivers round
+_SLACK = 1e-3  # [m] below the greatest range that still counts as the greatest: drivers round
 
 
 class BeamRanges(NamedTuple):
@@ -26,15 +26,14 @@ class BeamRanges(NamedTuple):
         [m]
     angles : (B,) float64
         Direction of each range, to the left of x [rad].
-    beam : (B,) int64, optional
-        Number of the beam of each range, where a beam has several echoes.
+        Number of the beam of each range, if beams have several echoes.
     time : (B,) float64, optional
         Time of each range, counted from the stamp [s].
     intensity : (B,) numbers, optional
     min_range : float
-        Least range of the sensor [m]; 0 where unknown.
+        Least range of the sensor [m]; 0 if unknown.
     max_range : float, optional
-        Greatest range of the sensor [m]; None where unknown.
+        Greatest range of the sensor [m]; None if unknown.
     """
 
     ranges: NDArray[np.float64]
@@ -49,10 +48,10 @@ class BeamRanges(NamedTuple):
 def echoes(
     ranges: NDArray[np.float64], min_range: float, max_range: float | None
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which ranges are those of an echo, and which those of beams without one, both (B,).
+    """Return masks of the ranges with an echo and of the beams without echo, both (B,).
 
-    The rest are unknown: too near (below `min_range`, or -inf), 0 or below, NaN, and absurdly far. A beam has no echo
-    at +inf (REP 117), and from the greatest range on, which drivers report instead, or more than it.
+    The rest are unknown: too near (below `min_range`, or -inf), 0 or below, NaN, and absurdly far. A range means no
+    echo if it is +inf (REP 117), or at least the greatest range, which many drivers report instead.
 
     Parameters
     ----------
@@ -85,11 +84,11 @@ def planar_scan(
     Returns
     -------
     Scan
-        Of kind "planar". Beams without echo are `Scan.no_returns`; those of unknown range are left out.
+        Scan of kind "planar". `Scan.no_returns` has the beams without echo; unknown ranges are left out.
     """
     with_echo, silent = echoes(beams.ranges, beams.min_range, beams.max_range)
     if unknown := int(np.count_nonzero(~with_echo & ~silent)):
-        text = "%s: %d of %d ranges are 0, too near or no number; their beams are unknown"
+        text = "%s: %d of %d ranges are 0, too near or NaN; their beams are unknown"
         notice(log, "unknown ranges", text, where, unknown, len(beams.ranges), level=logging.INFO)
     directions = np.column_stack([np.cos(beams.angles), np.sin(beams.angles), np.zeros(len(beams.angles))])
     points = np.zeros((np.count_nonzero(with_echo), 4), np.float32)
@@ -105,7 +104,7 @@ def planar_scan(
 
 
 def range_limits(low: float, high: float, where: str) -> tuple[float, float | None]:
-    """Return the least and the greatest range that a driver states [m]; 0 and None if they are no limits.
+    """Return the least and greatest range stated by a driver [m]; 0 and None if unusable.
 
     Parameters
     ----------
@@ -117,7 +116,7 @@ def range_limits(low: float, high: float, where: str) -> tuple[float, float | No
     least = low if 0 < low < math.inf else 0.0
     greatest = high if 0 < high <= REACH else None
     if greatest is not None and least >= greatest:
-        text = "%s states ranges from %g to %g m, which are no limits and not used; beams without echo are not free"
+        text = "%s states the unusable range limits %g to %g m; beams without echo are not free"
         notice(log, "range limits", text, where, low, high)
         return 0.0, None
     if greatest is None:

@@ -1,4 +1,4 @@
-"""CARMEN logs: text with a message per line, of which the scans of planar lasers and their poses are read."""
+"""CARMEN logs, text with one message per line: scans of planar lasers and their poses."""
 
 import gzip
 import logging
@@ -25,22 +25,22 @@ from ogm.storage.limits import current_limits
 
 log: logging.Logger = logging.getLogger(__name__)
 
-_HEAD = 2**16  # [byte] of a file in which a message shows that it is a log
+_HEAD = 2**16  # [byte] at the beginning of a file in which a log is recognised
 _FIRST = re.compile(rb"(?m)^[ \t]*(?:[FR]LASER|RAWLASER\d|ROBOTLASER\d) +\S|^ODOM +\S+ +\S+ +\S+ +|^PARAM +\w+ +\S")
 _LASER = re.compile(r"[FR]LASER|ROBOTLASER\d")
 _MAX_BEAMS = 2**16
-_KNOWN = {  # beams: increment and field of view [deg], as CARMEN has them for lasers whose messages state none
+_KNOWN = {  # beams: increment and field of view [deg], as in CARMEN, for lasers that state none
     **dict.fromkeys((180, 181), (1.0, 180.0)), **dict.fromkeys((360, 361), (0.5, 180.0)), 401: (0.25, 100.0),
     541: (0.5, 270.0), **dict.fromkeys((1080, 1081), (0.25, 270.0)),
 }  # fmt: skip
-_CODES = 0.0015  # of the greatest range, in which the values of a SICK LMS without echo lie: 8183 to 8191
-_BAND = 0.05  # of the greatest range below these, where ranges of echoes would lie, too
-_SHARE = 1e-3  # of all ranges that have no echo, at least; fewer are echoes at the greatest range
-_APART = 4  # times as many ranges at the greatest as in the band below
+_CODES = 0.0015  # share of the greatest range; values of a SICK LMS without echo lie so near to it, 8183 to 8191
+_BAND = 0.05  # share of the greatest range below the codes, in which echoes would also lie
+_SHARE = 1e-3  # least share of ranges without echo; fewer are echoes at the greatest range
+_APART = 4  # least ratio of the counts at the greatest range and in the band below
 
 
 class LaserLine(NamedTuple):
-    """A scan of a laser as its line states it.
+    """Scan of a laser as stated by its line.
 
     Attributes
     ----------
@@ -49,13 +49,13 @@ class LaserLine(NamedTuple):
     ranges : (B,) float64
         [m]
     start, step : float
-        Angle of the first beam, and from one to the next [rad].
+        Angle of the first beam, and angle between beams [rad].
     pose, robot : (3,) float64
         x, y [m] and heading [rad] of the laser and of the robot, on the map.
     times : (2,) float64
-        When it was measured and logged [s].
+        Times of measurement and of logging [s].
     max_range : float
-        As the line states it [m]; NaN where it does not.
+        Range stated by the line [m]; NaN if missing.
     remission : (B,) float64, optional
     """
 
@@ -80,11 +80,11 @@ class CarmenLog:
     others : Counter of str
         Number of lines of other messages, by their first words.
     odd : list of str
-        Lines that cannot be read: number, beginning and reason.
+        Unreadable lines: number, beginning and reason.
     damage : str
-        Why the file ends early, in words; "" where it does not.
+        Reason why the file ends early; "" for a complete file.
     stated_range : float
-        Greatest range of the front laser by a parameter of the log [m]; inf if it is not stated.
+        Greatest range of the front laser by a parameter of the log [m]; inf if missing.
     """
 
     lines: list[LaserLine] = field(default_factory=list)
@@ -94,11 +94,11 @@ class CarmenLog:
     stated_range: float = math.inf
 
     def limits(self, kind: str) -> tuple[float | None, float | None]:
-        """Return the range from which on beams of a laser have no echo, and its greatest range [m].
+        """Return the least range without echo and the greatest range of a laser [m].
 
-        Beams without echo are those whose value repeats at the top of the distribution, apart from all others: at
-        least 0.1 % of the ranges lie within 0.15 % of the greatest, and four times as many there as in the 5 % below.
-        The greatest range is that of an echo in the log, or what the log states, whichever is less.
+        Beams without echo share one value at the top of the distribution, apart from all others: at least 0.1 % of
+        the ranges lie within 0.15 % of the greatest, and four times as many there as in the 5 % below. The greatest
+        range is the greatest echo of the log, or the stated range if that is less.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class CarmenLog:
         Returns
         -------
         no_echo, max_range : float or None
-            None where no range repeats; where there is no echo.
+            None if no range repeats; None without echoes.
         """
         rows = [line.ranges for line in self.lines if line.kind == kind]
         ranges = np.concatenate([np.empty(0), *rows])
@@ -125,7 +125,7 @@ class CarmenLog:
         return no_echo, min(float(with_echo.max()), self.stated_range)
 
     def scan(self, n: int, no_echo: float | None, max_range: float | None) -> Scan:
-        """Return the scan of a line, with the limits of its laser; its stamp is not set.
+        """Return the scan of a line, with the limits of its laser and without a stamp.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class CarmenLog:
 
 
 def is_carmen(path: Path) -> bool:
-    """Return whether a file begins as a CARMEN log does, also one packed by gzip or xz."""
+    """Return whether a file begins like a CARMEN log; it may be packed by gzip or xz."""
     unpack: Any = {".gz": gzip.open, ".xz": lzma.open}.get(path.suffix.lower(), open)
     with suppress(OSError, EOFError, zlib.error, lzma.LZMAError), unpack(path, "rb") as file:
         return bool(_FIRST.search(file.read(_HEAD)))
@@ -157,13 +157,12 @@ def is_carmen(path: Path) -> bool:
 def read_carmen(path: Path) -> CarmenLog:
     """Read the scans of a CARMEN log.
 
-    Lines of FLASER, RLASER and ROBOTLASER are read; all other messages are counted. A line that cannot be read is left
-    out.
+    FLASER, RLASER and ROBOTLASER are read; all other messages are counted. Unreadable lines are left out.
 
     Raises
     ------
     OgmError
-        If it is no whole file.
+        If the file is empty or damaged.
     """
     data, damage = _unpacked(path)
     found = CarmenLog(damage=damage)
@@ -186,7 +185,7 @@ def read_carmen(path: Path) -> CarmenLog:
 
 
 def _unpacked(path: Path) -> tuple[bytes, str]:
-    """Return the content of a file, and why its end is missing; "" where it is whole."""
+    """Return the content of a file and the reason for a missing end, "" if complete."""
     try:
         return read_bytes(path)[0], ""
     except OgmError as error:
@@ -202,7 +201,7 @@ def _unpacked(path: Path) -> tuple[bytes, str]:
 
 
 def _laser(words: Sequence[str]) -> LaserLine:
-    """Read FLASER and RLASER: count, ranges, pose of the laser, pose of the robot, time, host, time of the logger."""
+    """Read FLASER or RLASER: count, ranges, pose of the laser, pose of the robot, time, host, time of the logger."""
     ranges, rest = _counted(words[1:])
     if not len(ranges):
         raise ValueError("it has no ranges")
@@ -226,7 +225,7 @@ def _robot_laser(words: Sequence[str]) -> LaserLine:
     if not (math.isfinite(step) and step != 0):
         step = view / max(len(ranges) - 1, 1)
     if not len(ranges) or not all(map(math.isfinite, (start, step))) or abs(step) * len(ranges) > 3 * math.pi:
-        raise ValueError(f"{len(ranges)} beams from {start:g} by {step:g} rad are none of a laser")
+        raise ValueError(f"{len(ranges)} beams from {start:g} by {step:g} rad do not fit a laser")
     return LaserLine(
         words[0], ranges, start, step, poses[:3], poses[3:], _times(rest[11:]), max_range,
         remission if len(remission) == len(ranges) else None,
@@ -234,7 +233,7 @@ def _robot_laser(words: Sequence[str]) -> LaserLine:
 
 
 def _counted(words: Sequence[str]) -> tuple[NDArray[np.float64], Sequence[str]]:
-    """Return the numbers of a list that begins with their count, and the words after it."""
+    """Return the numbers of a list that begins with their count, and the following words."""
     count = int(words[0])
     if not 0 <= count <= _MAX_BEAMS:
         raise ValueError(f"it has {count} values, wanted up to {_MAX_BEAMS}")
@@ -244,7 +243,7 @@ def _counted(words: Sequence[str]) -> tuple[NDArray[np.float64], Sequence[str]]:
 
 
 def _times(words: Sequence[str]) -> NDArray[np.float64]:
-    """Return the time of the message and that of the logger; NaN if missing."""
+    """Return the times of message and logger; NaN if missing."""
     found = np.full(2, np.nan)
     for k, word in enumerate((words[:1], words[2:3])):
         with suppress(ValueError, IndexError):

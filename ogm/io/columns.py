@@ -1,4 +1,4 @@
-"""Intensities, rings and times of a file's points, brought to known units."""
+"""Intensities, rings and times of points, converted from a file's units to known units."""
 
 import logging
 import re
@@ -14,33 +14,33 @@ from ogm.io.notices import notice
 log: logging.Logger = logging.getLogger(__name__)
 
 IntensityRange = tuple[float, float]
-"""Intensities of a file that mean 0 and 1."""
+"""Intensities of a file that become 0 and 1."""
 IntensityScale = float | IntensityRange | Callable[[IntensityRange], IntensityRange]
-"""Intensity that means 1, those that mean 0 and 1, or a function that returns these by the range of one scan."""
+"""The intensity that becomes 1, a pair that becomes 0 and 1, or a function from the range of one scan to this pair."""
 
-_SCALES = (1.0, 255.0, 65535.0)  # intensities that mean 1, of reflectances, bytes and counts of photons
-_SAMPLE = 4096  # intensities, about, of which quantiles are taken
-_SWEEP = 10.0  # [s] longer than any sweep: times that begin later are a clock's
+_SCALES = (1.0, 255.0, 65535.0)  # full-scale intensities of reflectances, bytes and photon counts
+_SAMPLE = 4096  # approximate number of intensities used for quantiles
+_SWEEP = 10.0  # [s] longer than any sweep: times that begin later belong to a clock
 _FLASH = 1e-3  # [s] shorter than a sweep
-_USUAL = (2e-3, 2.0)  # [s] of a sweep: three decades, so that times fit one of the units
-_UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # [s] that clocks count in
-_COUNTER, _HOUR = 2.0**32, 3600.0  # ticks of a counter of 32 bits, and [s] after which clocks of sensors begin anew
-_STRAY = (0.5, 4.0)  # [s] and interquartile ranges from the median, beyond both of which a single time is wrong
-_STRAYS = 0.25  # share of wrong times up to which the others are used
+_USUAL = (2e-3, 2.0)  # [s] duration of a sweep; three decades, so that only one unit fits
+_UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # [s] units of clocks
+_COUNTER, _HOUR = 2.0**32, 3600.0  # ticks of a 32-bit counter, and [s] after which clocks of sensors wrap around
+_STRAY = (0.5, 4.0)  # [s] and interquartile ranges from the median; a time beyond both is wrong
+_STRAYS = 0.25  # largest share of wrong times at which the others are used
 
 
 def intensity_range(raw: NDArray[Any], least: float | None = None) -> IntensityRange:
-    """Return the intensities that mean 0 and 1, by type and values.
+    """Return the intensities that become 0 and 1, by type and values.
 
-    Whole numbers of 8 and 16 bits without sign have the range of their type. Else 0 means 0, and the first of 1, 255
-    and 65535 that 99 % of the intensities do not exceed means 1; beyond that, what 99 % do not exceed. Where most are
-    negative they are decibels: those that 1 % and 99 % do not exceed mean 0 and 1.
+    Unsigned 8-bit and 16-bit integers have the range of their type. Otherwise 0 becomes 0, and the smallest of 1, 255
+    and 65535 that covers 99 % of the intensities becomes 1; if none does, the 99 % quantile does. If most intensities
+    are negative, they are decibels: the 1 % and 99 % quantiles become 0 and 1.
 
     Parameters
     ----------
     raw : (N,) numbers
     least : float, optional
-        Least intensity that may mean 1: that of the format. 1 by default.
+        Smallest full-scale intensity, defined by the format. Default 1.
     """
     if raw.dtype in (np.uint8, np.uint16):
         return 0.0, float(np.iinfo(raw.dtype).max)
@@ -61,21 +61,21 @@ def intensity_range(raw: NDArray[Any], least: float | None = None) -> IntensityR
 def scale_intensities(
     raw: NDArray[Any], given: IntensityScale | None, least: float | None, path: Path | str
 ) -> tuple[NDArray[Any], float]:
-    """Return intensities in [0, 1], and the value that became 1; what is no number becomes 0.
+    """Return intensities in [0, 1], and the value that became 1; NaN and infinite intensities become 0.
 
     Parameters
     ----------
     raw : (N,) numbers
     given : IntensityScale, optional
-        A function is called where the scan's own range is not 0 to 1. By default that range counts.
+        Scale of the intensities; a function is used if the scan's own range is not 0 to 1. Default: the scan's range.
     least : float, optional
         See `intensity_range`.
     path : Path or str
-        The file's name, or what a message is, for messages.
+        Name of the file or message, for log messages.
     """
     if raw.size and not np.isfinite([raw.min(), raw.max()]).all():
         known = np.isfinite(raw)
-        text = "%s: %d of %d intensities are no number and become 0"
+        text = "%s: %d of %d intensities are NaN or infinite and become 0"
         notice(log, "unknown intensities", text, path, np.sum(~known), raw.size, level=logging.INFO)
         raw = np.where(known, raw, 0)
     if given is None or callable(given):
@@ -89,31 +89,31 @@ def scale_intensities(
     scaled = (raw - low) / (high - low) if low else raw / high
     if raw.size and not low <= raw.min() <= raw.max() <= high:
         beyond = np.count_nonzero((raw < low) | (raw > high))
-        text = "%s: %d of %d intensities outside of %g ... %g count as 0 or 1"
+        text = "%s: %d of %d intensities lie outside of %g ... %g and become 0 or 1"
         notice(log, "intensities beyond", text, path, beyond, raw.size, low, high, level=logging.INFO)
         scaled = np.clip(scaled, 0.0, 1.0)
     return scaled, float(high)
 
 
 def note_range(found: IntensityRange, where: Path | str) -> None:
-    """Log what intensities without a stated scale are taken for."""
+    """Log the range assumed for intensities without a stated scale."""
     low, high = found
     if low < 0:
         text = "%s: most intensities are negative (decibels?): %g ... %g become 0 ... 1"
         notice(log, "decibels", text, where, low, high)
     elif high > 1.0:
-        text = "%s: intensities are divided by %g; give intensity_max if another one means 1"
+        text = "%s: intensities are divided by %g; give intensity_max for another scale"
         notice(log, "intensity scale", text, where, high, level=logging.INFO if high <= _SCALES[1] else logging.WARNING)
 
 
 def check_rings(raw: NDArray[Any] | None, path: Path | str) -> NDArray[np.uint16] | None:
-    """Return rings as uint16; None where there are none, or one of them is no number from 0 to 65535."""
+    """Return rings as uint16; None if missing, or if one of them is no integer from 0 to 65535."""
     raw = check_whole(raw, "rings", path)
     if raw is None or raw.dtype in (np.uint8, np.uint16):
         return raw if raw is None else raw.astype(np.uint16, copy=False)
     ring = np.clip(raw.astype(np.float64), 0, 2**16 - 1).astype(np.uint16)
     if not np.array_equal(ring, raw):
-        text = "%s: rings from %g to %g are no whole numbers from 0 to 65535; all rings are left out"
+        text = "%s: rings from %g to %g are not all integers from 0 to 65535; all rings are left out"
         notice(log, "wrong rings", text, path, raw.min(), raw.max())
         return None
     return ring
@@ -122,15 +122,15 @@ def check_rings(raw: NDArray[Any] | None, path: Path | str) -> NDArray[np.uint16
 def split_times(
     raw: NDArray[Any] | None, unit: float | None, path: Path
 ) -> tuple[NDArray[np.float64] | None, float | None]:
-    """Return the times of the points, counted from the stamp, and the stamp [s]; None where there are none.
+    """Return the times of the points, counted from the stamp, and the stamp [s]; None if missing.
 
     Parameters
     ----------
     raw : (N,) numbers, optional
     unit : float, optional
-        What they count in [s]; by default see `sweep_times`.
+        Unit of the times [s]; by default see `sweep_times`.
     path : Path
-        The file's name, which may hold the stamp.
+        File name, which may contain the stamp.
     """
     digits = re.search(r"(?<!\d)(\d{16}|\d{18,19})$", path.name.split(".")[0])
     stamp = None if digits is None else int(digits[1]) * (1e-6 if len(digits[1]) == 16 else 1e-9)
@@ -149,39 +149,39 @@ def times_from_stamp(
 ) -> tuple[NDArray[np.float64] | None, float]:
     """Return the times of a message's points, counted from its stamp, and the stamp [s].
 
-    Times that are nearer to the stamp than to 0 are of its clock: the stamp is subtracted. Such times show their
-    unit, too. Times of another clock, which begin over 10 s from both, are counted from the earliest; the
-    stamp is then the earliest only where the message has none (0). All others count from the stamp already.
+    Times nearer to the stamp than to 0 belong to its clock: the stamp is subtracted, and gives their unit. Times that
+    begin more than 10 s from both belong to another clock and are counted from the earliest, which replaces a missing
+    stamp (0). All other times already count from the stamp.
 
     Parameters
     ----------
     raw : (N,) numbers, optional
     unit : float, optional
-        What they count in [s]; by default seconds, milliseconds, microseconds or nanoseconds if one of them
-        gives the stamp, within 10 s; else see `sweep_times`.
+        Unit of the times [s]. Default: seconds, milliseconds, microseconds or nanoseconds if one of them gives the
+        stamp within 10 s; else see `sweep_times`.
     where : str
-        What the message is, for messages.
+        Name of the message, for log messages.
     stamp : float
-        Of the header [s]; 0 where it was not set.
+        Stamp of the header [s]; 0 if not set.
     """
     if raw is None or not raw.size:
         return raw if raw is None else raw.astype(np.float64), stamp
     if unit is None and abs(stamp) > _SWEEP:
-        some = float(raw.min() if _is_short(raw, _usual_unit(raw)) else _middle(raw))
-        unit = next((one for one in _UNITS if abs(some * one - stamp) <= _SWEEP), None)
+        sample = float(raw.min() if _is_short(raw, _usual_unit(raw)) else _middle(raw))
+        unit = next((tick for tick in _UNITS if abs(sample * tick - stamp) <= _SWEEP), None)
     if (found := sweep_times(raw, unit, where)) is None:
         return None, stamp
     since, earliest, of_clock = found
     if abs(earliest - stamp) < min(abs(earliest), _SWEEP):
         return since + (earliest - stamp), stamp
     if of_clock:
-        log.info("%s: its points have times of another clock than its stamp; they count from the earliest", where)
+        log.info("%s: its points and its stamp have different clocks; times count from the earliest point", where)
         return since, stamp or earliest
     return since + earliest, stamp
 
 
 class SweepTimes(NamedTuple):
-    """Times of the points of one sweep: (N,) [s] from the earliest on, the earliest [s], and if that is a clock's."""
+    """Times (N,) of a sweep from its earliest on [s], the earliest [s], and whether it belongs to a clock."""
 
     since: NDArray[np.float64]
     earliest: float
@@ -189,21 +189,21 @@ class SweepTimes(NamedTuple):
 
 
 def sweep_times(raw: NDArray[Any], unit: float | None, where: Path | str) -> SweepTimes | None:
-    """Return the times of points; None where they are of no sweep.
+    """Return the times of points; None if they do not fit a sweep.
 
-    A time that is no number, or far from all others, is wrong: its point gets a time between those of the points before
-    and after it. Counters of 32 bits and clocks of an hour may begin anew within the sweep.
+    A time that is NaN, infinite, or far from the others is wrong: it is interpolated between the neighbouring points.
+    Counters of 32 bits and clocks of an hour may wrap around within the sweep.
 
     Parameters
     ----------
     raw : (N,) numbers
     unit : float, optional
-        What they count in [s]. By default whole numbers count nanoseconds and others seconds, if they then last 10 s at
-        most; else the unit by which they last 2 ms to 2 s; else the times are left out.
+        Unit of the times [s]. Default: nanoseconds for integers, seconds for floats, if the sweep then lasts at most
+        10 s; else the unit by which it lasts 2 ms to 2 s; else the times are left out.
     where : Path or str
-        The file's name, or what a message is, for messages.
+        Name of the file or message, for log messages.
     """
-    # Subtract before whole numbers of 64 bits become floats, which cannot hold them.
+    # Subtract before 64-bit integers become floats, which cannot represent them.
     exact, usual = raw if raw.dtype.itemsize == 8 else raw.astype(np.float64), _usual_unit(raw)
     if _is_short(raw, unit or usual):
         since, count = (exact - exact.min()).astype(np.float64), unit or usual
@@ -227,7 +227,7 @@ def sweep_times(raw: NDArray[Any], unit: float | None, where: Path | str) -> Swe
         elif not wrong:  # without the median there is one rounding less
             since, earliest = (exact - exact.min()).astype(np.float64), float(raw.min())
         if wrong:
-            text = "%s: %d of %d times are no number or far from the others; their points get times of those around"
+            text = "%s: %d of %d times are NaN or far from the others; they are interpolated between neighbours"
             notice(log, "wrong times", text, where, wrong, raw.size)
             numbers = np.arange(raw.size)
             since = np.interp(numbers, numbers[good], since[good])
@@ -235,45 +235,45 @@ def sweep_times(raw: NDArray[Any], unit: float | None, where: Path | str) -> Swe
         return SweepTimes(since * count, earliest * count, bool(period) or abs(earliest * count) > _SWEEP)
     notice(
         log, "times of no sweep",
-        "%s: its times are of no sweep in s, ms, us or ns (they last %.3g s if they count in %g s, %s), and left out; "
-        "give as time_unit [s] what they count in: 1e-9 for nanoseconds, 1 to take seconds as they are",
+        "%s: its times fit no sweep in s, ms, us or ns (they last %.3g s in units of %g s, %s), and are left out; "
+        "give their unit as time_unit [s]: 1e-9 for nanoseconds, 1 for seconds",
         where, float(np.ptp(ticks[np.isfinite(ticks)])) * (unit or usual), unit or usual, raw.dtype,
     )  # fmt: skip
     return None
 
 
 def _usual_unit(raw: NDArray[Any]) -> float:
-    """Return what times usually count in [s]: whole numbers nanoseconds, others seconds."""
+    """Return the usual unit of times [s]: nanoseconds for integers, seconds for floats."""
     return 1e-9 if raw.dtype.kind in "iu" else 1.0
 
 
 def _is_short(raw: NDArray[Any], unit: float) -> bool:
-    """Return whether all times are numbers that lie within a second."""
+    """Return whether all times are finite and lie within a second."""
     first, last = raw.min(), raw.max()
     return bool(np.isfinite(first) and np.isfinite(last) and (float(last) - float(first)) * unit <= 1.0)
 
 
 def _middle(raw: NDArray[Any]) -> Any:
-    """Return the median of the numbers, which is one of them."""
+    """Return the upper median of the finite numbers."""
     known = raw[np.isfinite(raw)]
     return np.partition(known, known.size // 2)[known.size // 2] if known.size else 0
 
 
 def _folded(ticks: NDArray[np.float64], period: float) -> NDArray[np.float64]:
-    """Return times of a clock that begins anew after a period, 0 for never, as the nearest to 0."""
+    """Return times folded into half a clock period around 0; period 0 for a clock that never wraps."""
     return (ticks + period / 2) % period - period / 2 if period else ticks
 
 
 def _readings(
     ticks: NDArray[np.float64], unit: float | None, usual: float
 ) -> Iterator[tuple[float, float, NDArray[np.bool_]]]:
-    """Yield plausible readings of times from their median: unit [s], period of the clock [unit], which are good."""
+    """Yield plausible readings of times from their median: unit [s], clock period [unit], mask of valid times."""
     finite = np.isfinite(ticks)
     lasts = float(np.ptp(ticks[finite]))
     if unit is not None:
         yield unit, 0.0, finite
         return
-    for count in (usual, *(one for one in _UNITS if one != usual)):
+    for count in (usual, *(tick for tick in _UNITS if tick != usual)):
         folds = [] if lasts <= _COUNTER / 2 else [_COUNTER]
         for period in (*folds, 0.0, _HOUR / count):
             read, good = _folded(ticks, period), finite
@@ -288,30 +288,33 @@ def _readings(
 
 
 def _note_unit(count: float, usual: float, lasts: float, given: bool, where: Path | str) -> None:
-    """Log a unit that is a guess."""
+    """Log an assumed unit of times."""
     if given:
         return
     if count != usual:
-        text = "%s: its times are taken to count in %g s, so that they last %.3g s; time_unit sets the unit"
+        text = "%s: its times are taken in units of %g s, so that they last %.3g s; time_unit sets the unit"
         notice(log, "unit of times", text, where, count, lasts)
     elif count < 1.0 and 0.0 < lasts < _FLASH:
-        text = "%s: its times last %.3g s if they count nanoseconds; if not, give time_unit (1e-6: microseconds)"
+        text = "%s: its times last %.3g s as nanoseconds; if that is wrong, give time_unit (1e-6: microseconds)"
         notice(log, "short times", text, where, lasts)
 
 
-def unknown_as_nan(raw: NDArray[Any] | None, what: str, path: Path | str) -> NDArray[np.float32] | None:
-    """Return a column as float32 in which what is no number is NaN."""
-    if raw is None or np.isfinite(raw).all():
-        return raw if raw is None else raw.astype(np.float32, copy=False)
-    text = "%s: %d of %d points have %s that are no number, and count as unknown"
-    notice(log, f"unknown {what}", text, path, np.count_nonzero(~np.isfinite(raw)), raw.size, what, level=logging.INFO)
-    return np.where(np.isfinite(raw), raw, np.nan).astype(np.float32)
+def unknown_as_nan(raw: NDArray[Any] | None, quantity: str, path: Path | str) -> NDArray[np.float32] | None:
+    """Return a column as float32, with NaN for all values that are not finite."""
+    if raw is None:
+        return None
+    if unknown := int(np.count_nonzero(~np.isfinite(raw))):
+        text = "%s: %d of %d points have %s that are NaN or infinite, and count as unknown"
+        notice(log, f"unknown {quantity}", text, path, unknown, raw.size, quantity, level=logging.INFO)
+        raw = np.where(np.isfinite(raw), raw, np.nan)
+    return raw.astype(np.float32, copy=False)
 
 
-def check_whole(raw: NDArray[Any] | None, what: str, path: Path | str) -> NDArray[Any] | None:
-    """Leave a column out that is not known of every point: there is no number for the unknown."""
+def check_whole(raw: NDArray[Any] | None, quantity: str, path: Path | str) -> NDArray[Any] | None:
+    """Return a column if it is finite for every point, else None: integers have no value for unknown."""
     if raw is None or np.isfinite(raw).all():
         return raw
-    text = "%s: %d of %d points have %s that are no number; all %s are left out"
-    notice(log, f"unknown {what}", text, path, np.count_nonzero(~np.isfinite(raw)), raw.size, what, what)
+    text = "%s: %d of %d points have %s that are NaN or infinite; all %s are left out"
+    unknown = np.count_nonzero(~np.isfinite(raw))
+    notice(log, f"unknown {quantity}", text, path, unknown, raw.size, quantity, quantity)
     return None

@@ -1,10 +1,10 @@
-"""Depth images as scans: pixels to points, without the pixels that lie between two surfaces.
+"""Scans from depth images, without the pixels between two surfaces.
 
 >>> import numpy as np
 >>> from ogm.io import Intrinsics, depth_scan
 >>> wall = np.full((48, 64), 2000, np.uint16)                       # [mm] along the optical axis
 >>> scan = depth_scan(wall, Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5), scale=1000.0, stride=1)
->>> scan.kind, len(scan), scan.points[0].tolist()                   # of the upper left pixel: x, y, z, intensity
+>>> scan.kind, len(scan), scan.points[0].tolist()                   # x, y, z, intensity of the upper left pixel
 ('depth', 3072, [2.0, 1.25..., 0.93..., 0.0])
 """
 
@@ -20,28 +20,28 @@ from ogm.io.reading import need, need_numbers, read_json
 from ogm.scan import Scan
 from ogm.storage.files import FilePath, OgmError
 
-EDGE = math.radians(3)  # angle between a surface and the ray to it, below which two pixels are on two surfaces
-APART = math.radians(0.5)  # [rad] between points that are left by default
-MOST_PIXELS = 3  # along a side of the squares that one point each is left of, by default
-LEAST, GREATEST = 0.05, 100.0  # [m] within which the median depth of any camera lies
+EDGE = math.radians(3)  # angle between a surface and the ray, below which two pixels belong to two surfaces
+APART = math.radians(0.5)  # [rad] default largest angle between points
+MAX_STRIDE = 3  # [pixel] default largest side of the squares that give one point each
+MIN_MEDIAN, MAX_MEDIAN = 0.05, 100.0  # [m] plausible median depth of any camera
 # Takes x forward, y left, z up to a camera's optical axes: x right, y down, z forward
 T_OPTICAL_BODY = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 
 
 class Intrinsics(NamedTuple):
-    """A pinhole camera.
+    """Intrinsic parameters of a pinhole camera.
 
     Attributes
     ----------
     width, height : int
-        Size of its images [pixel].
+        Size of the images [pixel].
     fx, fy : float
         Focal lengths [pixel].
     cx, cy : float
-        Principal point [pixel]; (0, 0) is the middle of the upper left pixel.
+        Principal point [pixel]; (0, 0) is the centre of the upper left pixel.
     distortion : tuple of float
-        Coefficients of the lens as OpenCV orders them, k1, k2, p1, p2, k3, and of the rational model k4, k5, k6; empty
-        for a rectified image.
+        Lens coefficients in the order of OpenCV: k1, k2, p1, p2, k3, and for the rational model k4, k5, k6. Empty for
+        a rectified image.
     """
 
     width: int
@@ -53,26 +53,26 @@ class Intrinsics(NamedTuple):
     distortion: tuple[float, ...] = ()
 
     def check(self, where: object) -> "Intrinsics":
-        """Return them, or raise an OgmError that names their origin where they are no camera's."""
+        """Return the intrinsics if they are plausible; raise an OgmError with their origin `where` if not."""
         finite = np.isfinite([*self[:6], *self.distortion]).all()
         if not finite or min(self[:6]) <= 0 or not (self.cx < self.width and self.cy < self.height):
             raise OgmError(
                 f"{where} must have a width and a height, focal lengths above 0 and a principal point in the image, "
                 f"got {self.width} x {self.height}, fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}"
-                f"{f', distortion {self.distortion}' if self.distortion else ''}: is the camera calibrated?"
+                f"{f', distortion {self.distortion}' if self.distortion else ''}: calibrate the camera"
             )
         return self
 
 
 def read_intrinsics(path: FilePath) -> Intrinsics:
-    """Read a camera's JSON as Open3D writes it: ``width``, ``height``, ``intrinsic_matrix`` (9 numbers, by columns).
+    """Read camera intrinsics as JSON of Open3D: ``width``, ``height``, ``intrinsic_matrix`` (9 numbers, by columns).
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is no such file.
+        If the content is invalid.
     """
     path = Path(path)
     content = read_json(path, dict, "intrinsics of a camera: width, height, intrinsic_matrix")
@@ -85,7 +85,7 @@ def read_intrinsics(path: FilePath) -> Intrinsics:
 
 
 def is_intrinsics(path: Path) -> bool:
-    """Return whether a file is a camera's JSON, as far as its keys show."""
+    """Return whether a file has the keys of camera intrinsics as JSON."""
     try:
         content = read_json(path, dict, "intrinsics of a camera")
         need(content, "intrinsic_matrix", path)
@@ -104,14 +104,14 @@ def depth_scan(
     stride: int | None = None,
     stamp: float | None = None,
 ) -> Scan:
-    """Return a depth image as a scan.
+    """Return the scan of a depth image.
 
     A pixel without depth (0, NaN, infinite, below 0) or out of range is **unknown**: neither a point nor a beam without
-    echo, as what is black, near, far or in the sun has no depth. Left out are pixels between two surfaces, whose depth
-    is a mixture: along their row or column they lie behind one neighbour by a jump, and before the other one by a jump
-    or beside one without depth. Left out, too, are pixels that none of the four neighbours continues. A jump is a
-    difference that a surface has only where it is seen at less than 3 degrees; so a level ground ends at 19 times
-    the height of the camera.
+    echo, because black, near, far or sunlit surfaces have no depth. Two kinds of pixels are left out. Pixels between
+    two surfaces have a mixed depth: along their row or column they lie behind one neighbour by a jump, and before the
+    other by a jump or next to missing depth. Isolated pixels continue none of their four neighbours. A jump is a depth
+    difference that a surface has only if it is seen at less than 3 degrees; level ground therefore ends at 19 times the
+    height of the camera. An image with lens distortion is rectified first, by nearest pixels.
 
     Parameters
     ----------
@@ -119,31 +119,29 @@ def depth_scan(
         Depths along the optical axis, not distances.
     intrinsics : Intrinsics
     scale : float
-        Pixel value at 1 m: 1000 for millimetres, 1 for metres, 5000 in the TUM RGB-D data.
+        Pixel value at 1 m: 1000 for millimetres, 1 for metres, 5000 for TUM RGB-D.
     min_range, max_range : float
-        Depths that are used [m].
+        Range of valid depths [m].
     stride : int, optional
-        Of every square of this many pixels, the nearest point is kept: thin things stay. 1 keeps all pixels; by default
-        at most 3, and so few that points are at most 0.5 degrees apart.
+        Side of squares of pixels, each of which gives its nearest point, so that thin objects stay. 1 keeps all pixels.
+        Default: at most 3, and at most 0.5 degrees between points.
     stamp : float, optional
         [s]
-
-    The image of a lens with distortion is rectified before, by nearest pixels.
 
     Returns
     -------
     Scan
-        Of `Scan.kind` "depth", x forward, y left, z up around the camera. `Scan.max_range` is `max_range`, and
+        Scan of kind "depth", x forward, y left, z up around the camera. `Scan.max_range` is `max_range`, and
         `Scan.beam_width` the angle between points in the middle of the image.
 
     Raises
     ------
     ValueError
-        If the image is no depth image, or of another size than the camera's, if most of its depths are of no camera, or
-        an option makes no sense.
+        If the image is no depth image or has another size than `intrinsics`, the median depth is implausible, or an
+        option is out of range.
     """
     if stride is None:
-        stride = int(np.clip(APART * min(intrinsics.fx, intrinsics.fy), 1, MOST_PIXELS))
+        stride = int(np.clip(APART * min(intrinsics.fx, intrinsics.fy), 1, MAX_STRIDE))
     if not 0 < scale < math.inf or not 0 <= min_range < max_range < math.inf or not 1 <= stride <= 64:
         raise ValueError(
             "scale must be above 0, 0 <= min_range < max_range [m] and stride from 1 to 64, got "
@@ -152,45 +150,39 @@ def depth_scan(
     image = np.asarray(image)
     if image.ndim != 2 or image.dtype.kind not in "uif" or image.dtype.itemsize < 2:
         raise ValueError(
-            f"a depth image must be (height, width) of 16-bit or float numbers, got {image.shape} {image.dtype}: a "
-            "picture of colours or grey values has no depths"
+            f"a depth image must be (height, width) of 16-bit or float numbers, got {image.shape} {image.dtype}: give "
+            "the depth image, not the colour or grey image"
         )
     if image.shape != (intrinsics.height, intrinsics.width):
         raise ValueError(
-            f"the image has {image.shape[1]} x {image.shape[0]} pixels, its intrinsics are of {intrinsics.width} x "
-            f"{intrinsics.height}: give those of this image"
+            f"the image has {image.shape[1]} x {image.shape[0]} pixels, its intrinsics have {intrinsics.width} x "
+            f"{intrinsics.height}: give the intrinsics of this image"
         )
     if intrinsics.distortion:
         image = np.append(image, image.dtype.type(0))[source_pixels(intrinsics)]
     with np.errstate(invalid="ignore", over="ignore"):
         metres = np.multiply(image, np.float32(1 / scale), dtype=np.float32)
     _check_depths(metres, scale)
-    camera = (
-        np.float32(intrinsics.fx),
-        np.float32(intrinsics.fy),
-        np.float32(intrinsics.cx),
-        np.float32(intrinsics.cy),
-    )
-    from ogm.io.depth_points import surface_points  # numba, which reading other files does not need
+    fx, fy, cx, cy = map(np.float32, intrinsics[2:6])
+    from ogm.io.depth_points import surface_points  # imports numba, which other readers do not need
 
-    points = surface_points(
-        metres, camera, np.float32(1 / math.tan(EDGE)), (np.float32(min_range), np.float32(max_range)), stride
-    )
+    slope, limits = np.float32(1 / math.tan(EDGE)), (np.float32(min_range), np.float32(max_range))
+    points = surface_points(metres, (fx, fy, cx, cy), slope, limits, stride)
     width = min(stride / min(intrinsics.fx, intrinsics.fy), math.pi)
     return Scan(points, stamp=stamp, kind="depth", max_range=float(max_range), beam_width=width)
 
 
 @lru_cache(maxsize=8)
 def source_pixels(intrinsics: Intrinsics) -> NDArray[np.int64]:
-    """Return the pixel of a distorted image that lies nearest to each pixel of the rectified one, (height, width).
+    """Return the distorted pixel nearest to each rectified pixel, (height, width).
 
-    Pixels are numbered row by row; ``height * width`` stands for none: beyond the image, or beyond the angle from which
-    on the polynomial of the lens no longer grows.
+    Pixels are numbered row by row. ``height * width`` means no pixel: beyond the image, or beyond the angle at which
+    the lens polynomial stops growing.
 
     Parameters
     ----------
     intrinsics : Intrinsics
-        With distortion (Brown 1966, as OpenCV has it: plumb bob, or rational with eight coefficients).
+        Intrinsics with distortion (Brown 1966 as in OpenCV: plumb bob, or rational with eight coefficients).
     """
     width, height, fx, fy, cx, cy, given = intrinsics
     k1, k2, p1, p2, k3, k4, k5, k6 = (*given, *(0.0,) * (8 - len(given)))
@@ -218,12 +210,12 @@ def source_pixels(intrinsics: Intrinsics) -> NDArray[np.int64]:
 
 
 def _check_depths(metres: NDArray[np.float32], scale: float) -> None:
-    """Raise where depths are of no camera: then the scale is wrong."""
-    some = metres[::8, ::8]
-    some = some[(some > 0) & (some < np.inf)]
-    middle = float(np.median(some)) if some.size else 1.0
-    if not LEAST <= middle <= GREATEST:
+    """Raise if the median depth is implausible, which indicates a wrong scale."""
+    sample = metres[::8, ::8]
+    sample = sample[(sample > 0) & (sample < np.inf)]
+    median = float(np.median(sample)) if sample.size else 1.0
+    if not MIN_MEDIAN <= median <= MAX_MEDIAN:
         raise OgmError(
-            f"the depths have a median of {middle:.3g} m with {scale:g} for a metre, wanted {LEAST:g} to {GREATEST:g} "
-            "m: give the value of a metre, --depth-scale 1000 for millimetres, 1 for metres, 5000 for TUM"
+            f"the depths have a median of {median:.3g} m at scale {scale:g}, wanted {MIN_MEDIAN:g} to {MAX_MEDIAN:g} "
+            "m: give the pixel value at 1 m, --depth-scale 1000 for millimetres, 1 for metres, 5000 for TUM"
         )

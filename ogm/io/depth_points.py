@@ -1,4 +1,4 @@
-"""Kernels of depth images: nearest points of surfaces, without the pixels between two of them."""
+"""Kernels of depth images: nearest points of surfaces, without mixed pixels."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ __all__ = ["surface_points"]
 
 @kernel
 def _step(a: np.float32, b: np.float32, slope: np.float32) -> int:
-    """Return whether b lies behind a (1) or before it (-1) by a jump, or continues it (0); 2 where it has no depth."""
+    """Return 1 if b lies behind a by a jump, -1 if before it, 0 if it continues a, 2 if it has no depth."""
     if not b > 0:
         return 2
     jump = min(a, b) * slope
@@ -21,7 +21,7 @@ def _step(a: np.float32, b: np.float32, slope: np.float32) -> int:
 
 @kernel
 def _is_mixture(depth: NDArray[np.float32], v: int, u: int, across: np.float32, down: np.float32) -> bool:
-    """Return whether a pixel lies between two surfaces, or is continued by no neighbour."""
+    """Return whether a pixel lies between two surfaces, or continues no neighbour."""
     z, none = depth[v, u], np.float32(0)
     left = _step(z, depth[v, u - 1] if u > 0 else none, across)
     right = _step(z, depth[v, u + 1] if u + 1 < depth.shape[1] else none, across)
@@ -34,33 +34,20 @@ def _is_mixture(depth: NDArray[np.float32], v: int, u: int, across: np.float32, 
 
 @kernel
 def _nearest(
-    depth: NDArray[np.float32], rows: tuple[int, int], columns: tuple[int, int], limits: tuple[np.float32, np.float32]
-) -> tuple[int, int]:
-    """Return row and column of the nearest pixel of a rectangle within limits, (-1, -1) without any."""
-    nearest, row, column = limits[1], -1, -1
-    for v in range(rows[0], rows[1]):
-        for u in range(columns[0], columns[1]):
-            z = depth[v, u]
-            if z >= limits[0] and z <= nearest and z > 0:
-                nearest, row, column = z, v, u
-    return row, column
-
-
-@kernel
-def _nearest_surface(
     depth: NDArray[np.float32],
     rows: tuple[int, int],
     columns: tuple[int, int],
     limits: tuple[np.float32, np.float32],
     slopes: tuple[np.float32, np.float32],
+    unmixed: bool,
 ) -> tuple[int, int]:
-    """Return what `_nearest` does, of the pixels that are no mixture."""
+    """Return row and column of the nearest (unmixed) pixel of a rectangle within limits, or (-1, -1)."""
     nearest, row, column = limits[1], -1, -1
     for v in range(rows[0], rows[1]):
         for u in range(columns[0], columns[1]):
             z = depth[v, u]
             near = z >= limits[0] and z <= nearest and z > 0
-            if near and not _is_mixture(depth, v, u, slopes[0], slopes[1]):
+            if near and not (unmixed and _is_mixture(depth, v, u, slopes[0], slopes[1])):
                 nearest, row, column = z, v, u
     return row, column
 
@@ -73,30 +60,30 @@ def surface_points(
     limits: tuple[np.float32, np.float32],
     stride: int,
 ) -> NDArray[np.float32]:
-    """Return the nearest point of every `stride` x `stride` pixels that is no mixture, (N, 4).
+    """Return the nearest unmixed point of every `stride` x `stride` pixels, (N, 4).
 
     Parameters
     ----------
     depth : (rows, columns) float32
-        [m]; no depth where not above 0.
+        [m]; no depth if not above 0.
     camera : (fx, fy, cx, cy)
     per_tangent : float
-        Difference of depth over distance across of the flattest surface.
+        Depth difference per lateral distance of the flattest surface.
     limits : (least, greatest)
         [m]
     stride : int
     """
     fx, fy, cx, cy = camera
     rows, columns = depth.shape
-    across, down = per_tangent / fx, per_tangent / fy
+    slopes = per_tangent / fx, per_tangent / fy
     points = np.empty((((rows + stride - 1) // stride) * ((columns + stride - 1) // stride), 4), np.float32)
     count = 0
     for top in range(0, rows, stride):
         for first in range(0, columns, stride):
             bottom, last = min(top + stride, rows), min(first + stride, columns)
-            row, column = _nearest(depth, (top, bottom), (first, last), limits)
-            if row >= 0 and _is_mixture(depth, row, column, across, down):
-                row, column = _nearest_surface(depth, (top, bottom), (first, last), limits, (across, down))
+            row, column = _nearest(depth, (top, bottom), (first, last), limits, slopes, False)
+            if row >= 0 and _is_mixture(depth, row, column, *slopes):
+                row, column = _nearest(depth, (top, bottom), (first, last), limits, slopes, True)
             if row >= 0:
                 nearest = depth[row, column]
                 points[count, 0] = nearest

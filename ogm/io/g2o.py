@@ -1,4 +1,4 @@
-"""Poses of g2o files, in which pose graphs keep the vertices that an optimisation gave."""
+"""Poses of g2o files, which hold the vertices of optimised pose graphs."""
 
 import math
 from pathlib import Path
@@ -10,14 +10,14 @@ from ogm.io.reading import from_quaternions, read_lines
 from ogm.storage.files import OgmError
 
 _VERTICES = {"VERTEX_SE3:QUAT": 7, "VERTEX_SE2": 3}  # tag: numbers after the identifier
-_MOST = 2**53  # identifiers beyond which float64 would not hold them
+_MAX_ID = 2**53  # largest identifier that float64 represents
 
 
 def read_g2o(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64], str]:
-    """Return the identifiers of the vertices, increasing, their poses (K, 4, 4), and the kind of file in words.
+    """Return the vertex identifiers (K,), increasing, the poses (K, 4, 4), and the name of the format.
 
     ``VERTEX_SE3:QUAT id x y z qx qy qz qw`` and ``VERTEX_SE2 id x y theta`` are read; edges, parameters and other
-    vertices are passed over. Errors as of `ogm.io.read_poses`.
+    vertices are skipped. Errors: see `ogm.io.read_poses`.
     """
     rows: dict[int, tuple[int, str, list[float]]] = {}
     for n, (tag, *words) in read_lines(path):
@@ -27,14 +27,14 @@ def read_g2o(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64], str]:
         try:
             number, values = int(words[0]), [float(word) for word in words[1:]]
         except (ValueError, IndexError):
-            raise OgmError(f"{where} must be {tag}, a whole number and {_VERTICES[tag]} numbers") from None
-        if len(values) != _VERTICES[tag] or not all(map(math.isfinite, values)) or not 0 <= number < _MOST:
-            raise OgmError(f"{where} must be {tag}, a whole number from 0 and {_VERTICES[tag]} finite numbers")
+            raise OgmError(f"{where} must be {tag}, an integer and {_VERTICES[tag]} numbers") from None
+        if len(values) != _VERTICES[tag] or not all(map(math.isfinite, values)) or not 0 <= number < _MAX_ID:
+            raise OgmError(f"{where} must be {tag}, an integer from 0 and {_VERTICES[tag]} finite numbers")
         if number in rows:
-            raise OgmError(f"{where} has the vertex {number} of line {rows[number][0]} again: remove one")
+            raise OgmError(f"{where} repeats the vertex {number} of line {rows[number][0]}: remove one of them")
         rows[number] = n, tag, values
     if not rows:
-        raise OgmError(f"{path} has no vertex ({', '.join(_VERTICES)}), wanted poses: was it written to its end?")
+        raise OgmError(f"{path} has no vertex ({', '.join(_VERTICES)}), wanted poses: the file is empty or incomplete")
     numbers = sorted(rows)
     table = np.array([_in_space(*rows[number][1:]) for number in numbers])
     lines = [rows[number][0] for number in numbers]

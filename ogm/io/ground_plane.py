@@ -1,4 +1,4 @@
-"""The plane of the ground in a scan, and the height of the sensor above it."""
+"""Ground plane of a scan, and height of the sensor above it."""
 
 import math
 from typing import NamedTuple
@@ -10,30 +10,30 @@ from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import levelling, rotate
 from ogm.storage.files import OgmError
 
-PLAUSIBLE_HEIGHTS = (0.5, 5.0)  # [m] of a sensor above ground: from a small robot's to one on a truck or a mast
-MAX_INCLINE = 0.15  # [rad] of the ground against the sensor's axes, beyond which they are not level
-LEVEL = math.radians(2)  # of tilt that no pose needs to undo
-LEVEL_MARGIN = math.radians(1)  # by which the ground must be more level without the tilt of the poses
+PLAUSIBLE_HEIGHTS = (0.5, 5.0)  # [m] of a sensor above ground: from a small robot to a truck or a mast
+MAX_INCLINE = 0.15  # [rad] of the ground in the sensor's axes; beyond, the axes are not level
+LEVEL = math.radians(2)  # tilt that no pose needs to undo
+LEVEL_MARGIN = math.radians(1)  # least gain in level by dropping the tilt of the poses
 SIDES = {"+x,-y,-z": "above", "+x,-z,+y": "right of", "+x,+z,-y": "left of", "-z,+y,+x": "behind", "+z,+y,-x": "before"}
-"""Axes that point forward, left and up where the ground lies on another side of the sensor than below."""
+"""Axes that point forward, left and up, by the side of the sensor on which the ground would lie instead of below."""
 
-_REACHES = ((10.0, 30), (20.0, 60), (40.0, 60))  # [m], and the squares that must agree
+_REACHES = ((10.0, 30), (20.0, 60), (40.0, 60))  # [m], and least number of squares that must agree
 _STEEPEST = math.radians(50)
 _TRIALS = 200  # planes through three squares each
-_BELOW, _DESCENT = 0.5, 0.05  # [m], and per metre of distance, of the ground below a plane that is none
+_BELOW, _DESCENT = 0.5, 0.05  # [m], and per metre of distance: lower ground farther out rejects a plane
 
 
 class GroundPlane(NamedTuple):
-    """The plane of the ground in the frame of some points.
+    """Ground plane in the frame of some points.
 
     Attributes
     ----------
     height : float
-        Distance from the plane to the origin along z [m], positive where the plane lies below the origin.
+        Distance from the plane to the origin along z [m], positive for a plane below the origin.
     normal : (3,) float64
         Unit vector, upwards.
     reach : float
-        Radius of the points that the plane was laid through [m].
+        Radius of the points used for the fit [m].
     """
 
     height: float
@@ -42,12 +42,12 @@ class GroundPlane(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """Distance from the plane to the origin, at a right angle [m]."""
+        """Perpendicular distance from the plane to the origin [m]."""
         return self.height * float(self.normal[2])
 
     @property
     def levelling(self) -> NDArray[np.float64]:
-        """Rotation that takes the points to axes with z at a right angle to the plane, (3, 3)."""
+        """Rotation of the points to axes with z perpendicular to the plane, (3, 3)."""
         T = np.eye(4)
         T[2, :3] = self.normal
         return levelling(T)
@@ -59,10 +59,10 @@ class GroundPlane(NamedTuple):
 
 
 def plausible_sensor_height(height: float, where: object = "the scan", side: float = 1.0) -> float:
-    """Return an estimated height of the sensor if it is plausible: 0.5 m to 5 m above ground.
+    """Return an estimated sensor height if it is plausible: 0.5 m to 5 m above ground.
 
     The origin of clouds in the vehicle frame lies near the ground (about 0.3 m above it in Argoverse 2). A model
-    that takes it for the sensor's height starts its rays at the wrong point.
+    that mistakes it for the sensor's height starts its rays at the wrong point.
 
     Parameters
     ----------
@@ -71,28 +71,28 @@ def plausible_sensor_height(height: float, where: object = "the scan", side: flo
     where : path or str
         Name of the scans, for the error.
     side : float
-        See `ground_plane`; the lowest height that is plausible is half of it.
+        See `ground_plane`; scales the lowest plausible height.
 
     Raises
     ------
     OgmError
-        If it lies outside of `PLAUSIBLE_HEIGHTS`.
+        If the height lies outside of `PLAUSIBLE_HEIGHTS`.
     """
     low, high = PLAUSIBLE_HEIGHTS[0] * side, PLAUSIBLE_HEIGHTS[1]
     if not low <= height <= high:
         raise OgmError(
-            f"the sensor height of {where} is {height:.2f} m, estimated from points, which is not plausible "
-            f"({low:g} to {high:g} m): if the points are in the vehicle frame, give `sensor_position`; "
-            "if not, give `sensor_height` and check `axes`"
+            f"the sensor height of {where}, estimated from points, is {height:.2f} m, which is not plausible "
+            f"({low:g} to {high:g} m): for points in the vehicle frame give `sensor_position`, else give "
+            "`sensor_height` and check `axes`"
         )
     return height
 
 
 def estimate_sensor_height(points: NDArray[np.floating], side: float = 1.0) -> float | None:
-    """Estimate how far the ground lies below the origin of the points.
+    """Estimate the height of the points' origin above the ground.
 
-    See `ground_plane`. On the real scans that the project is tested with, the result lies within 5 cm of the known
-    height. It is a hint, not a calibration.
+    See `ground_plane`. On the project's real test scans, the result lies within 5 cm of the known height. It is a hint,
+    not a calibration.
 
     Parameters
     ----------
@@ -104,31 +104,31 @@ def estimate_sensor_height(points: NDArray[np.floating], side: float = 1.0) -> f
     Returns
     -------
     height : float or None
-        [m], positive where the ground lies below the origin. None without a plane, or where it is inclined by more
-        than `MAX_INCLINE`: then the axes of the points are not level.
+        [m], positive for ground below the origin. None without a plane, or if it is inclined by more than
+        `MAX_INCLINE`: then the axes of the points are not level.
     """
     plane = ground_plane(points, side)
     return None if plane is None or plane.incline > MAX_INCLINE else plane.height
 
 
 def ground_plane(points: NDArray[np.floating], side: float = 1.0) -> GroundPlane | None:
-    """Return the plane of the ground around a sensor, up to an incline of 50 degrees.
+    """Return the ground plane around a sensor, up to an incline of 50 degrees.
 
-    A plane is laid through the lowest point of every square metre within 10 m. Where there are too few, or the ground
-    farther out lies lower, the radius is 20 m, then 40 m.
+    The plane is fitted to the lowest point of every square metre within 10 m. With too few squares, or lower ground
+    farther out, the radius becomes 20 m, then 40 m.
 
     Parameters
     ----------
     points : (N, 3 or more) float
         x, y, z [m].
     side : float
-        Side of the squares [m]. All lengths here go with it: 0.25 is for level ground within 2.5 m of a depth
+        Side of the squares [m], which scales all lengths here: 0.25 is for level ground within 2.5 m of a depth
         camera.
 
     Returns
     -------
     GroundPlane or None
-        None where fewer than 30 of the squares (60 beyond 10 m), or less than half of them, agree on a plane.
+        None if fewer than 30 squares (60 beyond 10 m), or less than half of them, agree on a plane.
     """
     if side != 1:
         plane = ground_plane(points[:, :3] / side)
@@ -140,7 +140,7 @@ def ground_plane(points: NDArray[np.floating], side: float = 1.0) -> GroundPlane
         if fit is None:
             continue
         around = _lowest(points[(distance >= reach) & (distance < 2 * reach)])
-        depth = _heights(fit, around) - around[:, 2]
+        depth = around[:, :2] @ fit[:2] + fit[2] - around[:, 2]
         deep = depth > _BELOW + (_DESCENT + math.hypot(*fit[:2])) * np.hypot(around[:, 0], around[:, 1])
         if len(around) >= fewest and np.count_nonzero(deep) > len(around) / 2:
             continue  # a roof, a table or a hedge
@@ -151,14 +151,14 @@ def ground_plane(points: NDArray[np.floating], side: float = 1.0) -> GroundPlane
 
 
 def levelling_gain(points: NDArray[np.floating], R: NDArray[np.float64]) -> float:
-    """Return by how much a rotation makes the ground in a scan more level [rad], below 0 where it inclines it.
+    """Return the reduction of the ground's incline by a rotation [rad], below 0 for an increase.
 
     Parameters
     ----------
     points : (N, 3 or more) float
         x, y, z [m].
     R : (3, 3) float64
-        Takes them to other axes. Without a plane in these, or in those of the points, the incline counts as pi.
+        Rotation of the points. Without a plane, before or after it, the incline counts as pi.
     """
     turned = rotate(R, points[:, :3].T).T
     before, after = (math.pi if (plane := ground_plane(xyz)) is None else plane.incline for xyz in (points, turned))
@@ -166,7 +166,7 @@ def levelling_gain(points: NDArray[np.floating], R: NDArray[np.float64]) -> floa
 
 
 def ground_side(points: NDArray[np.floating]) -> str | None:
-    """Return the axes in `SIDES` by which a level ground lies below the sensor; None if there are none."""
+    """Return the axes in `SIDES` by which level ground lies below the sensor; None if there are none."""
     for axes in SIDES:
         height = estimate_sensor_height(points[:, :3] @ rotation_to_flu(axes.split(",")).T)
         if height is not None and PLAUSIBLE_HEIGHTS[0] <= height <= PLAUSIBLE_HEIGHTS[1]:
@@ -175,7 +175,7 @@ def ground_side(points: NDArray[np.floating]) -> str | None:
 
 
 def _lowest(points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the lowest point of every square metre that has points, (K, 3)."""
+    """Return the lowest point of every square metre with points, (K, 3)."""
     near = points[:, :3].astype(np.float64)
     column = np.floor(near[:, :2]).astype(np.int64) @ np.array([1000, 1])
     order = np.lexsort((near[:, 2], column))
@@ -183,17 +183,12 @@ def _lowest(points: NDArray[np.floating]) -> NDArray[np.float64]:
     return lowest
 
 
-def _heights(plane: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    heights: NDArray[np.float64] = points[:, :2] @ plane[:2] + plane[2]
-    return heights
-
-
 def _fit(lowest: NDArray[np.float64], fewest: int) -> NDArray[np.float64] | None:
-    """Return a, b, c of the plane z = a x + b y + c that most squares agree on; None if too few do."""
+    """Return a, b, c of the plane z = a x + b y + c that most squares agree on; None if too few agree."""
     fewest = max(fewest, math.ceil(len(lowest) / 2))
     if len(lowest) < fewest:
         return None
-    # Begin with the commonest height, to 0.1 m.
+    # Begin with the most common height, in steps of 0.1 m.
     layer = np.floor(lowest[:, 2] / 0.1).astype(np.int64)
     count = np.bincount(layer - layer.min())
     level = np.array([0.0, 0.0, (layer.min() + np.argmax(np.convolve(count, [1, 1, 1], "same")) + 0.5) * 0.1])
@@ -202,7 +197,7 @@ def _fit(lowest: NDArray[np.float64], fewest: int) -> NDArray[np.float64] | None
 
 
 def _refined(plane: NDArray[np.float64], lowest: NDArray[np.float64], fewest: int) -> NDArray[np.float64] | None:
-    """Drop the squares off a plane, ever more strictly, and fit it to the rest; None if too few are left."""
+    """Fit a plane repeatedly, dropping squares off it with a decreasing tolerance; None if too few are left."""
     place = np.column_stack([lowest[:, :2], np.ones(len(lowest))])
     for tolerance in (0.3, 0.25, 0.2, 0.15, 0.15):  # [m]
         on_plane = np.abs(lowest[:, 2] - place @ plane) < tolerance
@@ -213,7 +208,7 @@ def _refined(plane: NDArray[np.float64], lowest: NDArray[np.float64], fewest: in
 
 
 def _commonest_plane(lowest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the plane through three of the squares that most others lie on (RANSAC, Fischler and Bolles 1981)."""
+    """Return the plane through three squares that fits most others (RANSAC, Fischler and Bolles 1981)."""
     rng = np.random.default_rng(0)
     p, q, r = lowest[rng.integers(len(lowest), size=(3, _TRIALS))]
     normals = np.cross(q - p, r - p)

@@ -1,4 +1,4 @@
-"""Images of files: opened by the decoders that are allowed, and refused by their size before they are decoded."""
+"""Image files, opened by permitted decoders only and refused by their size before decoding."""
 
 import os
 import struct
@@ -18,24 +18,24 @@ _BYTES = {"1": 1, "L": 1, "P": 1, "LA": 2, "PA": 2, "I;16": 2, "RGB": 4, "I": 4,
 
 @contextmanager
 def open_image(path: FilePath, formats: Sequence[str] = ("PNG",), data: bytes | None = None) -> Iterator[Any]:
-    """Open an image for a ``with`` block, in which it may be decoded: errors of the block are those of the file.
+    """Open an image for a ``with`` block that may decode it; errors of the block name the file.
 
     Parameters
     ----------
     path : path
         With `data`, the name of the image in errors.
     formats : sequence of str
-        Decoders of Pillow that may be used, whatever the file begins with: others start programs (EPS), or hold
-        several pictures.
+        Permitted Pillow decoders, independent of the file's first bytes: others start programs (EPS) or read several
+        pictures.
     data : bytes, optional
-        The image itself, of a message.
+        Image of a message, instead of a file.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is damaged, of another format, or has more pixels than `ogm.storage.limits.MemoryLimits` allows.
+        If it is damaged, has another format, or more pixels than `ogm.storage.limits.MemoryLimits` allows.
     """
     from PIL import Image
 
@@ -52,12 +52,12 @@ def open_image(path: FilePath, formats: Sequence[str] = ("PNG",), data: bytes | 
     except (OSError, SyntaxError, ValueError, EOFError, ArithmeticError, LookupError, TypeError, struct.error) as error:
         text = str(error).replace(str(path), "it") or type(error).__name__
         raise OgmError(f"{path} is damaged or no image ({text}), wanted {', '.join(formats)}") from error
-    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # of PIL.Image.MAX_IMAGE_PIXELS
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # by PIL.Image.MAX_IMAGE_PIXELS
         raise OgmError(f"{path} is damaged or no image that Pillow decodes: {error}") from error
 
 
 def deep_pixels(path: FilePath, data: bytes | None = None) -> NDArray[np.uint16]:
-    """Return the pixels of a PNG of 16-bit grey values, (height, width), as depths have them.
+    """Return the pixels of a PNG with 16-bit grey values, such as depths, (height, width).
 
     Parameters
     ----------
@@ -67,16 +67,16 @@ def deep_pixels(path: FilePath, data: bytes | None = None) -> NDArray[np.uint16]
     Raises
     ------
     OgmError
-        If it is another image, or damaged.
+        If it is another kind of image, or damaged.
     """
     with open_image(path, data=data) as image:
         if not image.mode.startswith("I"):
-            raise OgmError(f"{path} is a PNG of {image.mode}, wanted one of 16-bit grey values, as depths have")
+            raise OgmError(f"{path} is a PNG of mode {image.mode}, wanted 16-bit grey values (depths)")
         return np.asarray(image).astype(np.uint16)
 
 
 def _check_chunks(source: FilePath | BytesIO) -> None:
-    """Raise if a chunk of a PNG claims more bytes than the file has: they would be allocated before they are read."""
+    """Raise if a chunk of a PNG states more bytes than the file has: they would be allocated before reading."""
     with source if isinstance(source, BytesIO) else open(source, "rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
@@ -87,4 +87,4 @@ def _check_chunks(source: FilePath | BytesIO) -> None:
             if kind == b"IEND":
                 return
             if file.seek(length + 4, os.SEEK_CUR) > size:
-                raise ValueError(f"its chunk {kind!r} claims {length} bytes")
+                raise ValueError(f"its chunk {kind!r} states {length} bytes")

@@ -1,4 +1,4 @@
-"""KITTI: boxes of the object and the tracking recordings, calibrations, and times of scans.
+"""KITTI: boxes of the object and tracking recordings, calibrations, and times of scans.
 
 >>> from ogm.io.kitti import read_calibration, read_kitti_objects
 >>> T_camera_lidar = read_calibration("calib/000007.txt")                   # doctest: +SKIP
@@ -20,34 +20,34 @@ from ogm.storage.files import FilePath, OgmError
 
 __all__ = ["read_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
 
-_OBJECT = "type, truncated, occluded, alpha, 4 of the picture's box, height, width, length, x, y, z, rotation_y"
-_DATE, _ZONE = re.compile(r"[0-9-]+"), re.compile(r"[^0-9:.]")  # a day; a zone in the time of a day
+_OBJECT = "type, truncated, occluded, alpha, 4 of the image box, height, width, length, x, y, z, rotation_y"
+_DATE, _ZONE = re.compile(r"[0-9-]+"), re.compile(r"[^0-9:.]")  # a day; a time zone in the time of day
 _TO_CAMERA, _RECTIFY = "calib_velo_to_cam.txt", "calib_cam_to_cam.txt"
 
 
 def read_kitti_objects(path: FilePath, T_camera_sensor: ArrayLike) -> Boxes:
-    """Read the boxes of one scan of the object recordings (``label_2/000000.txt``).
+    """Read the boxes of a scan of the object recordings (``label_2/000000.txt``).
 
-    KITTI labels what is in view of its front camera only. ``DontCare`` has no box and is left out.
+    KITTI labels only objects in view of its front camera. ``DontCare`` has no box and is left out.
 
     Parameters
     ----------
     path : path
-        Lines of 15 columns, or 16 with a score.
+        Text file with lines of 15 columns, or 16 with a score.
     T_camera_sensor : (4, 4) array
         From `read_calibration`.
 
     Returns
     -------
     Boxes
-        Without tracks: these scans are no sequence. No boxes if the file is empty.
+        Boxes without tracks, as these scans are no sequence. Empty for an empty file.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If a line has another number of columns, or what should be a number is none. The line is named.
+        If a line has another number of columns, or invalid numbers. The error names the line.
     """
     path = Path(path)
     rows = [(n, words, "") for n, words in _lines(path, 15, _OBJECT)]
@@ -60,20 +60,20 @@ def read_kitti_tracks(path: FilePath, T_camera_sensor: ArrayLike) -> dict[int, B
     Parameters
     ----------
     path : path
-        Lines of 17 columns, or 18 with a score: the scan's number, the track's, and what `read_kitti_objects`
-        reads.
+        Text file with lines of 17 columns, or 18 with a score: scan number, track number, and the columns of
+        `read_kitti_objects`.
     T_camera_sensor : (4, 4) array
         From `read_calibration`.
 
     Returns
     -------
     dict of int to Boxes
-        By the number of the scan. What has no line is not in it: such scans have no objects, or no labels.
+        Boxes by scan number. Scans without lines, which have no objects or no labels, are missing.
 
     Raises
     ------
     FileNotFoundError, OgmError
-        As `read_kitti_objects`; or if a track has two boxes in one scan.
+        See `read_kitti_objects`; or if a track has two boxes in one scan.
     """
     path = Path(path)
     T = inverse(check_pose(T_camera_sensor, "T_camera_sensor"))
@@ -83,7 +83,7 @@ def read_kitti_tracks(path: FilePath, T_camera_sensor: ArrayLike) -> dict[int, B
         try:
             scan, track = map(int, words[:2])
         except ValueError as error:
-            raise OgmError(f"line {n} of {path} must begin with two whole numbers, got {words[:2]}") from error
+            raise OgmError(f"line {n} of {path} must begin with two integers, got {words[:2]}") from error
         rows = scans.setdefault(scan, [])
         if track >= 0 and (scan, track) in known:
             raise OgmError(f"line {n} of {path} has a second box of track {track} in scan {scan}: drop one")
@@ -93,17 +93,17 @@ def read_kitti_tracks(path: FilePath, T_camera_sensor: ArrayLike) -> dict[int, B
 
 
 def read_calibration(path: FilePath) -> NDArray[np.float64]:
-    """Read the transform from the lidar to camera 0, in whose frame KITTI's labels and poses are given.
+    """Read the transform from the lidar to camera 0, the frame of KITTI's labels and poses.
+
+    The entry ``Tr`` is used if present, else ``Tr_velo_to_cam`` or ``Tr_velo_cam``, rotated by ``R0_rect`` or
+    ``R_rect`` if present (labels are given in the rectified camera), else ``R`` and ``T``, a rotation and a shift.
 
     Parameters
     ----------
     path : path
         ``calib.txt`` of an odometry sequence, a calibration of the object or tracking recordings, or
-        ``calib_velo_to_cam.txt`` of the raw ones: lines of a name, perhaps a colon, and numbers. Or the folder of
-        a day of the raw recordings, with that file and ``calib_cam_to_cam.txt``, whose ``R_rect_00`` is used.
-        The entry ``Tr`` is taken; where it is not there, ``Tr_velo_to_cam`` or ``Tr_velo_cam``, turned by
-        ``R0_rect`` or ``R_rect`` if the file has it (the labels are those of the rectified camera); else ``R`` and
-        ``T``, a rotation and a shift.
+        ``calib_velo_to_cam.txt`` of the raw recordings: lines with a name, an optional colon, and numbers. Or the
+        folder of a day of the raw recordings with this file and ``calib_cam_to_cam.txt``, the source of ``R_rect_00``.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def read_calibration(path: FilePath) -> NDArray[np.float64]:
     for key in ("Tr", "Tr_velo_to_cam", "Tr_velo_cam"):  # odometry; raw and object recordings; tracking
         if key in entries:
             T = _transform(path, entries, key, 12)
-            turns = [one for one in ("R0_rect", "R_rect", "R_rect_00") if one in entries and key != "Tr"]
+            turns = [name for name in ("R0_rect", "R_rect", "R_rect_00") if name in entries and key != "Tr"]
             return _transform(path, entries, turns[0], 9) @ T if turns else T
     if "R" in entries and "T" in entries:
         T = _transform(path, entries, "R", 9)
@@ -133,7 +133,7 @@ def read_calibration(path: FilePath) -> NDArray[np.float64]:
         return T
     raise OgmError(
         f"{path} has no entry Tr, Tr_velo_to_cam, Tr_velo_cam, or R and T, only {', '.join(entries)[:200] or 'none'}: "
-        "give the calibration of the lidar to the camera"
+        "give the calibration from the lidar to the camera"
     )
 
 
@@ -154,7 +154,7 @@ def _transform(path: Path, entries: dict[str, list[str]], name: str, count: int)
 
 
 def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
-    """Read when the scans of a drive were taken: ``timestamps.txt`` (raw) or ``times.txt`` (odometry).
+    """Read the times of the scans of a drive: ``timestamps.txt`` (raw) or ``times.txt`` (odometry).
 
     Returns
     -------
@@ -164,30 +164,25 @@ def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
     Raises
     ------
     FileNotFoundError, OgmError
-        If there is no such file, a line is no time, or lines between others are empty: scans are counted by lines.
+        If there is no such file, a line is no time, or an empty line precedes others: line k belongs to scan k.
     """
     path = Path(path)
     stamps: list[float] = []
     for n, words in read_lines(path):
         if n != len(stamps) + 1:
-            raise OgmError(
-                f"line {len(stamps) + 1} of {path} is empty, but lines follow, wanted a time for every scan from the "
-                "first on, for scans are counted by lines"
-            )
+            raise OgmError(f"line {len(stamps) + 1} of {path} is empty, but line k must be the time of scan k: add it")
         try:
             if len(words) == 1:
                 stamp = float(words[0])
-            elif _ZONE.search(words[-1]) or not _DATE.fullmatch(words[0]):  # numpy warns of it, and drops it
-                raise ValueError("a zone")
+            elif _ZONE.search(words[-1]) or not _DATE.fullmatch(words[0]):  # numpy warns and drops the zone
+                raise ValueError("a time zone")
             else:
                 stamp = np.datetime64("T".join(words), "ns").astype(np.int64) * 1e-9
             if not abs(stamp) <= LATEST:
-                raise ValueError("not finite, or no seconds")
+                raise ValueError("not finite, or not in seconds")
         except ValueError as error:
-            raise OgmError(
-                f"line {n} of {path} must be a time, such as 2011-09-26 13:02:25.964389445, without a zone, or "
-                f"seconds, got {' '.join(words)[:60]!r}"
-            ) from error
+            wanted = "a time without a zone, such as 2011-09-26 13:02:25.964389445, or seconds"
+            raise OgmError(f"line {n} of {path} must be {wanted}, got {' '.join(words)[:60]!r}") from error
         stamps.append(stamp)
     return np.array(stamps, np.float64)
 
@@ -195,26 +190,22 @@ def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
 def _lines(path: Path, columns: int, meaning: str) -> Iterator[tuple[int, list[str]]]:
     for n, words in read_lines(path):
         if len(words) not in (columns, columns + 1):
-            raise OgmError(
-                f"line {n} of {path} has {len(words)} columns, wanted {columns} ({meaning}), or {columns + 1} with a "
-                "score: it is cut short, or of another kind of label"
-            )
+            wanted = f"wanted {columns} ({meaning}), or {columns + 1} with a score"
+            raise OgmError(f"line {n} of {path} has {len(words)} columns, {wanted}: cut short, or of other labels")
         yield n, words
 
 
 def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.float64]) -> Boxes:
-    """Bring boxes from the camera's frame, x right, y down, z forward, to the lidar's."""
+    """Convert boxes from the camera's frame, x right, y down, z forward, to the lidar's."""
     boxes = []
     for n, words, track in rows:
         if words[0] == "DontCare":
             continue
         height, width, length, x, y, z, turn = numbers(words[8:15], 7, f"the box in line {n} of {path}")
         if min(height, width, length) <= 0:
-            raise OgmError(
-                f"the {words[0]} in line {n} of {path} must have height, width and length above 0 m, got {height:g}, "
-                f"{width:g}, {length:g}: drop the line, or rename it DontCare"
-            )
-        center = T[:3, :3] @ [x, y, z] + T[:3, 3] + [0, 0, height / 2]  # the file has the middle of the bottom
+            got = f"{height:g}, {width:g}, {length:g}: drop the line, or rename it DontCare"
+            raise OgmError(f"the {words[0]} in line {n} of {path} must have height, width, length above 0 m, got {got}")
+        center = T[:3, :3] @ [x, y, z] + T[:3, 3] + [0, 0, height / 2]  # the file gives the centre of the bottom
         ahead = T[:3, :3] @ [np.cos(turn), 0.0, -np.sin(turn)]
         yaw = np.arctan2(ahead[1], ahead[0])
         boxes.append(BoxRow(center, [length, width, height], yaw, words[0], track))

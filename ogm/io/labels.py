@@ -1,4 +1,4 @@
-"""Labels of a scan: boxes around objects, a class for every point."""
+"""Labels of a scan: boxes around objects, and a class for every point."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ def boxes_of(rows: Sequence[BoxRow], where: object) -> Boxes:
     ----------
     rows : sequence of BoxRow
     where : path or str
-        Where they are from, for the error.
+        Name of the file, for the error.
 
     Raises
     ------
@@ -45,10 +45,8 @@ def boxes_of(rows: Sequence[BoxRow], where: object) -> Boxes:
     far = np.abs(np.column_stack([boxes.center, boxes.size])).max(axis=1) > REACH
     if far.any():
         k = int(np.argmax(far))
-        raise OgmError(
-            f"{where}: box {k} ({label[k]}) must lie within {REACH:g} m, got center {boxes.center[k].tolist()}, size "
-            f"{boxes.size[k].tolist()}; drop it, or mend the label"
-        )
+        got = f"center {boxes.center[k].tolist()}, size {boxes.size[k].tolist()}"
+        raise OgmError(f"{where}: box {k} ({label[k]}) must lie within {REACH:g} m, got {got}: drop or correct it")
     return boxes
 
 
@@ -77,13 +75,13 @@ class LabelledPoints:
 
     def __post_init__(self) -> None:
         if self.classes.shape != (len(self.points),):
-            raise OgmError(f"there must be one of classes per point, got {self.classes.shape} for {len(self.points)}")
+            raise OgmError(f"there must be one class per point, got {self.classes.shape} for {len(self.points)} points")
         if np.abs(self.points[:, :3]).max(initial=0) > REACH:
             raise OgmError(f"points have coordinates of more than {REACH:g} m, wanted metres: the scan is damaged")
         if unknown := sorted(set(np.unique(self.classes).tolist()) - set(self.names)):
             raise OgmError(
-                f"class {', '.join(map(str, unknown[:8]))} is not one of the {len(self.names)} that are known (up to "
-                f"{max(self.names)}): are these labels of another data set, or in another order of bytes?"
+                f"class {', '.join(map(str, unknown[:8]))} is not one of the {len(self.names)} known classes (up to "
+                f"{max(self.names)}): these labels belong to another dataset, or have another byte order"
             )
 
     def named(self) -> NDArray[np.str_]:

@@ -1,4 +1,4 @@
-"""Notices of data that were repaired or left out: one line per drive, not one per scan."""
+"""Notices of repaired or left-out data: one line per drive instead of one per scan."""
 
 import logging
 from collections import Counter
@@ -10,16 +10,16 @@ _counts: ContextVar[Counter[str] | None] = ContextVar("counts", default=None)
 
 
 def notice(log: logging.Logger, kind: str, text: str, *values: object, level: int = logging.WARNING) -> None:
-    """Log a line; inside of `one_notice_per_kind` only the first of its kind.
+    """Log a line; inside `one_notice_per_kind` only the first of its kind.
 
     Parameters
     ----------
     log : Logger
     kind : str
-        Notices of one kind differ in their scan alone.
+        Notices of one kind differ only in their scan.
     text : str
     *values : object
-        Arguments of `text`, as of ``logging``.
+        Arguments of `text`, see ``logging``.
     level : int
         Level of ``logging``.
     """
@@ -28,18 +28,18 @@ def notice(log: logging.Logger, kind: str, text: str, *values: object, level: in
         counts[kind] += 1
         if counts[kind] > 1:
             return
-        text += " (further scans of this drive with the same are not listed)"
+        text += " (further scans of this drive with the same problem are not listed)"
     log.log(level, text, *values)
 
 
 @contextmanager
 def one_notice_per_kind(counts: Counter[str]) -> Iterator[None]:
-    """Log only the first notice of each kind, and count all.
+    """Log the first notice of each kind, and count all.
 
     Parameters
     ----------
     counts : Counter
-        Number of notices by kind so far; updated in place. A drive keeps one for all its scans.
+        Number of notices by kind so far, updated in place. A drive keeps one counter for all its scans.
     """
     token = _counts.set(counts)
     try:

@@ -1,4 +1,4 @@
-"""nuScenes: key frames with boxes and poses, from its own tables or from mmdetection3d's info (as JSON).
+"""nuScenes: key frames with boxes and poses, from its tables or from an info file of mmdetection3d (as JSON).
 
 >>> from ogm.io.nuscenes import read_nuscenes
 >>> frames = read_nuscenes("nuscenes/v1.0-mini").frames                     # doctest: +SKIP
@@ -43,7 +43,7 @@ class NuScenes(NamedTuple):
     """Key frames of nuScenes, by scene, then by time."""
 
     frames: tuple[NuScenesFrame, ...]
-    annotated: bool  # whether there are boxes: in the test part, their table is empty
+    annotated: bool  # whether there are boxes; in the test part the table is empty
 
     def boxes(self, n: int) -> Boxes:
         """Return the boxes of frame n, in the sensor's frame."""
@@ -56,27 +56,26 @@ def read_nuscenes(path: FilePath) -> NuScenes:
     Parameters
     ----------
     path : path
-        The folder of the data set, with ``samples/`` and one ``v1.0-...`` in it; or that ``v1.0-...`` folder,
-        where there are several.
+        Folder of the dataset, with ``samples/`` and one ``v1.0-...`` folder; or this ``v1.0-...`` folder if there are
+        several.
 
     Returns
     -------
     NuScenes
-        All key frames of the lidar whose points are there. No point is read, and boxes are made when asked
-        for.
+        Lidar key frames with existing point files. Points are not read, and boxes are built on request.
 
     Raises
     ------
     FileNotFoundError
-        If a table is not there.
+        If a table is missing.
     OgmError
-        If there are several versions, a table is of another kind, or a row refers to what is not there.
+        If there are several versions, a table has another layout, or a row refers to a missing row.
     """
     folder = Path(path)
     if not folder.name.startswith("v1."):
-        versions = sorted(one for one in folder.glob("v1.*-*") if one.is_dir())
+        versions = sorted(version for version in folder.glob("v1.*-*") if version.is_dir())
         if len(versions) != 1:
-            found = ", ".join(one.name for one in versions) or "none"
+            found = ", ".join(version.name for version in versions) or "none"
             raise OgmError(f"{folder} must have one folder of tables (v1.0-...), found {found}: give that folder")
         folder = versions[0]
     noted = (folder / "sample_annotation.json").is_file()
@@ -108,14 +107,14 @@ def read_nuscenes(path: FilePath) -> NuScenes:
         boxes = partial(_boxes, notes.get(str(row["sample_token"]), []), labels, placed, file.name)
         frames.append(NuScenesFrame(scene, file.name, file, stamp, placed, height, boxes))
     if not frames:
-        raise OgmError(f"{folder} names no key frame of {_LIDAR} whose points are under {folder.parent}")
+        raise OgmError(f"{folder} names no key frame of {_LIDAR} with points under {folder.parent}: check the folder")
     return NuScenes(_in_order(frames), annotated)
 
 
 def _boxes(
     notes: Sequence[dict[str, Any]], labels: Mapping[str, str], T_map_sensor: NDArray[np.float64], name: str
 ) -> Boxes:
-    """Return the boxes of a key frame from its rows of sample_annotation."""
+    """Return the boxes of a key frame, from its rows of sample_annotation."""
     where = f"an annotation of key frame {name}"
     rows, T_sensor_map = [], inverse(T_map_sensor)
     for note in notes:
@@ -123,40 +122,40 @@ def _boxes(
         T = T_sensor_map @ _pose(note, where)
         track = str(need(note, "instance_token", where))
         if track not in labels:
-            raise OgmError(f"instance {track} of {where} is in no table of instances: is it complete?")
+            raise OgmError(f"instance {track} of {where} is in no table of instances: the tables are incomplete")
         yaw = np.arctan2(T[1, 0], T[0, 0])
         rows.append(BoxRow(T[:3, 3], [length, width, height], yaw, labels[track], track))
     return boxes_of(rows, f"key frame {name}")
 
 
 def read_mmdet3d(path: FilePath) -> NuScenes:
-    """Read key frames from an info file of mmdetection3d, version 1.1, written as JSON.
+    """Read key frames from an info file of mmdetection3d, version 1.1, converted to JSON.
 
     Parameters
     ----------
     path : path
-        ``metainfo`` and ``data_list`` (or ``frame``, if it is one). The original is pickled, which is not read
-        here: a pickle can run any program.
+        JSON with ``metainfo`` and ``data_list`` (or a single ``frame``). The original pickle is refused, because a
+        pickle can run any program.
 
     Returns
     -------
     NuScenes
-        The points must lie beside the file. Boxes have no tracks, and the log is used as the scene.
+        Key frames; the point files must lie in the same folder. Boxes have no tracks, and the log is the scene.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is another data set's, or an entry lacks something.
+        If it describes another dataset, or an entry is incomplete.
     """
     path = Path(path)
     if path.suffix == ".pkl":
-        raise OgmError(f"{path} is pickled, and nothing is unpickled here: write it as JSON first")
+        raise OgmError(f"{path} is pickled, and pickles are not read: convert it to JSON first")
     content = read_json(path, dict, "mmdetection3d's info: metainfo, data_list", "tables")
     about = need(content, "metainfo", path)
     if str(need(about, "dataset", f"metainfo of {path}")).lower() != "nuscenes":
-        raise OgmError(f"{path} is of {about['dataset']}, wanted nuscenes")
+        raise OgmError(f"{path} describes the dataset {about['dataset']}, wanted nuscenes")
     categories = need(about, "categories", f"metainfo of {path}", dict)
     labels = {number: str(label) for label, number in categories.items() if isinstance(number, int)}
     entries = [content["frame"]] if "frame" in content else need(content, "data_list", path, list)
@@ -178,7 +177,7 @@ def read_mmdet3d(path: FilePath) -> NuScenes:
 
 
 def _mmdet3d_boxes(notes: Sequence[dict[str, Any]], labels: Mapping[int, str], name: str) -> Boxes:
-    """Return the boxes of bbox_3d, which is in the lidar's frame: x right, y forward, z up, about the center."""
+    """Return the boxes of bbox_3d, about the center, in the lidar's frame: x right, y forward, z up."""
     rows = []
     for n, note in enumerate(notes):
         box = need_numbers(note, "bbox_3d", 7, f"object {n} of key frame {name}")
@@ -189,7 +188,7 @@ def _mmdet3d_boxes(notes: Sequence[dict[str, Any]], labels: Mapping[int, str], n
 
 
 def _in_order(frames: list[NuScenesFrame]) -> tuple[NuScenesFrame, ...]:
-    return tuple(sorted(frames, key=lambda one: (one.scene, one.stamp)))
+    return tuple(sorted(frames, key=lambda frame: (frame.scene, frame.stamp)))
 
 
 def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
@@ -199,12 +198,10 @@ def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
 
 
 def _inside(folder: Path, name: str, where: str = "sample_data.json") -> Path:
-    """Return a file of the data set by the name that a table gives it."""
+    """Return a file of the dataset by its name in a table."""
     if Path(name).is_absolute() or ".." in Path(name).parts or not is_file_name(name):
-        raise OgmError(
-            f"{where} names the file {name[:200]!r}, wanted one under {folder}, such as "
-            "samples/LIDAR_TOP/...: tables of nuScenes name no other, so do not trust these"
-        )
+        wanted = f"wanted a file under {folder}, such as samples/LIDAR_TOP/..."
+        raise OgmError(f"{where} names the file {name[:200]!r}, {wanted}: do not trust these tables")
     return folder / name
 
 
@@ -214,7 +211,7 @@ def _look_up(
     """Follow a row's reference to another table."""
     token = str(need(row, f"{name}_token", f"a row of {of}.json"))
     if token not in tables[name]:
-        raise OgmError(f"{of}.json refers to {name} {token}, which {name}.json does not have: are they of one version?")
+        raise OgmError(f"{of}.json refers to {name} {token}, which {name}.json lacks: use tables of one version")
     return tables[name][token]
 
 

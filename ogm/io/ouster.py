@@ -1,4 +1,4 @@
-"""Captures of Ouster lidars: packets (``.pcap`` with the sensor's metadata) and ``.osf``, by the package ouster-sdk."""
+"""Captures of Ouster lidars by ouster-sdk: packets (``.pcap`` with the sensor's metadata) and ``.osf``."""
 
 import logging
 import struct
@@ -22,17 +22,17 @@ from ogm.storage.files import FilePath, OgmError, error_context
 
 log: logging.Logger = logging.getLogger(__name__)
 
-_PORTS = (7502, 7503)  # to which Ousters send points and motion by default
-_SEEN = 200  # packets in which those of an Ouster are sought
-_LEAST = 1500  # [byte] of a packet of points; those of other lidars fit into one frame of Ethernet
-_MM = 1000  # of the ranges per metre
-_WHITE = 99.0  # percentile of the photon counts of a scan that means 1
+_PORTS = (7502, 7503)  # default ports for points and motion
+_SEEN = 200  # packets searched for an Ouster
+_MIN_SPLIT = 1500  # [byte] above which a packet is split: only Ousters send packets beyond an Ethernet frame
+_MM = 1000  # range values per metre
+_WHITE = 99.0  # percentile of a scan's photon counts that becomes 1
 
 
 def ouster_metadata(path: Path) -> Path | None:
-    """Return the metadata beside a capture, the JSON with the longest name that its name begins with; else None."""
-    named = [one for one in path.parent.glob("*.json") if path.stem.startswith(one.stem.removesuffix("_0"))]
-    for file in sorted(named, key=lambda one: -len(one.stem)):
+    """Return the metadata JSON in a capture's folder, with the longest name that begins the capture's name, or None."""
+    named = [file for file in path.parent.glob("*.json") if path.stem.startswith(file.stem.removesuffix("_0"))]
+    for file in sorted(named, key=lambda file: -len(file.stem)):
         with suppress(OgmError, OSError):
             content = read_json(file, dict, "metadata of an Ouster")
             if {"beam_intrinsics", "sensor_info", "beam_altitude_angles"} & content.keys():
@@ -41,7 +41,7 @@ def ouster_metadata(path: Path) -> Path | None:
 
 
 def is_ouster_capture(path: Path) -> bool:
-    """Return whether a capture has packets of an Ouster: in several frames of Ethernet, or to its ports."""
+    """Return whether a capture has packets of an Ouster: split over Ethernet frames, or sent to its ports."""
     dpkt = optional("dpkt", path, "ros")
     with path.open("rb") as file, suppress(ValueError, EOFError, struct.error, dpkt.Error):
         packets = dpkt.pcap.UniversalReader(BoundedReads(file))
@@ -51,36 +51,36 @@ def is_ouster_capture(path: Path) -> bool:
                 packet = layer(raw)
                 while hasattr(packet, "data") and not isinstance(packet, dpkt.udp.UDP):
                     packet = packet.data
-                if isinstance(packet, dpkt.udp.UDP) and (packet.dport in _PORTS or packet.ulen > _LEAST):
+                if isinstance(packet, dpkt.udp.UDP) and (packet.dport in _PORTS or packet.ulen > _MIN_SPLIT):
                     return True
     return False
 
 
 def scans_from_ouster(path: FilePath, *, intensity_max: float | None = None, no_returns: bool = True) -> Iterator[Scan]:
-    """Read the scans of a capture of one Ouster, one turn after the other.
+    """Read the scans of an Ouster's capture, turn by turn.
 
     Parameters
     ----------
     path : path
-        An ``.osf``, or a ``.pcap`` with the sensor's metadata beside it: see `ouster_metadata`.
+        ``.osf``, or ``.pcap`` with the sensor's metadata in the same folder, see `ouster_metadata`.
     intensity_max : float, optional
-        Photon count that means 1; by default what 99 % of the first scan do not exceed, for all of them.
+        Photon count that becomes 1. Default: the 99 % quantile of the first scan, for all scans.
     no_returns : bool
-        Whether to add the beams without echo: all pixels of range 0 in columns that were received.
+        Whether to add the beams without echo: all pixels of range 0 in received columns.
 
     Yields
     ------
     Scan
-        In the sensor's frame, by the table of the SDK, which has the offset and the angles of each beam. Rings count
-        from the top; `Scan.stamp` is that of the first column, and `Scan.time` that of each. Intensities are photon
-        counts, else reflectivities (255 means 1).
+        Scan in the sensor's frame, by the SDK's table of beam offsets and angles. Rings count from the top.
+        `Scan.stamp` is the time of the first column, and `Scan.time` the time of each column. Intensities are photon
+        counts, else reflectivities (255 becomes 1).
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is no such capture, or of several sensors.
+        If the capture is invalid, or has several sensors.
     ImportError
         If ouster-sdk is missing.
     """
@@ -88,16 +88,15 @@ def scans_from_ouster(path: FilePath, *, intensity_max: float | None = None, no_
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the SDK about its own parts
+        warnings.simplefilter("ignore")  # warnings of the SDK about its own parts
         sdk, core = optional("ouster.sdk", path, "ouster"), optional("ouster.sdk.core", path, "ouster")
     table: Any = None
     with error_context(f"{path} cannot be read by ouster-sdk", Exception):
         meta = {} if path.suffix.lower() == ".osf" else {"meta": (str(ouster_metadata(path) or ""),)}
         source = sdk.open_source(str(path), collate=False, **meta)
         if len(source.sensor_info) != 1:
-            raise OgmError(
-                f"{path} is of {len(source.sensor_info)} sensors, wanted one: save each by itself (ouster-cli)"
-            )
+            count = len(source.sensor_info)
+            raise OgmError(f"{path} has {count} sensors, wanted one: split the capture by ouster-cli")
         table = core.XYZLut(source.sensor_info[0], use_extrinsics=False)
         turns = iter(source)
     while True:
@@ -114,19 +113,18 @@ def scans_from_ouster(path: FilePath, *, intensity_max: float | None = None, no_
 
 
 def photon_scale(counts: NDArray[Any]) -> float:
-    """Return the photon count that means 1: what 99 % of the counts do not exceed."""
+    """Return the photon count that becomes 1: the 99 % quantile."""
     return max(float(np.percentile(counts, _WHITE)), 1.0) if counts.size else 1.0
 
 
 def _scan(frame: Any, table: Any, path: Path, intensity_max: float | None, no_returns: bool) -> Scan | None:
-    """Return the scan of a turn; None if no column of it was received."""
+    """Return the scan of a turn, or None if no column was received."""
     ranges, received = frame.field("RANGE"), (frame.status & 1).astype(bool) & (frame.timestamp > 0)
     if not received.any():
         return None
     if lost := int(np.count_nonzero(~received)):
-        notice(
-            log, "lost columns", "%s: %d of %d columns were not received", path, lost, len(received), level=logging.INFO
-        )
+        text = "%s: %d of %d columns were not received"
+        notice(log, "lost columns", text, path, lost, len(received), level=logging.INFO)
     hit = (ranges > 0) & received & (ranges <= REACH * _MM)
     xyz = table(ranges)[hit]
     points = np.zeros((len(xyz), 4), np.float32)

@@ -1,4 +1,4 @@
-"""Poses in and out: KITTI, KITTI-360, TUM, g2o and a format of our own that explains itself."""
+"""Poses, read and written: KITTI, KITTI-360, TUM, g2o and a self-describing format of this library."""
 
 import logging
 import math
@@ -29,27 +29,26 @@ _WANTED = (
     "8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI: the upper three rows of T_map_sensor), 13 (KITTI-360: frame "
     "number and those 12), 16 or 17 (all four rows)"
 )
-_ROUNDED = 2e-3  # departure of R'R from the identity that rounding to three decimals can make
-_CAMERA_SHARE = 0.9  # of the path goes along the frame's own z axis: nothing but a camera drives so
-_CAMERA_PATH = 1.0  # [m] of path before that is an error
-_LARGEST_NUMBER = 10**9  # a number in a name that is larger is a clock's, not a frame's
+_ROUNDED = 2e-3  # departure of R'R from the identity by rounding to three decimals
+_CAMERA_SHARE = 0.9  # share of the path along the frame's own z axis: only camera frames move so
+_CAMERA_PATH = 1.0  # [m] least path for this check
+_LARGEST_NUMBER = 10**9  # a larger number in a file name is a time, not a frame number
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """What a file of poses holds.
+    """Poses of a file, with stamps or frame numbers.
 
     Parameters
     ----------
     poses : (K, 4, 4) float64
         ``T_map_sensor``.
     stamps : (K,) float64 or None
-        Their times [s], increasing; None where the file has none.
+        Times of the poses [s], increasing; None if the file has no times.
     numbers : (K,) int64 or None
-        The frame numbers of the scans they belong to, increasing; None where the file has none: then pose k
-        belongs to the k-th scan.
+        Frame numbers of the scans, increasing; None if the file has no numbers: pose k then belongs to the k-th scan.
     format : str
-        What the file is, in words.
+        Name of the file format.
     """
 
     poses: NDArray[np.float64]
@@ -66,8 +65,8 @@ class Poses:
         Parameters
         ----------
         rate : float, optional
-            Rate of the scans [1/s]. Only for files without stamps, whose times become frame number / rate, or
-            k / rate where there are no frame numbers; stamps of a file are never overruled.
+            Rate of the scans [1/s]. Only used for files without stamps: times become frame number / rate, or
+            k / rate without frame numbers.
 
         Raises
         ------
@@ -77,9 +76,7 @@ class Poses:
         if self.stamps is not None:
             return Trajectory(self.stamps, self.poses)
         if rate is None:
-            raise ValueError(
-                f"these poses ({self.format}) have no stamps: give the rate of the scans [1/s], for most lidars 10"
-            )
+            raise ValueError(f"these poses ({self.format}) have no stamps: give the scan rate, usually 10 [1/s]")
         if not 0 < rate < np.inf:
             raise ValueError(f"rate must be above 0 [1/s], got {rate}")
         counted = np.arange(len(self)) if self.numbers is None else self.numbers
@@ -87,11 +84,11 @@ class Poses:
 
 
 def frame_numbers(names: Sequence[str]) -> NDArray[np.int64] | None:
-    """Return the last number of each name, (K,); None unless all have one, it increases, and all else is the same."""
+    """Return the last number of each name, (K,), or None unless it increases and is the only difference."""
     found = [re.fullmatch(r"(.*?)(\d+)\D*", name) for name in names]
-    if not all(found) or len({one[1] for one in found if one}) > 1:
+    if not all(found) or len({match[1] for match in found if match}) > 1:
         return None
-    numbers = [int(one[2]) for one in found if one]
+    numbers = [int(match[2]) for match in found if match]
     if max(numbers, default=0) >= _LARGEST_NUMBER or any(b <= a for a, b in zip(numbers, numbers[1:], strict=False)):
         return None
     return np.array(numbers, np.int64)
@@ -100,25 +97,22 @@ def frame_numbers(names: Sequence[str]) -> NDArray[np.int64] | None:
 def read_poses(path: FilePath, *, T_camera_sensor: ArrayLike | None = None) -> Poses:
     """Read the poses of a drive.
 
-    The number of columns gives the kind: 12 is KITTI odometry (the upper three rows of a 4x4 pose, row by
-    row), 13 KITTI-360 (the frame number before them), 16 and 17 the same with the fourth row, 8 TUM (stamp,
-    position, quaternion with w last). Columns are separated by blanks; what follows ``#`` is a comment. A
-    ``.csv`` has the header ``stamp,x,y,z,qx,qy,qz,qw``, in any order, and perhaps a column ``number``. A ``.g2o`` is
-    a pose graph, of which the vertices are read; their identifiers are the frame numbers. Each may be packed as
-    ``.xz`` or ``.gz``. A ``.log`` is of Open3D: blocks of three indices, of which the first is the frame number, and
-    the four rows of a camera's pose.
+    The number of columns gives the format: 12 is KITTI odometry (the upper three rows of a 4x4 pose, row by row), 13 is
+    KITTI-360 (with a leading frame number), 16 and 17 add the fourth row, 8 is TUM (stamp, position, quaternion with w
+    last). Columns are separated by blanks; text after ``#`` is a comment. A ``.csv`` has the header
+    ``stamp,x,y,z,qx,qy,qz,qw``, in any order, and an optional column ``number``. A ``.g2o`` is a pose graph; vertex
+    identifiers are the frame numbers. All of these may be packed as ``.xz`` or ``.gz``. A ``.log`` is a trajectory of
+    Open3D: blocks of three indices, the first being the frame number, and the four rows of a camera's pose.
 
-    Rotations that are rounded, to three decimals at least, become the nearest true ones.
+    Rounded rotations, to three decimals at least, become the nearest exact rotations.
 
     Parameters
     ----------
     path : path
-        The file.
     T_camera_sensor : (4, 4) array, optional
-        Where the file has the poses of another part of the vehicle than the lidar, as KITTI has those of its
-        camera 0: takes the lidar's coordinates to that part's, see `read_calibration`. The map is then the
-        lidar's frame where the file has its origin: x forward, y left, z up. The identity if the poses are the
-        lidar's.
+        Transform from the lidar to the vehicle part that the file's poses belong to, such as camera 0 of KITTI, see
+        `read_calibration`. The map is then the lidar's frame at the file's origin: x forward, y left, z up. The
+        identity for poses of the lidar itself.
 
     Returns
     -------
@@ -129,9 +123,9 @@ def read_poses(path: FilePath, *, T_camera_sensor: ArrayLike | None = None) -> P
     FileNotFoundError
         If there is no such file.
     OgmError
-        If the file is empty or no text; if a row is ragged, no numbers, not finite or not rigid; if stamps or
-        frame numbers repeat or go backwards; if the poses are plainly those of a camera (they move along
-        their own z axis) and `T_camera_sensor` is not given. The line is named.
+        If the file is empty or no text; if a row is ragged, not numeric, not finite or not rigid; if stamps or frame
+        numbers repeat or decrease; or if the poses clearly belong to a camera (they move along their own z axis)
+        and `T_camera_sensor` is missing. The error names the line.
     """
     path = Path(path)
     if path.suffix.lower() == ".log":
@@ -161,38 +155,38 @@ def read_poses(path: FilePath, *, T_camera_sensor: ArrayLike | None = None) -> P
 
 
 def write_poses(path: FilePath, trajectory: Trajectory, numbers: ArrayLike | None = None) -> None:
-    """Write poses with their stamps, in full precision; the file appears when it is whole.
+    """Write poses with their stamps, in full precision and in one step.
 
     Parameters
     ----------
     path : path
-        ``.csv``: our own format, with a comment and a header that explain it. ``.txt`` or ``.tum``: TUM.
+        ``.csv``: the library's format, with an explaining comment and a header. ``.txt`` or ``.tum``: TUM.
     trajectory : Trajectory
-        ``T_map_sensor`` and their times.
+        ``T_map_sensor`` and stamps.
     numbers : (K,) integers, optional
-        The frame numbers of the scans, increasing; only for ``.csv``.
+        Frame numbers of the scans, increasing; only for ``.csv``.
 
     Raises
     ------
     ValueError
-        If the ending is another one, or the numbers do not fit.
+        If the ending is not supported, or the numbers do not fit.
     OSError
         If the file cannot be written.
     """
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in (".csv", ".txt", ".tum"):
-        raise ValueError(f"cannot write poses to {path}: name it .csv (ours), .txt or .tum (TUM)")
+        raise ValueError(f"cannot write poses to {path}: name it .csv (ogm), .txt or .tum (TUM)")
     quaternions = matrix_to_quaternion(trajectory.poses[:, :3, :3])
     rows = np.column_stack([trajectory.stamps, trajectory.poses[:, :3, 3], quaternions]).tolist()
     names = list(_NAMES)
     if numbers is not None:
         counted = np.asarray(numbers)
         if ending != ".csv":
-            raise ValueError(f"TUM files have no frame numbers, got some for {path}: name it .csv")
+            raise ValueError(f"TUM files hold no frame numbers, got numbers for {path}: name it .csv")
         whole = counted.shape == (len(trajectory),) and counted.dtype.kind in "iu"
         if not whole or not (np.diff(counted.astype(np.int64)) > 0).all():
-            raise ValueError(f"numbers must be {len(trajectory)} integers that increase, got {counted.tolist()}")
+            raise ValueError(f"numbers must be {len(trajectory)} increasing integers, got {counted.tolist()}")
         names.append("number")
         rows = [[*row, number] for row, number in zip(rows, counted.tolist(), strict=True)]
     separator, comment = (",", _EXPLAINED) if ending == ".csv" else (" ", "# ")
@@ -205,9 +199,9 @@ _Where = Callable[[int], str]  # the place of row k in the file, for errors
 
 
 def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
-    """Return the rows (K, C), where they are, the header's names ([] if none), and whether it is our format."""
+    """Return the rows (K, C), their places, the header's names ([] if none), and whether it is the own format."""
     if not (text := read_text(path, f"poses in lines of numbers: {_WANTED}")):
-        raise OgmError(f"{path} is empty, wanted poses: was it written to its end?")
+        raise OgmError(f"{path} is empty, wanted poses: the file is incomplete")
     csv = path.name.lower().removesuffix(".xz").removesuffix(".gz").endswith(".csv")
     table, lines = array("d"), array("q")
     header: list[str] = []
@@ -217,7 +211,7 @@ def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
         if not columns and comment.strip().startswith("ogm.poses/"):
             version = comment.split()[0].rstrip(":")
             if version != _OURS:
-                raise OgmError(f"{path} is {version}, wanted {_OURS}{update_hint(version, _OURS)}")
+                raise OgmError(f"{path} has the format {version}, wanted {_OURS}{update_hint(version, _OURS)}")
             ours = True
         words = [word.strip() for word in content.split(",")] if csv and content.strip() else content.split()
         if words and csv and not header:
@@ -230,17 +224,17 @@ def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
             _add(table, words, columns, f"line {n} of {path}")
             lines.append(n)
     if not lines:
-        raise OgmError(f"{path} holds no pose, only comments or a header: was it written to its end?")
+        raise OgmError(f"{path} holds no pose, only comments or a header: the file is incomplete")
     rows = np.frombuffer(table, np.float64).reshape(-1, columns)
     return rows, lambda k: f"line {lines[k]} of {path}", header, ours
 
 
 def _open3d(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return frame numbers (K,) and poses (K, 4, 4) of a trajectory of Open3D."""
+    """Return frame numbers (K,) and poses (K, 4, 4) of an Open3D trajectory."""
     wanted = "blocks of a line with three indices and four lines with a pose (Open3D)"
     lines = [(n, line.split()) for n, line in text_lines(read_text(path, wanted)) if line.strip()]
     if not lines or len(lines) % 5:
-        raise OgmError(f"{path} has {len(lines)} lines, wanted {wanted}: was it written to its end?")
+        raise OgmError(f"{path} has {len(lines)} lines, wanted {wanted}: the file is incomplete")
     counted = np.array([numbers(words, 3, f"line {n} of {path}")[0] for n, words in lines[::5]])
     rows = [numbers(words, 4, f"line {n} of {path}") for k, (n, words) in enumerate(lines) if k % 5]
 
@@ -252,9 +246,8 @@ def _open3d(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 def _check_header(names: Sequence[str], path: Path) -> None:
     if len(set(names)) != len(names) or set(names) - {"number"} != set(_NAMES):
-        raise OgmError(
-            f"the header of {path} must be {','.join(_NAMES)} and perhaps number, got {','.join(names)[:200]}"
-        )
+        wanted = f"{','.join(_NAMES)} and optionally number"
+        raise OgmError(f"the header of {path} must be {wanted}, got {','.join(names)[:200]}")
 
 
 def _add(table: "array[float]", words: Sequence[str], columns: int, where: str) -> None:
@@ -264,7 +257,7 @@ def _add(table: "array[float]", words: Sequence[str], columns: int, where: str) 
     except ValueError:
         row = []
     if len(row) != columns or not all(map(math.isfinite, row)):
-        numbers(words, columns, where)  # raises what is wrong with it
+        numbers(words, columns, where)  # raises a specific error
     table.extend(row)
 
 
@@ -272,7 +265,7 @@ def _frame_numbers(where: _Where, column: NDArray[np.float64]) -> NDArray[np.int
     bad = (column != np.floor(column)) | (np.abs(column) > 2**53)
     if bad.any():
         k = int(np.argmax(bad))
-        raise OgmError(f"{where(k)} must have a whole frame number, got {column[k]:g}")
+        raise OgmError(f"{where(k)} must have an integer frame number, got {column[k]:g}")
     _check_increasing(where, column.astype(np.int64), "frame numbers")
     return column.astype(np.int64)
 
@@ -285,18 +278,16 @@ def _stamps(where: _Where, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
     return stamps
 
 
-def _check_increasing(where: _Where, column: NDArray[Any], what: str) -> None:
+def _check_increasing(where: _Where, column: NDArray[Any], quantity: str) -> None:
     stuck = np.diff(column) <= 0
     if stuck.any():
         k = int(np.argmax(stuck))
-        raise OgmError(
-            f"{what} must increase, but {where(k)} has {column[k].item()!r} and the next has {column[k + 1].item()!r}: "
-            "sort them, or drop what is double"
-        )
+        got = f"{where(k)} has {column[k].item()!r} and the next has {column[k + 1].item()!r}"
+        raise OgmError(f"{quantity} must increase, but {got}: sort the rows, or drop duplicates")
 
 
 def _from_matrices(path: Path, where: _Where, table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn rows of 12 or 16 numbers into poses, with the true rotations nearest to the rounded ones."""
+    """Convert rows of 12 or 16 numbers to poses, with the exact rotations nearest to the rounded ones."""
     poses = np.broadcast_to(np.eye(4), (len(table), 4, 4)).copy()
     poses.reshape(len(table), 16)[:, : table.shape[1]] = table
     R = poses[:, :3, :3]
@@ -323,13 +314,13 @@ def _of_sensor(path: Path, poses: NDArray[np.float64], T_camera_sensor: ArrayLik
 
 
 def _refuse_camera(path: Path, poses: NDArray[np.float64]) -> None:
-    """Raise where the frame drives along its own z axis: forward for cameras, up for everything else here."""
+    """Raise if the frame moves along its own z axis, which points forward for cameras and up for other frames."""
     steps = np.einsum("kji,kj->ki", poses[:-1, :3, :3], np.diff(poses[:, :3, 3], axis=0))
     length = np.linalg.norm(steps, axis=1).sum()
     along = np.abs(steps).sum(axis=0)
     if length > _CAMERA_PATH and along[2] > _CAMERA_SHARE * length:
         raise OgmError(
-            f"the poses in {path} move along their own z axis ({along[2]:.1f} of {length:.1f} m): they are a camera's, "
-            "wanted the lidar's. Give T_camera_sensor=read_calibration('calib.txt'), or the identity if they are the "
-            "lidar's"
+            f"the poses in {path} move along their own z axis ({along[2]:.1f} of {length:.1f} m) like a camera, wanted "
+            "poses of the lidar: give T_camera_sensor=read_calibration('calib.txt'), or the identity for poses of the "
+            "lidar"
         )

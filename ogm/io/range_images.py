@@ -1,4 +1,4 @@
-"""Range images with a class for every beam, as networks that label scans are trained on.
+"""Range images with a class for every beam, as used to train segmentation networks.
 
 >>> from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
 >>> NUSCENES_ELEVEN[0]
@@ -18,11 +18,9 @@ from ogm.storage.files import FilePath, OgmError, error_context
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
 
-# The classes of the nuScenes frames that PCLSegmentation ships (ika, RWTH Aachen), by number
-NUSCENES_ELEVEN = {
-    **{0: "road", 1: "sidewalk", 2: "building", 3: "pole", 4: "vegetation", 5: "person", 6: "two-wheeler"},
-    **{7: "car", 8: "truck", 9: "bus", 10: "none"},
-}
+# Classes of the nuScenes frames shipped with PCLSegmentation (ika, RWTH Aachen), by number
+_ELEVEN = "road, sidewalk, building, pole, vegetation, person, two-wheeler, car, truck, bus, none"
+NUSCENES_ELEVEN = dict(enumerate(_ELEVEN.split(", ")))
 
 _WANTED = "numbers of shape (layers, azimuths, 6): x, y, z, intensity, range, class"
 
@@ -39,25 +37,25 @@ def read_range_image(
     names : mapping of int to str
         Names of the classes: `NUSCENES_ELEVEN`, `SEMANTIC_KITTI_TRAINING`.
     axes : str, 3 str or (3, 3) array
-        Which way the file's axes point, as for `read_points`.
+        Axes of the file, see `read_scan`.
     intensity_max : float
-        The file's intensity that means 1; larger ones count as 1.
+        Intensity that becomes 1; larger values also become 1.
 
     Returns
     -------
     LabelledPoints
-        The beams that came back, those with a range above 0.
+        The beams with a range above 0.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it holds another array, numbers that are none where there is a range, or a class without a name.
+        If it holds another array, a beam with a range but with NaN or infinite values, or a class without a name.
     """
     data, _ = read_bytes(path)
     array = parse_array(data, Path(path), lambda shape: len(shape) == 3 and shape[-1] == 6, _WANTED)
-    with np.errstate(invalid="ignore"):  # of signalling NaN, which are refused where there is a range
+    with np.errstate(invalid="ignore"):  # signalling NaN, which are refused if there is a range
         image = array.reshape(-1, 6).astype(np.float64)
     image = image[image[:, 4] > 0]
     if not np.isfinite(image).all():
@@ -65,7 +63,7 @@ def read_range_image(
         raise OgmError(f"{path} has {bad} beams with a range but with NaN or inf: set their range to 0")
     classes = np.clip(image[:, 5], -1, 2**31).astype(np.int64)
     if not np.array_equal(classes, image[:, 5]):
-        raise OgmError(f"{path} has classes that are no whole numbers in its last column, wanted numbers")
+        raise OgmError(f"{path} must have integer classes in its last column, got other numbers")
     points = np.empty((len(image), 4), np.float32)
     with np.errstate(over="ignore"):  # refused by `LabelledPoints`
         points[:, :3] = image[:, :3] @ rotation_to_flu(axes).T

@@ -1,4 +1,4 @@
-"""Bytes, text, JSON and arrays of files, with errors that name the file and what is wrong in it."""
+"""Bytes, text, JSON and arrays of files, with errors that name the file and the problem."""
 
 import gzip
 import importlib
@@ -20,79 +20,78 @@ from ogm.pose import check_pose, quaternion_to_matrix
 from ogm.storage.files import FilePath, OgmError
 from ogm.storage.limits import current_limits, too_large
 
-_UNIT = 1e-2  # departure of a quaternion from length 1 that rounding can make
+_UNIT = 1e-2  # departure of a quaternion from length 1 by rounding
 _CHUNK = 2**20  # [byte] unpacked in one step
-_XZ_MEMORY = 2**27  # [byte] that the decoder of .xz may take: "xz -9" makes files that need half of it
-_JSON_SIZES = {b",": 64, b":": 64, b"[": 96, b"{": 256}  # [byte] in Python of what these stand for, at most
+_XZ_MEMORY = 2**27  # [byte] limit for the .xz decoder; files of "xz -9" need half of it
+_JSON_SIZES = {b",": 64, b":": 64, b"[": 96, b"{": 256}  # [byte] largest size in Python per character of JSON
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
-    (3, 0): np.lib.format.read_array_header_2_0,  # differs in the names of fields only, which are refused
+    (3, 0): np.lib.format.read_array_header_2_0,  # differs only in field names, which are refused
 }
 
 
 def read_bytes(path: FilePath, limit: str = "file") -> tuple[bytes, Path]:
-    """Read a file, unpacking ``.xz`` and ``.gz`` on the way.
+    """Read a file, unpacking ``.xz`` and ``.gz``.
 
     Parameters
     ----------
     path : path
-        The file.
     limit : str
-        Field of `ogm.storage.limits.MemoryLimits` that bounds its unpacked content, so that a small packed file cannot
-        fill the memory. No more than that is unpacked.
+        Field of `ogm.storage.limits.MemoryLimits` that bounds the unpacked content. No more is unpacked, so that a
+        small packed file cannot fill the memory.
 
     Returns
     -------
     data : bytes
-        Its unpacked content, at least 1 byte.
+        Unpacked content, at least 1 byte.
     inner : Path
-        Its path without ``.xz`` or ``.gz``: its suffix gives the format.
+        Path without ``.xz`` or ``.gz``; its suffix gives the format.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is no plain file, empty, damaged, or larger than the limit.
+        If it is no regular file, empty, damaged, or larger than the limit.
     OSError
-        If the system does not let it be read.
+        If the system refuses to read it.
     """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
     if not path.is_file():
         raise OgmError(f"{path} is a folder or a device, wanted a file: give the scans one by one")
-    packing, most = path.suffix.lower(), getattr(current_limits(), limit)
+    packing, max_size = path.suffix.lower(), getattr(current_limits(), limit)
     unpack = {".xz": _unpacked_xz, ".gz": _unpacked_gz}.get(packing)
     parts, size = [], 0
     try:
         with open(path, "rb") as file:
             whole = os.fstat(file.fileno()).st_size
-            if unpack is None and whole > most:
+            if unpack is None and whole > max_size:
                 raise too_large(path, whole, limit)
             step = _CHUNK if unpack else max(whole + 1, _CHUNK)
             for part in unpack(file) if unpack else iter(lambda: file.read(step), b""):
                 parts.append(part)
                 size += len(part)
-                if size > most:
+                if size > max_size:
                     raise too_large(path, None, limit)
     except (lzma.LZMAError, gzip.BadGzipFile, zlib.error, EOFError) as error:
-        raise OgmError(f"{path} is no whole {packing} file ({error}): it is cut short or wrongly named") from error
+        raise OgmError(f"{path} is no complete {packing} file ({error}): cut short or wrongly named") from error
     if not size:
-        raise OgmError(f"{path} holds 0 bytes: was it written to its end?")
+        raise OgmError(f"{path} holds 0 bytes, wanted data: the file is incomplete")
     return parts[0] if len(parts) == 1 else b"".join(parts), path.with_suffix("") if unpack else path
 
 
 def _unpacked_gz(file: IO[bytes]) -> Iterator[bytes]:
-    """Unpack a file of gzip, piece by piece."""
+    """Unpack a gzip file, piece by piece."""
     with gzip.GzipFile(fileobj=file, mode="rb") as stream:
         while part := stream.read(_CHUNK):
             yield part
 
 
 def _unpacked_xz(file: IO[bytes]) -> Iterator[bytes]:
-    """Unpack a file of xz, piece by piece, with bounded memory for the decoder; `lzma.open` does not bound it."""
+    """Unpack an xz file, piece by piece, with bounded decoder memory, which `lzma.open` lacks."""
     rest = file.read(_CHUNK)
     while True:
         decoder = lzma.LZMADecompressor(lzma.FORMAT_AUTO, _XZ_MEMORY)
@@ -102,7 +101,7 @@ def _unpacked_xz(file: IO[bytes]) -> Iterator[bytes]:
             if part := decoder.decompress(rest, _CHUNK):
                 yield part
             rest = b""
-        rest = (decoder.unused_data or file.read(_CHUNK)).lstrip(b"\0")  # zeros may stand between streams
+        rest = (decoder.unused_data or file.read(_CHUNK)).lstrip(b"\0")  # zeros may separate streams
         while not rest:
             if not (more := file.read(_CHUNK)):
                 return
@@ -110,28 +109,27 @@ def _unpacked_xz(file: IO[bytes]) -> Iterator[bytes]:
 
 
 def optional(module: str, path: Path, extra: str = "io", verb: str = "read") -> Any:
-    """Import a package of an extra; the error of a missing one has the line that installs it."""
+    """Import a package of an extra; if it is missing, the error has the install line."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise ImportError(
-            f"{path} cannot be {verb} without the package {module}: {install_line(extra)}", name=module
-        ) from error
+        text = f"{path} cannot be {verb} without the package {module}: {install_line(extra)}"
+        raise ImportError(text, name=module) from error
 
 
 def reason(error: BaseException, path: Path) -> str:
-    """Return the text of a library's error without the path, which ours begins with."""
+    """Return the text of a library's error without the path, which the new error already names."""
     return str(error).replace(str(path), "it").replace(f"{path.name}: ", "") or type(error).__name__
 
 
 def read_text(path: Path, wanted: str) -> str:
-    """Read a text file, UTF-8; an empty file is an empty text.
+    """Read a UTF-8 text file; an empty file is an empty text.
 
     Parameters
     ----------
     path : Path
     wanted : str
-        What it should be, in words, for the error.
+        Description of the expected content, for the error.
     """
     if path.is_file() and not path.stat().st_size:
         return ""
@@ -140,40 +138,41 @@ def read_text(path: Path, wanted: str) -> str:
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:
-        raise OgmError(f"{path} is no text, wanted {wanted}: is its name right?")
+        raise OgmError(f"{path} is no text, wanted {wanted}: check its name")
     return text
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the words of every line that has some, with the number of the line."""
+    """Yield the number and the words of every line that is not blank."""
     for n, line in text_lines(read_text(path, "lines of words and numbers")):
         if words := line.split():
             yield n, words
 
 
 def text_lines(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a text with their numbers; one at a time, as short strings take 50 bytes each."""
+    """Yield the lines of a text with their numbers, one at a time, as short strings take 50 bytes each."""
     start, n = 0, 0
     while start < len(text):
         end = text.find("\n", start)
         end = len(text) if end < 0 else end
-        for line in text[start : end + 1].splitlines():  # also at other ends of lines
+        for line in text[start : end + 1].splitlines():  # also splits at other line ends
             n += 1
             yield n, line
         start = end + 1
 
 
 def read_json(path: Path, kind: type, wanted: str, limit: str = "json") -> Any:
-    """Read a JSON file whose outermost value is of a kind, `dict` or `list`.
+    """Read a JSON file with an outermost `dict` or `list`.
 
     Parameters
     ----------
     path : Path
     kind : type
+        `dict` or `list`.
     wanted : str
-        What it should be, in words, for the error.
+        Description of the expected content, for the error.
     limit : str
-        Field of `ogm.storage.limits.MemoryLimits` that bounds what it becomes in Python.
+        Field of `ogm.storage.limits.MemoryLimits` that bounds the Python objects.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}, wanted {wanted}: check the name and the folder")
@@ -185,23 +184,21 @@ def read_json(path: Path, kind: type, wanted: str, limit: str = "json") -> Any:
     except (ValueError, RecursionError) as error:
         raise OgmError(f"{path} is no JSON ({error}), wanted {wanted}: it is cut short or wrongly named") from error
     if not isinstance(value, kind):
-        raise OgmError(
-            f"{path} holds a JSON {type(value).__name__}, wanted a {kind.__name__}: {wanted}; is it another data "
-            "set's, or another file of this one?"
-        )
+        found = type(value).__name__
+        raise OgmError(f"{path} holds a JSON {found}, wanted a {kind.__name__}: {wanted}; check the file and dataset")
     return value
 
 
 def decode_json(data: bytes, path: Path, limit: str = "json") -> Any:
-    """Return what JSON stands for, if by an estimate from above it is within a limit; errors as of `json.loads`."""
-    size = len(data) + sum(data.count(sign) * each for sign, each in _JSON_SIZES.items())
+    """Return the value of JSON bytes if their estimated size is within a limit; errors of `json.loads` pass through."""
+    size = len(data) + sum(data.count(sign) * bytes_each for sign, bytes_each in _JSON_SIZES.items())
     if size > getattr(current_limits(), limit):
         raise too_large(path, size, limit)
     return json.loads(data)
 
 
 def is_file_name(name: str) -> bool:
-    """Return whether the system can have a file of a name, or path of folders, that another file states."""
+    """Return whether a file name or path, stated by another file, is valid on this system."""
     try:
         encoded = os.fsencode(name)
     except UnicodeEncodeError:
@@ -210,24 +207,23 @@ def is_file_name(name: str) -> bool:
 
 
 def need(value: Any, key: str, where: object, kind: type = object) -> Any:
-    """Return an entry of a JSON object; raise if it is missing, or not of a kind, `dict` or `list`."""
+    """Return an entry of a JSON object; raise if it is missing or not of a kind, `dict` or `list`."""
     if not isinstance(value, dict) or key not in value:
         got = ", ".join(map(str, value))[:120] if isinstance(value, dict) else type(value).__name__
-        raise OgmError(f"{where} has no {key!r}, only {got or 'nothing'}: is it of this data set?")
+        raise OgmError(f"{where} has no {key!r}, only {got or 'nothing'}: check that it belongs to this dataset")
     if not isinstance(value[key], kind):
-        raise OgmError(
-            f"{key!r} of {where} is a {type(value[key]).__name__}, wanted a {kind.__name__}: is it of this data set?"
-        )
+        found = type(value[key]).__name__
+        raise OgmError(f"{key!r} of {where} is a {found}, wanted a {kind.__name__}: check that it is of this dataset")
     return value[key]
 
 
 def need_numbers(value: Any, key: str, count: int | tuple[int, ...], where: object) -> NDArray[np.float64]:
-    """Return an entry of a JSON object, which must be finite numbers of a shape."""
+    """Return finite numbers of a shape from an entry of a JSON object; raise for other entries."""
     return numbers(need(value, key, where), count, f"{key} of {where}")
 
 
 def numbers(value: Any, count: int | tuple[int, ...], where: str) -> NDArray[np.float64]:
-    """Return finite numbers of a shape; raise if `value` is something else."""
+    """Return finite numbers of a shape; raise for other values."""
     shape = (count,) if isinstance(count, int) else count
     try:
         array = np.array(value, np.float64)
@@ -239,7 +235,7 @@ def numbers(value: Any, count: int | tuple[int, ...], where: str) -> NDArray[np.
 
 
 def rigid(T: NDArray[np.float64], where: str) -> NDArray[np.float64]:
-    """Return a transform of a file, (4, 4); raise if it is not rigid."""
+    """Return a transform (4, 4) of a file; raise if it is not rigid."""
     try:
         return check_pose(T, where)
     except ValueError as error:
@@ -249,25 +245,23 @@ def rigid(T: NDArray[np.float64], where: str) -> NDArray[np.float64]:
 def from_quaternions(
     positions: NDArray[np.float64], quaternions: NDArray[np.float64], where: Callable[[int], str]
 ) -> NDArray[np.float64]:
-    """Return transforms (K, 4, 4) of a file.
+    """Return the transforms (K, 4, 4) of positions and quaternions.
 
     Parameters
     ----------
     positions : (K, 3) float64
         [m]
     quaternions : (K, 4) float64
-        x, y, z, w; of length 1, but for rounding.
+        x, y, z, w; of length 1 except for rounding.
     where : function
-        The place of row k in the file, for the error.
+        Name of row k in the file, for the error.
     """
     length = np.linalg.norm(quaternions, axis=1)
     bad = ~(np.isfinite(positions).all(axis=1) & (np.abs(length - 1) <= _UNIT))
     if bad.any():
         k = int(np.argmax(bad))
-        raise OgmError(
-            f"{where(k)} must have a finite position and a quaternion of length 1, got {length[k]:.4g}: "
-            f"{positions[k].tolist()}, {quaternions[k].tolist()}"
-        )
+        got = f"{length[k]:.4g}: {positions[k].tolist()}, {quaternions[k].tolist()}"
+        raise OgmError(f"{where(k)} must have a finite position and a quaternion of length 1, got {got}")
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     if len(poses):
         poses[:, :3, :3] = quaternion_to_matrix(quaternions)
@@ -276,18 +270,18 @@ def from_quaternions(
 
 
 def parse_array(data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool], wanted: str) -> NDArray[Any]:
-    """View the numbers of an ``.npy`` file, whose header is trusted only as far as the file reaches.
+    """View the numbers of an ``.npy`` file, after checking its header against the size of the file.
 
     Parameters
     ----------
     data : bytes
-        The whole file. (`numpy.load` allocates what the header promises before it reads on.)
+        The whole file. (`numpy.load` allocates the size stated by the header before reading.)
     path : Path
-        Its name, for messages.
+        File name, for errors.
     fits : function
-        Whether an array of a shape is wanted.
+        Predicate for the shape.
     wanted : str
-        What it should be, in words, for the error.
+        Description of the expected array, for the error.
     """
     stream = io.BytesIO(data)
     try:
@@ -297,13 +291,11 @@ def parse_array(data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool]
         shape, fortran, dtype = _HEADERS[version](stream)
     except Exception as error:  # the header is Python text, which can be wrong in many ways
         raise OgmError(f"{path} has no readable numpy header ({error}), wanted {wanted}") from error
-    sizes = all(type(size) is int and 0 <= size <= len(data) for size in shape)  # numpy lets True through
+    sizes = all(type(size) is int and 0 <= size <= len(data) for size in shape)  # numpy accepts True as a size
     if not sizes or dtype.kind not in "fiu" or not fits(shape):
         raise OgmError(f"{path} holds an array of {dtype} and shape {shape}, wanted {wanted}")
     count, offset = math.prod(shape), stream.tell()
     if offset + count * dtype.itemsize > len(data):
-        raise OgmError(
-            f"{path} has {len(data) - offset} bytes after its header, wanted {count * dtype.itemsize} for "
-            f"shape {shape}: it is cut short"
-        )
+        wanted = count * dtype.itemsize
+        raise OgmError(f"{path} has {len(data) - offset} bytes of data, wanted {wanted} for {shape}: it is cut short")
     return np.frombuffer(data, dtype, count, offset).reshape(shape, order="F" if fortran else "C")

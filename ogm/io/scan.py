@@ -1,4 +1,4 @@
-"""Reading scans: any supported file to points in metres, x forward, y left, z up."""
+"""Readers of scans: any supported file to points in metres, x forward, y left, z up."""
 
 import logging
 from collections.abc import Sequence
@@ -19,12 +19,12 @@ log: logging.Logger = logging.getLogger(__name__)
 
 
 def read_points(path: FilePath, axes: Axes = "flu", **options: Any) -> np.ndarray:
-    """Read the points of one scan.
+    """Read the points of a scan.
 
     Parameters
     ----------
     path, axes
-        As for `read_scan`, which lists the formats, the defaults and the errors.
+        See `read_scan`, which also lists formats, defaults and errors.
     **options
         ``intensity_max``, ``origin`` and ``time_unit`` of `read_scan`.
 
@@ -44,67 +44,62 @@ def read_scan(
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     time_unit: float | None = None,
 ) -> Scan:
-    """Read one scan, with everything that the file holds about it.
+    """Read one scan, with all per-point data of the file.
 
-    The file's name gives its format: ``.bin`` (KITTI), ``.pcd.bin`` (nuScenes), ``.pcd``, ``.ply``,
-    ``.feather`` (Argoverse 2), ``.las``, ``.laz`` and ``.npy``, each also packed as ``.xz`` or ``.gz``.
+    The file name gives the format: ``.bin`` (KITTI), ``.pcd.bin`` (nuScenes), ``.pcd``, ``.ply``, ``.feather``
+    (Argoverse 2), ``.las``, ``.laz`` and ``.npy``, each also packed as ``.xz`` or ``.gz``. Fields are recognised by
+    name, ignoring case and the prefix ``scalar_`` of CloudCompare.
 
     Rows without a point (x, y or z NaN or infinite, or all three 0 for "no return") are dropped, counted and
-    logged. All others are kept as they are, those of the ego vehicle and those far below the ground too: the
-    inverse sensor model decides about them. A file of no points gives (0, 4).
+    logged. All other rows are kept, including points of the ego vehicle and far below the ground: the inverse sensor
+    model decides about them. A file without points gives (0, 4). Points beyond 100 km are dropped too; if most points
+    lie so far, the file is in map coordinates, which is an error.
 
-    Points beyond 100 km are dropped, too, unless they are most: then the file is in map coordinates.
-
-    What else a row lacks drops no point, for a wall that is dropped is taken for free: an intensity that is
-    NaN or infinite becomes 0, counted and logged; a time that is, or that is far from the others, becomes one between
-    those of the rows around it; rings of which one is no whole number from 0 to 65535, and times of no sweep, are left
-    out altogether (None). All of this is logged, of the scans of a drive once.
-
-    Fields are known by their names, whether in capitals or not, and with or without the ``scalar_`` of
-    CloudCompare.
+    Other invalid values drop no point, because a dropped wall would become free space. A NaN or infinite intensity
+    becomes 0. A time that is NaN, infinite or far from the others is interpolated between the neighbouring rows. If any
+    ring is no integer from 0 to 65535, or the times fit no sweep, the whole column is left out (None). All of this is
+    logged, once per drive.
 
     Parameters
     ----------
     path : path
-        The file.
     axes : str, 3 str or (3, 3) array
-        Which way the file's axes point. Either a name from `AXES`; or the file's axes
-        that point forward, left and up, such as ``("+y", "-x", "+z")``; or the rotation from the file's axes
-        to those. The default, ``"flu"``, changes nothing but files of nuScenes, whose axes are known: ``"nuscenes"``.
+        Axes of the file: a name from `AXES`; the file's axes that point forward, left and up, such as
+        ``("+y", "-x", "+z")``; or the rotation from the file's axes to forward, left, up. The default, ``"flu"``,
+        changes only files of nuScenes, which have the known axes ``"nuscenes"``.
     intensity_max : float or (float, float), optional
-        The file's intensity that means 1, or those that mean 0 and 1; others count as 0 or 1. By default 1 is that of
-        the format: 1 in KITTI, 255 in nuScenes, 255 or 65535 where intensities are whole numbers of 8 or 16 bits
-        without sign (Argoverse, PLY, LAS). Else, and where more than 1 % are larger, it is the first of 1, 255 and
-        65535 that 99 % do not exceed, or what 99 % do not exceed. Where most intensities are negative they are
-        decibels, and the range of 98 % of them counts. What is guessed is logged; the scans of a drive have one range,
-        see `ogm.datasets.recording.Recording.intensities`. `read_scan_file` returns what was taken.
+        Intensity of the file that becomes 1, or a pair that becomes 0 and 1; values beyond are clipped. The default is
+        defined by the format: 1 in KITTI, 255 in nuScenes, 255 or 65535 for unsigned 8-bit or 16-bit integers
+        (Argoverse, PLY, LAS). For other formats, or if more than 1 % are larger, it is the smallest of 1, 255 and
+        65535 that covers 99 % of the intensities, or else their 99 % quantile. If most intensities are negative they
+        are decibels, and the range of the middle 98 % is used. Guesses are logged; the scans of a drive share one
+        range, see `ogm.datasets.recording.Recording.intensities`. `read_scan_file` returns the value used.
     origin : 3 float
-        Position of the sensor in the file's coordinates [m], for files in map coordinates (UTM), which
-        float32 cannot hold. It is subtracted first.
+        Position of the sensor in the file's coordinates [m], for files in map coordinates (UTM), which float32 cannot
+        hold. It is subtracted first.
     time_unit : float, optional
-        What the file's times count in [s]: 1e-9 for nanoseconds, 1e-6 for microseconds. By default whole
-        numbers count nanoseconds, others seconds. If times then last longer than 10 s, they count in s, ms, us or ns,
-        whichever makes them last 2 ms to 2 s, or are left out.
+        Unit of the file's times [s]: 1e-9 for nanoseconds, 1e-6 for microseconds. Default: nanoseconds for integers,
+        seconds for floats. If the times then last longer than 10 s, their unit is s, ms, us or ns such that they last
+        2 ms to 2 s; if none fits, they are left out.
 
     Returns
     -------
     Scan
-        If the earliest time is beyond 10 s, the times are a clock's: `Scan.stamp` is then the earliest, and
-        `Scan.time` counts from it. Otherwise `Scan.time` is as in the file, and `Scan.stamp` the number at
-        the end of the file's name if that has 16 digits (microseconds, as in nuScenes) or 18 or 19
-        (nanoseconds, as in Argoverse).
-        `Scan.no_returns` is found in organised clouds whose raster is a spinning lidar's.
+        If the earliest time is beyond 10 s, the times belong to a clock: `Scan.stamp` is then the earliest, and
+        `Scan.time` counts from it. Otherwise `Scan.time` is the file's time, and `Scan.stamp` the number at the end of
+        the file name if it has 16 digits (microseconds, as in nuScenes) or 18 or 19 (nanoseconds, as in Argoverse).
+        `Scan.no_returns` is computed for organised clouds with the raster of a spinning lidar.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If the file is not what its name promises, is damaged, or has numbers that no scan has.
+        If the file does not match its name, is damaged, or has implausible numbers.
     ValueError
-        If `axes`, `intensity_max`, `origin` or `time_unit` make no sense.
+        If `axes`, `intensity_max`, `origin` or `time_unit` is invalid.
     ImportError
-        If the format needs a package of the ``io`` extra that is not there.
+        If the format needs a missing package of the ``io`` extra.
     """
     return read_scan_file(path, axes, intensity_max=intensity_max, origin=origin, time_unit=time_unit)[0]
 
@@ -117,7 +112,7 @@ def read_scan_file(
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     time_unit: float | None = None,
 ) -> tuple[Scan, FileFacts]:
-    """Read one scan as `read_scan` does, and return with it what else the file holds."""
+    """Read one scan like `read_scan`, and return it with further facts about the file."""
     shift = np.asarray(origin, dtype=np.float64)
     if shift.shape != (3,) or not np.isfinite(shift).all():
         raise ValueError(f"origin must be x, y, z [m], got {origin!r}")
@@ -132,25 +127,25 @@ def read_scan_file(
 
 
 def read_table(path: FilePath) -> Table:
-    """Read the columns of a scan as they stand in its file; errors as for `read_scan`."""
+    """Read the columns of a scan without conversion; errors: see `read_scan`."""
     data, inner = read_bytes(path)
     return parse(data, inner)
 
 
 def describe(scan: Scan, file: FileFacts) -> dict[str, str]:
-    """Return what a scan holds, as names and values to print.
+    """Return the content of a scan, as names and values to print.
 
     Parameters
     ----------
     scan : Scan
         One sweep.
     file : FileFacts
-        Of the file it was read from.
+        Facts about its file.
 
     Returns
     -------
     dict of str to str
-        In the order to print; what the file does not have is left out.
+        Entries in printing order; missing data is left out.
     """
     facts = {"format": file.format, "fields": " ".join(file.fields), "points": str(len(scan.points))}
     if file.shape is not None:

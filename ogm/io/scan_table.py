@@ -1,4 +1,4 @@
-"""From named columns, of a file or a message, to a scan: metres, x forward, y left, z up, and beams without return."""
+"""Conversion of named columns to a scan: metres, x forward, y left, z up, and beams without return."""
 
 import logging
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ AXES: dict[str, tuple[str, str, str]] = {
     "nuscenes": ("+y", "-x", "+z"),  # the frame of LIDAR_TOP
     "sustech": ("-y", "+x", "+z"),  # the example of SUSTechPOINTS
 }
-"""Names for the axes of a file that point forward, left and up."""
+"""Axes of a file that point forward, left and up, by name."""
 
 Axes = str | Sequence[str] | np.ndarray
 
@@ -42,7 +42,7 @@ _WAY_OUT = f'give {", ".join(AXES)}, or the axes that point forward, left, up, s
 
 
 def rotation_to_flu(axes: Axes) -> np.ndarray:
-    """Matrix that takes a file's coordinates to forward, left, up.
+    """Return the rotation from a file's axes to forward, left, up.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
     Returns
     -------
     rotation : (3, 3) float64
-        A rotation: never a reflection.
+        Proper rotation, never a reflection.
     """
     if isinstance(axes, str):
         if axes not in AXES:
@@ -69,7 +69,7 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise ValueError(f"axes {axes!r} are no (3, 3) matrix of numbers: {_WAY_OUT}") from error
     if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-        raise ValueError(f"axes must be three at right angles to each other, got {rotation.tolist()}: {_WAY_OUT}")
+        raise ValueError(f"axes must be orthogonal unit vectors, got {rotation.tolist()}: {_WAY_OUT}")
     if np.linalg.det(rotation) < 0:
         raise ValueError(f"axes must be right-handed, got the reflection {rotation.tolist()}: {_WAY_OUT}")
     return rotation
@@ -77,25 +77,25 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
 
 log: logging.Logger = logging.getLogger(__name__)
 
-_BLOCK = 2**18  # rows that are converted at a time
-_MISREAD = 0.05  # share of negative intensities from which rows have another number of values
+_BLOCK = 2**18  # rows converted at a time
+_MISREAD = 0.05  # share of negative intensities above which the number of values per row is wrong
 
 
 class FileFacts(NamedTuple):
-    """What a file of a scan holds besides the scan.
+    """Facts about the file of a scan.
 
     Attributes
     ----------
     dropped : int
-        Rows of the file that hold no point: x, y or z NaN, infinite or absurdly far, or (0, 0, 0).
+        Rows without a point: x, y or z NaN, infinite or absurdly far, or (0, 0, 0).
     intensity_max : float or None
-        The file's intensity that became 1; None where it has none.
+        Intensity of the file that became 1; None without intensities.
     format : str
-        What the file is, in words.
+        Name of the file format.
     fields : tuple of str
-        What the file holds per point, under its own names.
+        Names of all fields per point.
     shape : (rows, columns) or None
-        The raster of an organised file; None for a list of points.
+        Raster of an organised file; None for a list of points.
     """
 
     dropped: int = 0
@@ -115,18 +115,18 @@ def scan_from_table(
     time_unit: float | None = None,
     stamp: float | None = None,
 ) -> tuple[Scan, FileFacts]:
-    """Return the scan that columns of numbers hold, and what else there is to know of them.
+    """Return the scan and file facts of a table of columns.
 
     Parameters
     ----------
     table : Table
-        Of a file or a message.
+        Columns of a file or a message.
     where : Path or str
-        Its name, for errors; without `stamp`, that of a file, which may hold one.
+        Name for errors; without `stamp`, a file name, which may contain the stamp.
     axes, origin, intensity_max, time_unit
-        As for `read_scan`.
+        See `read_scan`.
     stamp : float, optional
-        Of a message [s]: its times count from there, see `ogm.io.columns.times_from_stamp`.
+        Stamp of a message [s], the origin of its times, see `ogm.io.columns.times_from_stamp`.
     """
     rotation = rotation_to_flu(axes)
     check_scales(intensity_max, time_unit)
@@ -135,8 +135,8 @@ def scan_from_table(
     if not columns.keys() >= set(POSITION):
         raise OgmError(f"{where} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
 
-    # Points are the rows with a finite position and a distance, whatever else they lack.
-    # They go from the file's coordinates to x forward, y left, z up.
+    # Points are the rows with a finite position and a distance above 0; other columns are ignored.
+    # Their coordinates become x forward, y left, z up.
     xyz, returned, reach = _positions([columns[name] for name in POSITION], rotation, origin)
     there = returned
     if reach > REACH:
@@ -156,9 +156,9 @@ def scan_from_table(
         points[:, axis] = xyz[axis, kept]
     del xyz
 
-    # What else was measured.
+    # Other measured columns.
     def known(names: tuple[str, ...]) -> NDArray[Any] | None:
-        """Return the first column that is there, in the machine's order of bytes."""
+        """Return the first existing column in native byte order, for the kept rows."""
         found = next((columns[name] for name in names if name in columns), None)
         return None if found is None else _native(found[kept])
 
@@ -185,12 +185,12 @@ def scan_from_table(
 
 
 def _native(column: NDArray[Any]) -> NDArray[Any]:
-    """Return a column in the machine's order of bytes."""
+    """Return a column in native byte order."""
     return np.ascontiguousarray(column, column.dtype.newbyteorder("="))
 
 
 def _by_meaning(table: Table) -> dict[str, NDArray[Any]]:
-    """Return the columns by the spelling of `plain`; of several with one meaning the first, which is logged."""
+    """Return the columns by the spelling of `plain`; duplicates, which are logged elsewhere, are dropped."""
     columns: dict[str, NDArray[Any]] = {}
     for name, column in table.columns.items():
         columns.setdefault(plain(name), column)
@@ -198,33 +198,32 @@ def _by_meaning(table: Table) -> dict[str, NDArray[Any]]:
 
 
 def _check_far(points: int, near: int, reach: float, where: Path | str) -> None:
-    """Log points that are absurdly far, or raise where they are most: then the coordinates are no sensor's."""
+    """Log absurdly far points, or raise if they are the majority: the coordinates are then not the sensor's."""
     if 2 * near > points:
         text = "%s: %d of %d points are farther than %g m, up to %.3g m, and dropped"
         notice(log, "far points", text, where, points - near, points, REACH, reach)
         return
     raise OgmError(
-        f"{where} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are map "
-        "coordinates, give the sensor's position as `origin`; if not, the file is damaged or wrongly "
-        "named"
+        f"{where} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: for map coordinates "
+        "give the sensor's position as `origin`; otherwise the file is damaged or wrongly named"
     )
 
 
 def _intensities(table: Table, columns: dict[str, NDArray[Any]]) -> NDArray[Any] | None:
-    """Return the first column of intensities that are not mostly negative, else the first."""
+    """Return the first intensity column that is not mostly negative, else the first."""
     found = [columns[name] for name in INTENSITY if name in columns]
     if len(found) < 2:
         return found[0] if found else None
-    return next((one for one in found if 2 * np.count_nonzero(one < 0) <= one.size), found[0])
+    return next((column for column in found if 2 * np.count_nonzero(column < 0) <= column.size), found[0])
 
 
 def stated_range(table: Table) -> IntensityRange | None:
-    """Return the intensities that mean 0 and 1 by the values of a scan; None if the type states them, or without any.
+    """Return the intensities of a scan that become 0 and 1; None without any, or if defined by their type.
 
     Parameters
     ----------
     table : Table
-        Of a file or a message.
+        Columns of a file or a message.
     """
     raw = _intensities(table, _by_meaning(table))
     if raw is None or raw.dtype.newbyteorder("=") in (np.uint8, np.uint16):
@@ -233,22 +232,22 @@ def stated_range(table: Table) -> IntensityRange | None:
 
 
 def _check_order(table: Table, raw: NDArray[Any], where: Path | str) -> None:
-    """Raise where rows without names seem to have another number of values: then x, y and z are none."""
+    """Raise if rows without field names seem to have another number of values, which would corrupt x, y and z."""
     if table.headerless and np.count_nonzero(raw < 0) > _MISREAD * raw.size:
         raise OgmError(
             f"{where} has intensities down to {raw.min():.3g}, wanted none below 0 in rows of {len(table.columns)} "
-            f"float32 ({table.format}): its rows may have another number of values, four in .bin (KITTI), five in "
-            ".pcd.bin (nuScenes): name it after its rows; or give intensity_max if intensities are negative"
+            f"float32 ({table.format}): for rows of four values name it .bin (KITTI), for five .pcd.bin (nuScenes); "
+            "if negative intensities are correct, give intensity_max"
         )
 
 
 def _positions(
     columns: list[NDArray[Any]], rotation: NDArray[np.float64], origin: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
-    """Return x, y, z as (3, N) in our axes, 0 or without meaning where there is no point; where; and their reach [m].
+    """Return x, y, z (3, N) in axes forward, left, up, the mask of rows with a point, and the largest coordinate [m].
 
-    Computed in float64 where something changes but the type, in blocks of `_BLOCK` rows: the whole would take a
-    multiple of the memory of the points.
+    Rows without a point hold 0 or arbitrary numbers. Conversions other than of the type are done in float64, in blocks
+    of `_BLOCK` rows to limit memory.
     """
     turned = not np.array_equal(rotation, np.eye(3))
     short = origin is None and not turned and all(c.dtype.newbyteorder("=") == np.float32 for c in columns)
@@ -257,7 +256,7 @@ def _positions(
     for start in range(0, len(returned), _BLOCK):
         part = slice(start, start + _BLOCK)
         block = np.empty((3, len(returned[part])), np.float32 if short else np.float64)
-        with np.errstate(invalid="ignore", over="ignore"):  # of signalling NaN only NaN is left; reach is refused
+        with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN become NaN; infinite reach is refused
             for row, column in zip(block, columns, strict=True):
                 row[:] = column[part]
             there = np.any(block != 0, axis=0) & np.isfinite(block).all(axis=0)
@@ -273,20 +272,20 @@ def _positions(
 
 
 def check_scales(intensity_max: IntensityScale | None, time_unit: float | None) -> None:
-    """Refuse an `intensity_max` or a `time_unit` that makes no sense."""
+    """Raise ValueError for an invalid `intensity_max` or `time_unit`."""
     if isinstance(intensity_max, tuple):
         if not -np.inf < intensity_max[0] < intensity_max[1] < np.inf:
-            raise ValueError(f"intensity_max must be two rising numbers, those that mean 0 and 1, got {intensity_max}")
+            raise ValueError(f"intensity_max must be two increasing numbers, for 0 and 1, got {intensity_max}")
     elif isinstance(intensity_max, int | float) and not 0.0 < intensity_max < np.inf:
         raise ValueError(f"intensity_max must be above 0, got {intensity_max!r}")
     if time_unit is not None and not 0.0 < time_unit < np.inf:
         raise ValueError(f"time_unit must be above 0 [s], such as 1e-9 for nanoseconds, got {time_unit!r}")
 
 
-_MOST = 2**20  # cells of a raster; that of a lidar of 512 lasers has as many, and the search takes 100 bytes for each
-_PER_ROW, _PER_COLUMN = 8, 2  # returns at least, before the angle of a row or a column is believed
+_MAX_CELLS = 2**20  # of a raster, as many as a lidar of 512 lasers has; the search takes 100 bytes per cell
+_PER_ROW, _PER_COLUMN = 8, 2  # least returns for the angle of a row or a column
 _TOLERANCE = np.radians(1.0)  # [rad] within which 9 of 10 returns must lie on the raster
-_STEP = 8  # every 8th column gives the rows' offsets, where it has enough returns
+_STEP = 8  # the rows' offsets are computed from every 8th column if these have enough returns
 
 
 def directions_without_return(
@@ -294,29 +293,29 @@ def directions_without_return(
 ) -> np.ndarray | None:
     """Return the directions of the beams without a return.
 
-    A spinning lidar's raster has one elevation per row and one azimuth per column, plus, on some sensors, an
-    offset of the azimuth per row. All three are found from the returns. Rows with fewer than 8 returns and
-    columns with fewer than 2 give no angle, so their beams without return are left out.
+    A spinning lidar's raster has one elevation per row and one azimuth per column, and on some sensors an azimuth
+    offset per row. All three are estimated from the returns. Rows with fewer than 8 returns and columns with fewer
+    than 2 give no angle, so their beams without return are left out.
 
     Parameters
     ----------
     x, y, z : (rows, columns) float
-        Points as seen from the sensor, forward, left, up [m].
+        Points relative to the sensor, forward, left, up [m].
     returned : (rows, columns) bool
-        Where there is a point.
+        Mask of points.
     echoed : (rows, columns) bool, optional
-        Where there was an echo; by default where there is a point.
+        Mask of echoes; by default `returned`.
 
     Returns
     -------
     directions : (M, 3) float32 or None
-        Unit vectors. None if the raster is no spinning lidar's, seen from the origin: if 1 of 10 returns or
-        more lies over 1 degree off its row's elevation or its column's azimuth; or if it has more than 2**20 cells.
+        Unit vectors. None if the raster is no spinning lidar's, seen from the origin: if 1 of 10 returns or more lies
+        over 1 degree off its row's elevation or its column's azimuth; or if it has more than 2**20 cells.
     """
-    if returned.size > _MOST:
+    if returned.size > _MAX_CELLS:
         return None
     echoed = returned if echoed is None else echoed
-    if returned.shape[0] > returned.shape[1]:  # some drivers write a column of lasers after the other
+    if returned.shape[0] > returned.shape[1]:  # some drivers write one column of lasers after the other
         x, y, z, returned, echoed = x.T, y.T, z.T, returned.T, echoed.T
     while True:
         rows = np.count_nonzero(returned, axis=1) >= _PER_ROW
@@ -327,7 +326,7 @@ def directions_without_return(
     if min(returned.shape) < 2:
         return None
 
-    # Directions in the plane as unit complex numbers: a turn is a product.
+    # Horizontal directions as unit complex numbers: a rotation is a product.
     x, y, z = (np.ascontiguousarray(image, np.float32) for image in (x, y, z))
     distance = np.hypot(x, y)
     elevations = np.arctan2(z, distance)
@@ -335,7 +334,7 @@ def directions_without_return(
     with np.errstate(invalid="ignore", divide="ignore"):
         ways = np.where(returned & (distance > 0), (x + 1j * y) / distance, 0)
 
-    # The azimuth of the columns, the rows' offset from it, the columns' again without that offset, and so on.
+    # Alternate between the azimuth of the columns and the rows' offset from it.
     enough = np.count_nonzero(returned[:, ::_STEP], axis=1) >= _PER_ROW
     some = np.s_[:, :: _STEP if enough.all() else 1]
     offset = np.ones((len(ways), 1), ways.dtype)
@@ -354,7 +353,7 @@ def directions_without_return(
 
 
 def _median(angle: np.ndarray, returned: np.ndarray) -> np.ndarray:
-    """Take the median of each row over its returns; as `numpy.nanmedian`, but three times as fast."""
+    """Return the median of each row over its returns; like `numpy.nanmedian`, but three times as fast."""
     number = np.count_nonzero(returned, axis=1)[:, None]
     ordered = np.sort(np.where(returned, angle, angle.dtype.type(np.inf)), axis=1)
     low, high = (np.take_along_axis(ordered, at, axis=1) for at in ((number - 1) // 2, number // 2))
@@ -362,6 +361,6 @@ def _median(angle: np.ndarray, returned: np.ndarray) -> np.ndarray:
 
 
 def _unit(way: np.ndarray) -> np.ndarray:
-    """Bring complex numbers to length 1; 0, where all directions cancel, becomes 1."""
+    """Scale complex numbers to length 1; 0, if all directions cancel, becomes 1."""
     length = np.abs(way)
     return np.where(length > 0, way / np.maximum(length, np.finfo(way.real.dtype).tiny), 1)

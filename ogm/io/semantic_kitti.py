@@ -15,7 +15,7 @@ from ogm.storage.files import FilePath, OgmError, error_context
 
 __all__ = ["SEMANTIC_KITTI", "SEMANTIC_KITTI_MOVING", "SEMANTIC_KITTI_TRAINING", "read_semantic_kitti"]
 
-# Class by its number, as in ``labels/*.label`` of SemanticKITTI
+# Classes by number, as in ``labels/*.label`` of SemanticKITTI
 SEMANTIC_KITTI = {
     **{0: "unlabeled", 1: "outlier", 10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on-rails"},
     **{18: "truck", 20: "other-vehicle", 30: "person", 31: "bicyclist", 32: "motorcyclist", 40: "road"},
@@ -26,49 +26,47 @@ SEMANTIC_KITTI = {
     **{259: "moving-other-vehicle"},
 }
 
-# Those of them that move while the drive is recorded
+# Classes that move while the drive is recorded
 SEMANTIC_KITTI_MOVING = frozenset(range(252, 260))
 
-# The 20 classes that networks are trained on, by number
-SEMANTIC_KITTI_TRAINING = {
-    **{0: "unlabeled", 1: "car", 2: "bicycle", 3: "motorcycle", 4: "truck", 5: "other-vehicle", 6: "person"},
-    **{7: "bicyclist", 8: "motorcyclist", 9: "road", 10: "parking", 11: "sidewalk", 12: "other-ground"},
-    **{13: "building", 14: "fence", 15: "vegetation", 16: "trunk", 17: "terrain", 18: "pole"},
-    **{19: "traffic-sign"},
-}
+# The 20 training classes, by number
+_TRAINING = (
+    "unlabeled, car, bicycle, motorcycle, truck, other-vehicle, person, bicyclist, motorcyclist, road, parking, "
+    "sidewalk, other-ground, building, fence, vegetation, trunk, terrain, pole, traffic-sign"
+)
+SEMANTIC_KITTI_TRAINING = dict(enumerate(_TRAINING.split(", ")))
 
 _LABEL = np.dtype("<u4")
 
 
 def read_semantic_kitti(scan: FilePath, labels: FilePath) -> LabelledPoints:
-    """Read a scan with the classes that its points belong to.
+    """Read a scan with the class of every point.
 
     Parameters
     ----------
     scan : path
-        ``velodyne/000000.bin``, KITTI's own.
+        ``velodyne/000000.bin`` of KITTI.
     labels : path
-        ``labels/000000.label``: a number of 32 bits per point, the lower 16 the class.
+        ``labels/000000.label``: one 32-bit number per point, its lower 16 bits are the class.
 
     Returns
     -------
     LabelledPoints
-        With `SEMANTIC_KITTI` as names. Points at the sensor itself are left out with their labels.
+        Points with `SEMANTIC_KITTI` as names. Points at the sensor itself are left out with their labels.
 
     Raises
     ------
     FileNotFoundError
-        If a file is not there.
+        If a file is missing.
     OgmError
-        If there are more or fewer labels than points, a class that the data set does not have, or a point further
-        away than any.
+        If the numbers of labels and points differ, a class is unknown, or a point is absurdly far.
     """
     (data, inner), (numbers, named) = read_bytes(scan), read_bytes(labels)
     rows = np.column_stack(list(parse_kitti(data, inner).columns.values()))
     if len(numbers) != _LABEL.itemsize * len(rows):
         raise OgmError(
-            f"{labels} has {len(numbers) / _LABEL.itemsize:g} labels, {scan} has {len(rows)} points: wanted as many, "
-            "4 bytes each. Do the two belong together, and are both whole?"
+            f"{labels} has {len(numbers) / _LABEL.itemsize:g} labels, {scan} has {len(rows)} points, wanted equal "
+            "numbers, 4 bytes per label: give complete files of the same scan"
         )
     both = np.frombuffer(numbers, _LABEL).astype(np.int64)
     kept = np.isfinite(rows).all(axis=1) & np.any(rows[:, :3] != 0, axis=1)

@@ -1,4 +1,4 @@
-"""SUSTechPOINTS: boxes as its annotation tool writes them (Li et al. 2020).
+"""SUSTechPOINTS: boxes written by its annotation tool (Li et al. 2020).
 
 >>> from ogm.io.sustech import read_sustech
 >>> boxes = read_sustech("label/000965.json")                               # doctest: +SKIP
@@ -18,26 +18,26 @@ __all__ = ["read_sustech"]
 
 
 def read_sustech(path: FilePath, axes: Axes = "sustech") -> Boxes:
-    """Read the boxes of one scan (``label/000965.json``).
+    """Read the boxes of a scan (``label/000965.json``).
 
     Parameters
     ----------
     path : path
-        A list of objects, each with ``psr`` (position, scale, rotation), ``obj_type`` and ``obj_id``.
+        List of objects, each with ``psr`` (position, scale, rotation), ``obj_type`` and ``obj_id``.
     axes : str, 3 str or (3, 3) array
-        Which way the scan's axes point, as for `read_points`; the default is that of the tool's own example.
+        Axes of the scan, see `read_scan`; the default fits the tool's own example.
 
     Returns
     -------
     Boxes
-        They are taken as upright: roll and pitch are left out.
+        Upright boxes: roll and pitch are ignored.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is no such list, or an entry lacks something or has no numbers.
+        If it is no such list, or an entry is incomplete or not numeric.
     """
     path = Path(path)
     turn = rotation_to_flu(axes)

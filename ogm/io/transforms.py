@@ -1,4 +1,4 @@
-"""Where frames were at a time: transforms between pairs of frames, chained and interpolated."""
+"""Transforms between pairs of frames over time, chained and interpolated."""
 
 import logging
 import math
@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.pose import Trajectory, check_pose, inverse
+from ogm.io.reading import rigid
+from ogm.pose import Trajectory, inverse
 from ogm.storage.files import OgmError
 
 __all__ = [
@@ -21,16 +22,16 @@ __all__ = [
 log: logging.Logger = logging.getLogger(__name__)
 
 
-_CHANGE = 0.01  # [m], and of the numbers of a rotation
+_CHANGE = 0.01  # [m], and for the numbers of a rotation
 
 
 def frame_name(name: object) -> str:
-    """Return the name of a frame without slashes, blanks and zeros around it, which some drivers add."""
+    """Return a frame name without surrounding slashes, blanks and zeros, which some drivers add."""
     return str(name).strip("/ \t\0")
 
 
 class TransformError(OgmError):
-    """A transform between two frames is not known at a time."""
+    """A transform between two frames is unknown at a time."""
 
 
 class UnknownFrameError(TransformError):
@@ -42,13 +43,13 @@ class NotConnectedError(TransformError):
 
 
 class ExtrapolationError(TransformError):
-    """A chain of transforms is known, but not at the time that was asked for.
+    """A chain of transforms is known, but not at the requested time.
 
     Attributes
     ----------
     seconds : float
-        How far the time is from what is known [s]: above 0 if it is later, so that waiting may help; below 0 if it is
-        earlier; 0 inside of a gap.
+        Distance from the known times [s]: above 0 for a later time, so that waiting may help; below 0 for an earlier
+        time; 0 in a gap.
     """
 
     def __init__(self, message: str, seconds: float) -> None:
@@ -57,7 +58,7 @@ class ExtrapolationError(TransformError):
 
 
 class StampedTransform(NamedTuple):
-    """Where a frame was in another at a time.
+    """Pose of a frame in its parent frame at a time.
 
     Attributes
     ----------
@@ -74,7 +75,7 @@ class StampedTransform(NamedTuple):
 
 
 class _Edge:
-    """Transforms of one pair of frames: one for all times, or several, in the order of their stamps."""
+    """Transforms of one pair of frames: a static one, or several in the order of their stamps."""
 
     def __init__(self) -> None:
         self.static: NDArray[np.float64] | None = None
@@ -88,17 +89,17 @@ class _Edge:
 
 
 class TransformBuffer:
-    """Transforms between frames, as they come from ``/tf``, ``/tf_static``, odometry or calibration.
+    """Transforms between frames, from ``/tf``, ``/tf_static``, odometry or calibration.
 
-    Poses are interpolated: positions on a straight line, rotations on the shortest arc. Nothing is extrapolated.
-    A frame may have several parents; the chain of the fewest transforms counts.
+    Positions are interpolated linearly, rotations on the shortest arc. Nothing is extrapolated. A frame may have
+    several parents; the chain with the fewest transforms is used.
 
     Parameters
     ----------
     max_gap : float
-        The longest time between two transforms of a pair that is interpolated [s].
+        Longest time between two transforms of a pair that is interpolated [s].
     keep : float, optional
-        How long transforms are kept, counted back from the latest of their pair [s]; all by default. For live use.
+        Time for which transforms are kept, counted back from the latest of their pair [s], for live use. Default: all.
 
     Examples
     --------
@@ -119,7 +120,7 @@ class TransformBuffer:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Names of all frames, in the order in which they came."""
+        """Names of all frames, in the order of their first transforms."""
         return tuple(self._neighbours)
 
     @property
@@ -130,22 +131,19 @@ class TransformBuffer:
     def add(self, transform: StampedTransform, static: bool = False) -> None:
         """Add a transform.
 
-        Of several with one stamp, the first counts, as in tf2; of several static ones of a pair, the last.
-        A static transform holds at all times, whatever was added for its pair besides.
+        Of several with the same stamp, the first is used, as in tf2; of several static ones of a pair, the last. A
+        static transform holds at all times and replaces the others of its pair.
 
         Raises
         ------
         OgmError
-            If a name is empty, the names are the same, the stamp is not finite or the transform not rigid.
+            If a name is empty, the names are equal, the stamp is not finite or the transform not rigid.
         """
         parent, child, stamp = transform.parent, transform.child, float(transform.stamp)
         where = f"the transform from {child!r} to {parent!r} at {stamp:.6f} s"
         if not parent or not child or parent == child or not math.isfinite(stamp):
             raise OgmError(f"{where} must have two different frames and a finite stamp")
-        try:
-            T = check_pose(transform.T_parent_child, where)
-        except ValueError as error:
-            raise OgmError(str(error)) from error
+        T = rigid(transform.T_parent_child, where)
         if (parent, child) not in self._edges:
             self._connect(parent, child)
         edge, T = self._edges[parent, child], T.copy()
@@ -162,19 +160,19 @@ class TransformBuffer:
             del edge.stamps[:old], edge.poses[:old]
 
     def lookup(self, target: str, source: str, stamp: ArrayLike) -> NDArray[np.float64]:
-        """Return where a frame was in another.
+        """Return the transform between two frames at some times.
 
         Parameters
         ----------
         target, source : str
             Names of frames.
         stamp : float or (M,) float
-            When [s].
+            Times [s].
 
         Returns
         -------
         T_target_source : (4, 4) or (M, 4, 4) float64
-            Takes coordinates in `source` to `target`.
+            Transform of coordinates in `source` to `target`.
 
         Raises
         ------
@@ -183,7 +181,7 @@ class TransformBuffer:
         NotConnectedError
             If no chain of transforms joins the two.
         ExtrapolationError
-            If a transform of the chain is not known then: before its first, after its last, or in a gap of more than
+            If a transform of the chain is unknown at a time: before its first, after its last, or in a gap longer than
             `max_gap`.
         ValueError
             If a stamp is not finite.
@@ -197,12 +195,12 @@ class TransformBuffer:
         return T.copy()
 
     def covers(self, target: str, source: str) -> tuple[float, float]:
-        """Return the first and the last time [s] at which `lookup` may give an answer; infinite if all is static.
+        """Return the first and last time [s] at which `lookup` may succeed; infinite for static chains.
 
         Raises
         ------
         UnknownFrameError, NotConnectedError
-            As for `lookup`.
+            See `lookup`.
         """
         spans = [self._edges[self._pair(*pair)].span for pair in pairwise(self.chain(target, source))]
         return max((first for first, _ in spans), default=-math.inf), min((last for _, last in spans), default=math.inf)
@@ -214,7 +212,7 @@ class TransformBuffer:
         ----------
         target, source : str
         by : float
-            Greatest change that counts as none [m], and of the numbers of a rotation.
+            Largest change that is ignored [m], also for the numbers of a rotation.
 
         Raises
         ------
@@ -226,15 +224,15 @@ class TransformBuffer:
         return any(bool((np.ptp(rows, axis=0) > by).any()) for rows in several)
 
     def _connect(self, parent: str, child: str) -> None:
-        if others := [one for one, frame in self._edges if frame == child]:
+        if others := [other for other, frame in self._edges if frame == child]:
             log.warning("frame %s has several parents, %s: the shortest chain counts", child, [*others, parent])
         self._edges[parent, child] = _Edge()
-        for one, other in ((parent, child), (child, parent)):
-            self._neighbours.setdefault(one, []).append(other)
+        for frame, neighbour in ((parent, child), (child, parent)):
+            self._neighbours.setdefault(frame, []).append(neighbour)
         self._chains.clear()
 
     def chain(self, target: str, source: str) -> list[str]:
-        """Return the frames from `target` to `source`, both included, with the fewest between them.
+        """Return the shortest chain of frames from `target` to `source`, both included.
 
         Raises
         ------
@@ -244,19 +242,19 @@ class TransformBuffer:
         for name in (target, source):
             if name not in self._neighbours:
                 known = ", ".join(self._neighbours) or "none: no transform was added"
-                raise UnknownFrameError(f"there is no frame {name!r}; there are {known}")
+                raise UnknownFrameError(f"there is no frame {name!r}; known frames are {known}")
         if (target, source) not in self._chains:
             before, queue = {target: target}, deque([target])
             while queue and source not in before:
-                one = queue.popleft()
-                for other in self._neighbours[one]:
-                    if other not in before:
-                        before[other] = one
-                        queue.append(other)
+                frame = queue.popleft()
+                for neighbour in self._neighbours[frame]:
+                    if neighbour not in before:
+                        before[neighbour] = frame
+                        queue.append(neighbour)
             if source not in before:
                 raise NotConnectedError(
-                    f"{target} and {source} are not connected: {target} is joined with "
-                    f"{', '.join(sorted(before.keys() - {target}))}, and no transform leads from there to {source}"
+                    f"{target} and {source} are not connected: {target} is connected to "
+                    f"{', '.join(sorted(before.keys() - {target}))}, but no transform leads from there to {source}"
                 )
             chain = [source]
             while chain[-1] != target:
@@ -264,9 +262,9 @@ class TransformBuffer:
             self._chains[target, source] = chain[::-1]
         return self._chains[target, source]
 
-    def _pair(self, one: str, other: str) -> tuple[str, str]:
+    def _pair(self, frame: str, neighbour: str) -> tuple[str, str]:
         """Return two neighbours as (parent, child)."""
-        return (one, other) if (one, other) in self._edges else (other, one)
+        return (frame, neighbour) if (frame, neighbour) in self._edges else (neighbour, frame)
 
     def _step(self, outer: str, inner: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return T_outer_inner of two neighbours."""
@@ -281,7 +279,7 @@ class TransformBuffer:
         if earliest < first or latest > last:
             seconds, asked = (latest - last, latest) if latest > last else (earliest - first, earliest)
             raise ExtrapolationError(
-                f"the transform from {child} to {parent} needs extrapolation by {abs(seconds):.3g} s: asked for "
+                f"the transform from {child} to {parent} needs extrapolation by {abs(seconds):.3g} s: requested at "
                 f"{asked:.6f} s, known from {first:.6f} to {last:.6f} s",
                 seconds,
             )

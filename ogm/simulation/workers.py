@@ -18,7 +18,7 @@ from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
 from ogm.storage.files import FilePath, finish_zarr, temporary_folder
 from ogm.storage.locks import sweep
-from ogm.storage.workers import DIED, Workers
+from ogm.storage.workers import DEATH_ERRORS, Workers
 
 MEMORY = 1.5e9  # [byte] used by one worker with its town
 
@@ -256,7 +256,7 @@ def _explained(store: Store) -> Iterator[None]:
             raise
         if number in (errno.ENOSPC, errno.EDQUOT):
             problem, way = "the disk is full", "free disk space"
-        elif type(error).__name__ in DIED:
+        elif type(error).__name__ in DEATH_ERRORS:
             problem, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer `workers`"
         else:
             raise

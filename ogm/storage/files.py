@@ -1,7 +1,7 @@
-"""Files that are either whole or not there, and the error for those that are wrong.
+"""Atomic writing of files, temporary folders, and `OgmError`, the error of the library for bad files.
 
 >>> from ogm.storage.files import atomic_write
->>> with atomic_write("notes.txt", "w") as file:     # all of it, or the old file
+>>> with atomic_write("notes.txt", "w") as file:     # the complete new file, or the old one
 ...     _ = file.write("whole")
 """
 
@@ -22,21 +22,21 @@ from typing import IO, Any
 from ogm.storage.locks import locked, sweep, try_lock
 
 __all__ = [
-    "OF_DISK", "OgmError", "atomic_write", "error_text", "finish_zarr", "naming", "temporary_folder", "update_hint",
+    "DISK_ERRORS", "OgmError", "atomic_write", "error_text", "finish_zarr", "naming", "temporary_folder", "update_hint",
 ]  # fmt: skip
 
 FilePath = str | os.PathLike[str]
-OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)  # errors of a full or broken disk
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)  # a full or broken disk
 _PREFIX = ".ogm-"
-_swept: set[Path] = set()  # folders that this process has cleared of what killed ones left
+_swept: set[Path] = set()  # folders in which this process has removed leftovers of killed processes
 
 
 class OgmError(ValueError):
-    """Something is wrong with a file or a message that was given to the library."""
+    """Error of a file or message given to the library."""
 
 
 def error_text(error: BaseException) -> str:
-    """Return an error as one line of text."""
+    """Return an error as a single line of text."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, MemoryError) and (type(error) is not MemoryError or not error.args):
@@ -46,18 +46,18 @@ def error_text(error: BaseException) -> str:
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO[Any]]:
-    """Open a file that appears under its name only when all of it has been written.
+    """Open a file that appears under its name only when it is complete.
 
-    The bytes go to a temporary file in the same folder; the end of the ``with`` block flushes it to disk and
-    renames it over `path` in one step. An error or an interrupt inside the block removes the temporary file
-    and leaves the file that was at `path` before untouched. What a killed process left is removed by the next one that
-    writes to the folder. A file that is replaced keeps its permissions, and a symbolic link leads to the new file. A
-    folder that was removed within the block is made again.
+    The bytes go to a temporary file in the same folder. The end of the ``with`` block flushes it to disk and renames
+    it to `path` in one step. An error or an interrupt inside the block removes the temporary file and leaves a file
+    that was at `path` untouched. Leftovers of a killed process are removed by the next process that writes to the
+    folder. A replaced file keeps its permissions, and a symbolic link then leads to the new file. A folder that was
+    removed during the block is created again.
 
     Parameters
     ----------
     path : path
-        The file to write. Its folder must exist.
+        File to write. Its folder must exist.
     mode : {"wb", "w"}
         Binary or text (UTF-8).
 
@@ -82,33 +82,33 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO[
         os.replace(name(), target)
 
 
-def check_writable(path: FilePath, what: str) -> None:
-    """Make the folder of an output; raise OSError, before any work, if the output cannot be written there."""
+def check_writable(path: FilePath, output: str) -> None:
+    """Create the folder of an output, named for the error; raise OSError before any work if it is not writable."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         target, _ = replaced_path(path)
         with tempfile.TemporaryFile(dir=target.parent):
             pass
     except OSError as error:
-        raise OSError(f"{what} cannot be written into {Path(path).parent}: {error_text(error)}") from error
+        raise OSError(f"{output} cannot be written into {Path(path).parent}: {error_text(error)}") from error
 
 
 def replaced_path(path: FilePath) -> tuple[Path, int | None]:
-    """Return the place of a file or folder that is written, and the permissions of what it replaces.
+    """Return the target of a write and the permissions of the existing file or folder.
 
     Returns
     -------
     target : Path
-        Behind symbolic links; its folder exists.
+        Path with symbolic links resolved; its folder exists.
     permissions : int or None
-        Bits of the mode; None if there is nothing.
+        Mode bits; None if nothing exists at the path.
 
     Raises
     ------
     FileNotFoundError
         If the folder does not exist.
     PermissionError
-        If the file may not be written.
+        If the file is write-protected.
     FileExistsError
         If a pipe or a device has the name.
     """
@@ -128,9 +128,9 @@ def replaced_path(path: FilePath) -> tuple[Path, int | None]:
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """Make a folder in `parent` for what libraries write by name; it is removed in the end.
+    """Create a folder in `parent` for libraries that write by name; it is removed at the end.
 
-    If this process is killed, the next one that writes to `parent` removes it.
+    If this process is killed, the next process that writes to `parent` removes it.
     """
     _sweep_once(parent)
     with contextlib.ExitStack() as stack:
@@ -147,7 +147,7 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder, all of it even when interrupted."""
+    """Remove a folder completely, even when interrupted."""
     try:
         shutil.rmtree(folder, ignore_errors=True)
     except KeyboardInterrupt:
@@ -156,7 +156,7 @@ def _remove(folder: Path) -> None:
 
 
 def finish_zarr() -> None:
-    """Wait until Zarr has written what it began: it writes in threads of its own, which an interrupt does not stop."""
+    """Wait for Zarr's pending writes: they run in threads, which an interrupt does not stop."""
     zarr = sys.modules.get("zarr.core.sync")
     if zarr is None or zarr.loop[0] is None:
         return
@@ -171,7 +171,7 @@ def finish_zarr() -> None:
 
 @contextmanager
 def error_context(where: object, *kinds: type[Exception]) -> Iterator[None]:
-    """Raise errors of some kinds, by default ValueError, as `OgmError` that begins with where they happened."""
+    """Raise errors of the given kinds, by default ValueError, as `OgmError` with their place in front."""
     caught = kinds or (ValueError,)
     try:
         yield
@@ -181,12 +181,12 @@ def error_context(where: object, *kinds: type[Exception]) -> Iterator[None]:
 
 @contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Give errors of a full or broken disk the path that is written; the system names none, or a temporary one."""
+    """Give disk errors the path that is written; the system names no file, or a temporary one."""
     try:
         yield
     except OSError as error:
         temporary = error.filename is None or f"{os.sep}{_PREFIX}" in f"{os.sep}{error.filename}"
-        if temporary and (error.errno in OF_DISK or error.filename is not None):
+        if temporary and (error.errno in DISK_ERRORS or error.filename is not None):
             raise type(error)(error.errno, error.strerror, str(path)) from error
         raise
 
@@ -205,10 +205,9 @@ def _temporary_name(folder: Path) -> Path:
 
 @contextmanager
 def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO[Any], Callable[[], Path]]]:
-    """Open a temporary file in a folder; give it, and a function that names it and returns the name.
+    """Open a temporary file in a folder; yield it, and a function that gives it a name and returns the name.
 
-    Where the system can (Linux, most file systems), the file has no name before, so that nothing of it stays when the
-    process is killed.
+    On Linux and most file systems the file has no name until then, so a killed process leaves nothing behind.
     """
     temporary, encoding = _temporary_name(target.parent), None if "b" in mode else "utf-8"
     try:
@@ -217,14 +216,14 @@ def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO[Any], Callable[[], Pa
         if not os.path.exists(linked):
             os.close(descriptor)
             raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
-    except (OSError, AttributeError):  # no such files here
+    except (OSError, AttributeError):  # no unnamed files on this system
         file, name = _named(temporary, mode.replace("w", "x"), encoding), lambda: temporary
     else:
         file = open(descriptor, mode, encoding=encoding)  # noqa: SIM115
         try_lock(descriptor)
 
         def name() -> Path:
-            os.link(linked, temporary, src_dir_fd=descriptor, follow_symlinks=True)  # with it, Python follows the link
+            os.link(linked, temporary, src_dir_fd=descriptor, follow_symlinks=True)  # src_dir_fd: Python follows links
             return temporary
 
     try:
@@ -237,9 +236,9 @@ def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO[Any], Callable[[], Pa
 
 
 def update_hint(found: object, *known: str) -> str:
-    """Return what to do about a stated format, such as ogm.poses/2, that is newer than all known ones; else ""."""
+    """Return advice for a stated format, such as ogm.poses/2, newer than all known versions; else ""."""
     name, _, version = str(found).rpartition("/")
-    versions = [int(one.rpartition("/")[2]) for one in known if one.rpartition("/")[0] == name]
+    versions = [int(stated.rpartition("/")[2]) for stated in known if stated.rpartition("/")[0] == name]
     if not versions or not re.fullmatch("[0-9]{1,9}", version) or int(version) <= max(versions):
         return ""
     return ": it comes from a newer release of ogm; update ogm (pip install --upgrade ogm-toolkit)"

@@ -1,7 +1,7 @@
-"""How much memory the content of one file may take: stated here, adjustable, checked before or while it is decoded.
+"""Memory limits for the decoded content of a file: adjustable, checked before or during decoding.
 
-A small file can be made that unpacks to any size. What a reader decodes, arrays or text, stays within these limits, and
-its peak within three times that and 100 MB.
+A small file can unpack to any size. The decoded arrays or text of a reader stay within these limits, and its peak
+within three times the limit plus 100 MB.
 """
 
 import os
@@ -14,27 +14,27 @@ __all__ = ["MemoryLimits", "current_limits", "set_limits", "too_large"]
 
 @dataclass(frozen=True)
 class MemoryLimits:
-    """Upper bounds for the decoded content of one file [byte].
+    """Upper bounds for the decoded content of a file [byte].
 
-    The environment variable ``OGM_LIMITS`` sets them for a process, as in ``OGM_LIMITS="file=4e9 json=8e9"``, and
-    `set_limits` from then on.
+    The environment variable ``OGM_LIMITS`` sets them for a process, as in ``OGM_LIMITS="file=4e9 json=8e9"``;
+    `set_limits` changes them later.
 
     Parameters
     ----------
     file : int
-        Of a file, a message or a chunk of a log, unpacked: by default 1 GiB, 67 million points of 16 bytes.
+        A file, a message or a chunk of a log, unpacked. Default 1 GiB, 67 million points of 16 bytes.
     text : int
-        Of the points of a cloud in text; by default 256 MiB, some 10 million points.
+        The points of a cloud in text. Default 256 MiB, about 10 million points.
     lines : int
-        Of a file of lines: poses, labels, calibrations; by default 64 MiB, 370,000 poses of KITTI.
+        A file of lines: poses, labels, calibrations. Default 64 MiB, 370,000 poses of KITTI.
     json : int
-        Of what a JSON file becomes in Python, estimated before; by default 1 GiB.
+        The Python objects of a JSON file, estimated before decoding. Default 1 GiB.
     tables : int
-        The same of the tables of nuScenes, which are its index; by default 16 GiB. The full data set needs about 7.
+        The Python objects of the nuScenes tables, its index. Default 16 GiB; the full dataset needs about 7.
     grid : int
-        Of the arrays of a grid file; by default 2 GiB, the masses of 2**28 cells.
+        The arrays of a grid file. Default 2 GiB, the masses of 2**28 cells.
     image : int
-        Of the pixels of an image; by default 1 GiB.
+        The pixels of an image. Default 1 GiB.
 
     Raises
     ------
@@ -51,11 +51,11 @@ class MemoryLimits:
     image: int = 2**30
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
+        for field in fields(self):
+            value = getattr(self, field.name)
             if not (isinstance(value, int | float) and 1 <= value < float("inf") and value == int(value)):
-                raise ValueError(f"the limit {one.name} must be a whole number of bytes above 0, got {value!r}")
-            object.__setattr__(self, one.name, int(value))
+                raise ValueError(f"the limit {field.name} must be a whole number of bytes above 0, got {value!r}")
+            object.__setattr__(self, field.name, int(value))
 
 
 def current_limits() -> MemoryLimits:
@@ -64,21 +64,21 @@ def current_limits() -> MemoryLimits:
 
 
 def set_limits(limits: MemoryLimits | None = None, /, **changes: float) -> MemoryLimits:
-    """Change limits for this process, in all threads; return what they were.
+    """Change limits for this process, in all threads; return the previous limits.
 
     Parameters
     ----------
     limits : MemoryLimits, optional
-        All of them, such as an earlier call returned.
+        All limits, such as returned by an earlier call.
     **changes
-        Single ones by their names [byte].
+        Single limits by name [byte].
 
     Raises
     ------
     TypeError
         If there is no limit of that name.
     ValueError
-        If one is not a whole number above 0.
+        If a limit is not a whole number above 0.
 
     Examples
     --------
@@ -97,26 +97,26 @@ def too_large(where: object, size: int | None, limit: str) -> OgmError:
     Parameters
     ----------
     where : path or str
-        What holds it.
+        Name of the content.
     size : int or None
-        Its size [byte]; None where only more than the limit is known.
+        Its size [byte]; None if only known to exceed the limit.
     limit : str
         Name of a field of `MemoryLimits`.
     """
-    most = getattr(current_limits(), limit)
-    got = f"more than {most}" if size is None else str(size)
+    max_bytes = getattr(current_limits(), limit)
+    got = f"more than {max_bytes}" if size is None else str(size)
     return OgmError(
-        f"{where} holds {got} bytes when decoded, wanted at most {most}: split it, make it coarser, or raise the "
+        f"{where} holds {got} bytes when decoded, wanted at most {max_bytes}: split it, make it coarser, or raise the "
         f"limit by ogm.storage.limits.set_limits({limit}=...) or OGM_LIMITS={limit}=..."
     )
 
 
 def _from_environment(text: str) -> MemoryLimits:
     try:
-        pairs = (one.split("=") for one in text.replace(",", " ").split())
+        pairs = (pair.split("=") for pair in text.replace(",", " ").split())
         return MemoryLimits(**{name: float(value) for name, value in pairs})  # type: ignore[arg-type]
     except (ValueError, TypeError, OverflowError) as error:
-        names = ", ".join(one.name for one in fields(MemoryLimits))
+        names = ", ".join(field.name for field in fields(MemoryLimits))
         raise ValueError(f"OGM_LIMITS must be pairs such as file=4e9, of {names}, got {text!r}") from error
 
 

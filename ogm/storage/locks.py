@@ -1,6 +1,6 @@
-"""Locks of folders and of temporary files. The kernel frees them when their process ends, be it by a kill.
+"""Locks of folders and temporary files. The kernel frees them when their process ends, even by a kill.
 
-They are those of ``flock``: on systems without it, and on file systems that refuse it, nothing is locked.
+They use ``flock``: on systems without it, and on file systems that refuse it, nothing is locked.
 """
 
 import errno
@@ -18,25 +18,25 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 
-OLD = 86400.0  # [s] after which a temporary file is swept where there are no locks
+MAX_AGE = 86400.0  # [s] after which a temporary file is swept if there are no locks
 _TEMPORARY = re.compile(r"\.ogm-[0-9a-f]{16}\.tmp")
 
 
 @contextmanager
 def locked(folder: str | os.PathLike[str]) -> Iterator[None]:
-    """Keep other processes out of a folder that is written or resumed, for the time of the ``with`` block.
+    """Keep other processes out of a folder for the time of the ``with`` block.
 
-    The lock is on the folder itself: no file marks it. A process that is forked inside the block does not hold it.
+    The lock is on the folder itself: no file marks it. A process forked inside the block does not hold it.
 
     Parameters
     ----------
     folder : path
-        Must exist.
+        Existing folder that is written or resumed.
 
     Raises
     ------
     BlockingIOError
-        If it is locked already, here or by another process.
+        If it is already locked, by this or another process.
     FileNotFoundError
         If there is no such folder.
     """
@@ -47,11 +47,11 @@ def locked(folder: str | os.PathLike[str]) -> Iterator[None]:
     _held.add(descriptor)
     try:
         if try_lock(descriptor) is False:
-            text = "another process is writing to this folder: wait for its end, or give another folder"
+            text = "another process is writing to this folder: wait until it ends, or give another folder"
             raise BlockingIOError(errno.EWOULDBLOCK, text, str(folder))
         yield
     finally:
-        if descriptor in _held:  # not in a process that was forked inside
+        if descriptor in _held:  # false in a process forked inside
             _held.remove(descriptor)
             os.close(descriptor)
 
@@ -59,37 +59,37 @@ def locked(folder: str | os.PathLike[str]) -> Iterator[None]:
 _held: set[int] = set()
 
 
-def _let_go() -> None:
-    """Close the locked folders in a forked process: else it would hold their locks as long as it lives."""
+def _release_after_fork() -> None:
+    """Close the locked folders in a forked process, which would hold their locks for its lifetime."""
     while _held:
         os.close(_held.pop())
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_let_go)
+    os.register_at_fork(after_in_child=_release_after_fork)
 
 
 def try_lock(descriptor: int) -> bool | None:
-    """Lock an open file or folder, if no one has; return whether that was done, or None if it cannot be locked."""
+    """Lock an open file or folder if it is free; return success, or None if locks are not supported."""
     if fcntl is None:
         return None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # some file systems have no locks, and those of networks none for folders
+    except OSError:  # some file systems have no locks, and network file systems have none for folders
         return None
     return True
 
 
 def sweep(folder: str | os.PathLike[str]) -> None:
-    """Remove the temporary files that killed processes left in a folder; never those of a process that runs.
+    """Remove temporary files that killed processes left in a folder.
 
-    A running process holds the locks of its temporary files (`ogm.storage.files`). Without locks, files older than a
-    day are removed.
+    A running process holds the locks of its temporary files (`ogm.storage.files`), which stay. Without locks, files
+    older than a day are removed.
     """
     with suppress(OSError), os.scandir(folder) as entries:
-        for entry in [one for one in entries if _TEMPORARY.fullmatch(one.name)]:
+        for entry in [entry for entry in entries if _TEMPORARY.fullmatch(entry.name)]:
             with suppress(OSError):
                 _remove_unlocked(Path(entry.path))
 
@@ -99,7 +99,7 @@ def _remove_unlocked(path: Path) -> None:
     try:
         free = try_lock(descriptor)
         if free is None:
-            free = time.time() - path.stat().st_mtime > OLD
+            free = time.time() - path.stat().st_mtime > MAX_AGE
         if free and path.is_dir():
             shutil.rmtree(path)
         elif free:

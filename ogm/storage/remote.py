@@ -1,7 +1,7 @@
-"""Objects in S3, Google Cloud Storage or Azure, by obstore: paths that are read, whole objects at a time.
+"""Objects in S3, Google Cloud Storage or Azure, by obstore: paths to read, in whole objects.
 
-What is read stays in memory, the last `CACHE` bytes of it, so that the parts of a shard that Zarr asks for one after
-the other are one request.
+The last `CACHE` bytes read stay in memory. Zarr asks for the parts of a shard in turn, and the cache makes them one
+request.
 """
 
 import os
@@ -14,7 +14,7 @@ from typing import Any
 
 from ogm.extras import install_line
 
-CACHE = 128e6  # [byte] of objects that a process keeps of each place
+CACHE = 128e6  # [byte] of objects that a process keeps per place
 _NOT_KNOWN = object()
 
 
@@ -24,7 +24,7 @@ def is_remote(url: str | os.PathLike[str]) -> bool:
 
 
 def object_store(url: str, storage: Mapping[str, str]) -> Any:
-    """Return the obstore store of a URL; what `storage` does not give is taken from the environment.
+    """Return the obstore store of a URL; settings missing in `storage` are taken from the environment.
 
     Raises
     ------
@@ -34,24 +34,23 @@ def object_store(url: str, storage: Mapping[str, str]) -> Any:
     try:
         from obstore.store import from_url
     except ImportError as error:
-        raise ImportError(
-            f"{url} lies in an object store, which needs obstore ({error}): {install_line('world')}"
-        ) from error
+        raise ImportError(f"{url} needs the package obstore ({error}): {install_line('world')}") from error
     client: Any = {"allow_http": True} if storage.get("endpoint", "").startswith("http://") else None
     config: Any = dict(storage)
     return from_url(url, config=config, client_options=client)
 
 
 def as_path(place: "str | os.PathLike[str] | ObjectPath", storage: Mapping[str, str] | None = None) -> Any:
-    """Return the path of a file or folder of this machine, or of an object.
+    """Return the path of a local file or folder, or of an object.
 
     Parameters
     ----------
     place : str or path
-        On this machine, or ``s3://bucket/prefix``, also ``gs://``, ``az://``.
+        Local path, or ``s3://bucket/prefix``, also ``gs://``, ``az://``.
     storage : mapping of str to str, optional
-        Configuration of the object store, as obstore has it: ``endpoint``, ``access_key_id``, ``region``, ... What is
-        not given is taken from the environment (``AWS_ENDPOINT_URL``, ``AWS_ACCESS_KEY_ID``, ..., ``AWS_ALLOW_HTTP``).
+        Configuration of the object store in the names of obstore: ``endpoint``, ``access_key_id``, ``region``, ...
+        Missing settings are taken from the environment (``AWS_ENDPOINT_URL``, ``AWS_ACCESS_KEY_ID``, ...,
+        ``AWS_ALLOW_HTTP``).
 
     Returns
     -------
@@ -60,30 +59,30 @@ def as_path(place: "str | os.PathLike[str] | ObjectPath", storage: Mapping[str, 
     Raises
     ------
     ValueError
-        If there is a configuration for a path on this machine.
+        If a configuration is given for a local path.
     """
     if isinstance(place, ObjectPath):
         return place
     if is_remote(place):
         return ObjectPath(str(place), storage)
     if storage:
-        raise ValueError(f"storage is for object stores (s3://...), got {sorted(storage)} for {place}")
+        raise ValueError(f"storage is for object stores (s3://...), got {sorted(storage)} for the local path {place}")
     return Path(place)
 
 
 class ObjectPath:
-    """A place in an object store, with those methods of `pathlib.Path` that reading needs.
+    """Path in an object store, with the methods of `pathlib.Path` that reading needs.
 
-    May be pickled; the key of an account in `storage` goes with it.
+    It can be pickled; an account key in `storage` is pickled with it.
 
     Parameters
     ----------
     url : str
-        ``s3://bucket/prefix`` of a data set.
+        ``s3://bucket/prefix`` of a dataset.
     storage : mapping of str to str, optional
-        As of `as_path`.
+        Configuration of the object store, see `as_path`.
     key : str
-        Of an object, below the URL.
+        Key of an object, below the URL.
     """
 
     url: str
@@ -100,7 +99,7 @@ class ObjectPath:
         return f"{self.url}/{self.key}" if self.key else self.url
 
     def __repr__(self) -> str:
-        return f"ObjectPath({str(self)!r})"  # without the key of an account
+        return f"ObjectPath({str(self)!r})"  # without the account key
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ObjectPath) and (str(self), self.storage) == (str(other), other.storage)
@@ -110,28 +109,28 @@ class ObjectPath:
 
     @property
     def name(self) -> str:
-        """The last part."""
+        """The last part of the path."""
         return str(self).rpartition("/")[2]
 
     def joinpath(self, *names: str) -> "ObjectPath":
-        """Return a place below."""
+        """Return a path below this path."""
         return self / "/".join(names)
 
     def absolute(self) -> "ObjectPath":
-        """Return the place itself."""
+        """Return the path itself."""
         return self
 
     def exists(self) -> bool:
-        """Return whether there is such an object."""
+        """Return whether the object exists."""
         return self.objects.read([self.key])[0] is not None
 
     def read_bytes(self) -> bytes:
-        """Return an object.
+        """Return the bytes of the object.
 
         Raises
         ------
         FileNotFoundError
-            If there is none.
+            If the object does not exist.
         OSError
             If the store cannot be reached, or refuses.
         """
@@ -141,17 +140,17 @@ class ObjectPath:
         return bytes(data)
 
     def fetch(self, keys: Iterable[str]) -> None:
-        """Read objects below the URL at the same time, where they are not in memory yet."""
+        """Read objects below the URL concurrently, unless they are in memory."""
         self.objects.read(list(keys))
 
     @property
     def objects(self) -> "KeptObjects":
-        """The objects below the URL, of this process."""
+        """The objects below the URL, shared within this process."""
         return _objects(self.url, tuple(sorted(self.storage.items())), os.getpid())
 
 
 class KeptObjects:
-    """Objects of a place; the last ones that were read are kept, whole.
+    """Objects below a URL; the last objects read are kept in memory.
 
     Parameters
     ----------
@@ -165,7 +164,7 @@ class KeptObjects:
 
     def __init__(self, url: str, storage: Mapping[str, str]) -> None:
         self.url, self._store = url, object_store(url, storage)
-        self._kept: OrderedDict[str, Any] = OrderedDict()  # None for what is not there
+        self._kept: OrderedDict[str, Any] = OrderedDict()  # None for an object that does not exist
         self._size, self._lock = 0, threading.Lock()
         self.requests = self.bytes = 0
 
@@ -175,12 +174,12 @@ class KeptObjects:
         return _zarr_store()(self)
 
     def read(self, keys: list[str]) -> list[Any]:
-        """Return objects, None for those that are not there; those that are not in memory are read at once."""
+        """Return objects, None for missing objects; reads run concurrently."""
         from zarr.core.sync import sync
 
         with self._lock:
             found = [self._look_up(key) for key in keys]
-        if any(one is _NOT_KNOWN for one in found):
+        if any(data is _NOT_KNOWN for data in found):
             found = sync(self._read(keys))
         return found
 
@@ -190,7 +189,7 @@ class KeptObjects:
         return list(await asyncio.gather(*map(self.get, keys)))
 
     async def get(self, key: str) -> Any:
-        """Return an object, from memory or the store; None if it is not there.
+        """Return an object, from memory or the store; None if it does not exist.
 
         Raises
         ------
@@ -207,7 +206,7 @@ class KeptObjects:
             data: Any = await (await obstore.get_async(self._store, key)).bytes_async()
         except FileNotFoundError:
             data = None
-        except Exception as error:  # obstore has many
+        except Exception as error:  # obstore has many error classes
             text = " ".join(str(error).split())[:300] or type(error).__name__
             raise OSError(f"{self.url}/{key} cannot be read ({text})") from error
         with self._lock:
@@ -229,17 +228,17 @@ class KeptObjects:
 
 @lru_cache(8)
 def _objects(url: str, storage: tuple[tuple[str, str], ...], process: int) -> KeptObjects:
-    """Return the objects of a place, once per process: a fork has no connections."""
+    """Return the objects below a URL, once per process: connections do not survive a fork."""
     return KeptObjects(url, dict(storage))
 
 
 @lru_cache(1)
 def _zarr_store() -> Any:
-    """Return the class of Zarr stores over `KeptObjects`; Zarr is imported when it is needed."""
+    """Return the class of Zarr stores over `KeptObjects`; imports Zarr on first use."""
     from zarr.abc.store import OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
 
     class ObjectsStore(Store):
-        """Whole objects, of which Zarr takes parts."""
+        """Zarr store that reads whole objects and returns parts."""
 
         supports_writes = supports_deletes = supports_listing = False
 
@@ -276,7 +275,7 @@ def _zarr_store() -> Any:
             self._check_writable()
 
         def list(self, prefix: str = "") -> Any:
-            raise OSError(f"the objects of {self.objects.url} are not listed, but read by name")
+            raise OSError(f"cannot list the objects of {self.objects.url}: objects are read by name only")
 
         list_prefix = list_dir = list
 

@@ -1,4 +1,4 @@
-"""Files and folders that libraries write by name and that are either whole or not there."""
+"""Atomic writing for libraries that open files by name or write folders."""
 
 import ctypes
 import errno
@@ -14,10 +14,9 @@ _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 @contextmanager
 def whole_path(path: Path) -> Iterator[Path]:
-    """Give a free path on the disk of `path`; what was written there gets the name `path` in the end.
+    """Yield a free path on the disk of `path`; the file or folder written there is renamed to `path` at the end.
 
-    See `ogm.storage.files.atomic_write`; for libraries that open their file by name or write a folder. A folder that
-    has the name already is removed when the new one is in its place.
+    See `ogm.storage.files.atomic_write`. An existing folder of that name is removed after it has been replaced.
     """
     target, permissions = replaced_path(path)
     with naming(path), temporary_folder(target.parent) as folder:
@@ -37,7 +36,7 @@ def whole_path(path: Path) -> Iterator[Path]:
 
 
 def _replace_folder(written: Path, path: Path) -> None:
-    """Give a folder its name. One that has it already takes the other's, on Linux in the same step."""
+    """Rename a folder, replacing an existing folder, on Linux in one step."""
     while True:
         try:
             os.rename(written, path)
@@ -47,12 +46,12 @@ def _replace_folder(written: Path, path: Path) -> None:
                 raise
         try:
             exchange = ctypes.CDLL(None, use_errno=True).renameat2
-        except AttributeError:  # a kill between these two steps leaves the folder beside, under a hidden name
+        except AttributeError:  # a kill between these two steps leaves the old folder under a hidden name
             os.rename(path, written.parent.with_suffix(".old"))
             os.rename(written, path)
             os.rename(written.parent.with_suffix(".old"), written)
             return
         if exchange(_HERE, os.fsencode(written), _HERE, os.fsencode(path), _EXCHANGE) == 0:
             return
-        if ctypes.get_errno() != errno.ENOENT:  # which is that another process has just moved it: again
+        if ctypes.get_errno() != errno.ENOENT:  # ENOENT: another process has just moved it, try again
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(path))

@@ -1,4 +1,4 @@
-"""Where work is done beside this process: by processes of this machine, or by a Dask cluster."""
+"""Worker processes on this machine, or of a Dask cluster."""
 
 import multiprocessing.connection
 import multiprocessing.resource_tracker
@@ -8,15 +8,16 @@ import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from itertools import islice
 from typing import Any
 
 from ogm.extras import install_line
 
 SCHEDULER_TIMEOUT = 20.0  # [s]
-TRIES = 3  # times that workers are started before their deaths are an error
-DIED = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")
-ENVIRONMENT = {"OMP_NUM_THREADS": "1"}  # of processes on this machine
+TRIES = 3  # starts of workers before their deaths are an error
+DEATH_ERRORS = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")
+ENVIRONMENT = {"OMP_NUM_THREADS": "1"}  # of worker processes on this machine
 
 Submit = Callable[[Callable[..., Any], Any], "Future[Any]"]
 
@@ -24,17 +25,17 @@ Submit = Callable[[Callable[..., Any], Any], "Future[Any]"]
 def work_off(
     function: Callable[[Any], Any], jobs: Sequence[Any], workers: int, scheduler: str | None = None
 ) -> Generator[tuple[int, Any], None, None]:
-    """Yield number and result of each job as it is done: here, by processes of this machine, or by a Dask cluster.
+    """Yield number and result of each finished job, from this process, local workers, or a Dask cluster.
 
-    When a worker dies, workers are started anew for the jobs that are not done.
+    When a worker dies, new workers are started for the unfinished jobs.
 
     Parameters
     ----------
     function : callable
-        ``function(job)``; for more than one worker, it, the jobs and the results must be picklable.
+        ``function(job)``. With more than one worker, the function, jobs and results must be picklable.
     jobs : sequence
     workers : int
-        1 works in this process.
+        Number of processes; 1 works in this process.
     scheduler : str, optional
         Address of a Dask scheduler to use instead, ``"tcp://host:port"``.
 
@@ -50,14 +51,14 @@ def work_off(
 
 
 class Workers:
-    """Workers that do one list of jobs after another, started when there is the first job; a context manager.
+    """Workers for several lists of jobs, started by the first job; a context manager.
 
-    Parameters and errors: see `work_off`. When the block is left, they have ended.
+    Parameters and errors: see `work_off`. The workers have ended when the block is left.
 
     Attributes
     ----------
     count : int
-        Number of workers; that of a cluster is known from the first job on.
+        Number of workers; for a cluster, known once the first job is submitted.
     """
 
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
@@ -72,7 +73,7 @@ class Workers:
         self._running.__exit__(*error)
 
     def work_off(self, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Generator[tuple[int, Any], None, None]:
-        """Yield number and result of each job, as the function `work_off`; closed early, it ends the workers."""
+        """Yield number and result of each job, see the function `work_off`; closing it early ends the workers."""
         if self.workers == 1 and self.scheduler is None:
             yield from ((k, function(job)) for k, job in enumerate(jobs))
             return
@@ -86,7 +87,7 @@ class Workers:
                     started = cluster(self.scheduler) if self.scheduler else processes(self.workers)
                     self._submit = self._running.enter_context(started)
                 submit, self.count = self._submit
-                for k, result in as_completed(submit, _Numbered(function), todo, 2 * self.count):
+                for k, result in as_completed(submit, partial(_numbered, function), todo, 2 * self.count):
                     done.add(k)
                     yield k, result
                 return
@@ -99,42 +100,37 @@ class Workers:
 
 @contextmanager
 def deaths_explained(finished: str) -> Iterator[None]:
-    """Make errors of dead workers an OSError with the way out; `finished` is what they had finished, in words."""
+    """Turn errors of dead workers into an OSError with advice; `finished` names the kept results, in plural."""
     try:
         yield
     except Exception as error:
-        if type(error).__name__ not in DIED:
+        if type(error).__name__ not in DEATH_ERRORS:
             raise
         raise OSError(
-            f"workers died ({type(error).__name__}), as when memory runs out; {finished} that were finished are kept: "
-            "the same command goes on, perhaps with fewer `workers`"
+            f"workers died ({type(error).__name__}), probably because memory ran out; finished {finished} are kept: "
+            "run the same command again to resume, if necessary with fewer `workers`"
         ) from error
 
 
-class _Numbered:
-    """A function of a job that comes with its number."""
-
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self.function = function
-
-    def __call__(self, job: tuple[int, Any]) -> tuple[int, Any]:
-        return job[0], self.function(job[1])
+def _numbered(function: Callable[[Any], Any], job: tuple[int, Any]) -> tuple[int, Any]:
+    """Return the number of a numbered job and its result."""
+    return job[0], function(job[1])
 
 
 def as_completed(submit: Submit, function: Callable[[Any], Any], jobs: Sequence[Any], ahead: int) -> Iterator[Any]:
-    """Yield results as they are done, a few jobs handed out at a time, so that they begin in their order."""
+    """Yield results in order of completion; only `ahead` jobs are submitted at a time, so they start in order."""
     later, running = iter(jobs), set[Future[Any]]()
     while True:
         running |= {submit(function, job) for job in islice(later, ahead - len(running))}
         if not running:
             return
         done, running = wait(running, return_when=FIRST_COMPLETED)
-        yield from [one.result() for one in done]
+        yield from [future.result() for future in done]
 
 
 @contextmanager
 def cluster(scheduler: str) -> Iterator[tuple[Submit, int]]:
-    """Connect to a Dask scheduler, ``"tcp://host:port"``; yield how to hand out work, and how many workers there are.
+    """Connect to a Dask scheduler, ``"tcp://host:port"``; yield its submit function and the number of workers.
 
     Raises
     ------
@@ -159,16 +155,16 @@ def cluster(scheduler: str) -> Iterator[tuple[Submit, int]]:
 
 @contextmanager
 def processes(workers: int) -> Iterator[tuple[Submit, int]]:
-    """Start processes on this machine when there is work; yield how to hand it out, and how many there are.
+    """Yield a submit function of processes on this machine, and their number; they start with the first job.
 
-    They are killed when the block is left by an error or an interrupt: asked to end, they would finish their work, or
-    their start, first. If one of them dies, all end, and futures raise `concurrent.futures.BrokenExecutor`.
+    They are killed when the block is left by an error or an interrupt: a polite request would wait for their work or
+    their start. If one of them dies, all end, and futures raise `concurrent.futures.BrokenExecutor`.
     """
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _end_with_parent)
 
-    def submit(function: Callable[..., Any], what: Any) -> "Future[Any]":
+    def submit(function: Callable[..., Any], job: Any) -> "Future[Any]":
         with _interrupt_delayed(), _environment():  # this may start a process
-            return pool.submit(function, what)
+            return pool.submit(function, job)
 
     try:
         yield submit, workers
@@ -181,7 +177,7 @@ def processes(workers: int) -> Iterator[tuple[Submit, int]]:
 
 
 def _end_with_parent() -> None:
-    """End this worker when the process that started it ends, however that ends."""
+    """End this worker when its parent process ends, for any reason."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -194,7 +190,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _environment() -> Iterator[None]:
-    """Set the variables of workers for those that are started inside."""
+    """Set the environment variables of workers while they are started."""
     before = {name: os.environ.get(name) for name in ENVIRONMENT}
     os.environ.update(ENVIRONMENT)
     try:
@@ -209,17 +205,17 @@ def _environment() -> Iterator[None]:
 
 @contextmanager
 def _interrupt_delayed() -> Iterator[None]:
-    """Let SIGINT and SIGTERM take effect when the block is left; processes that are started inside ignore SIGINT.
+    """Delay SIGINT and SIGTERM until the block is left; processes started inside ignore SIGINT.
 
-    Blocking the signals in this thread alone would not do: another one, such as that of a progress display, may
-    receive them, and then Python raises KeyboardInterrupt here all the same, in the middle of starting processes.
+    Blocking the signals in this thread is not enough: another thread, such as a progress display, may receive them, and
+    Python would still raise KeyboardInterrupt here while processes are started.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    multiprocessing.resource_tracker.ensure_running()  # else it is started inside, and unblocks the signal then
+    multiprocessing.resource_tracker.ensure_running()  # if started inside, it would unblock the signal
     received: list[int] = []
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # is inherited by processes
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited by processes
     handled = [number for number in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(number))]
     before = {number: signal.signal(number, lambda got, _: received.append(got)) for number in handled}
     try:

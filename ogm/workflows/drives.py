@@ -13,7 +13,7 @@ import numpy as np
 
 from ogm.datasets import Dataset
 from ogm.scan import Frame
-from ogm.storage.files import OF_DISK, OgmError, atomic_write, error_text, temporary_folder
+from ogm.storage.files import DISK_ERRORS, OgmError, atomic_write, error_text, temporary_folder
 from ogm.storage.locks import locked
 from ogm.storage.workers import deaths_explained, work_off
 
@@ -148,7 +148,7 @@ class _Task:
                     json.dump({"format": _FORMAT, "key": job.key, "facts": facts}, file, indent=1)
                 os.rename(made, self.out / job.name)
         except (ValueError, TypeError, OSError) as error:
-            if isinstance(error, OSError) and error.errno in OF_DISK:
+            if isinstance(error, OSError) and error.errno in DISK_ERRORS:
                 raise
             return FusedDrive(job.name, {}, error_text(error))
         return FusedDrive(job.name, facts)

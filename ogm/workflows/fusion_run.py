@@ -26,7 +26,7 @@ from ogm.plot.movie import Movie
 from ogm.plot.moving import moving_groups
 from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Boxes, Frame
-from ogm.storage.files import OF_DISK, error_text
+from ogm.storage.files import DISK_ERRORS, error_text
 from ogm.workflows.buildings import first_readable
 from ogm.workflows.findings import without_numbers
 
@@ -129,7 +129,7 @@ class FusionRun:
             self.interrupted = True
             self.end("interrupted")
         except Exception as error:  # whatever it is, the map so far must not be lost
-            if isinstance(error, OSError) and error.errno in OF_DISK:
+            if isinstance(error, OSError) and error.errno in DISK_ERRORS:
                 raise  # of its log: the other outputs would not fit either, and earlier ones stay
             self.end(f"{error_text(error)}: stopped")
 

@@ -210,7 +210,7 @@ def test_files_in_map_coordinates_come_to_their_sensor(tmp_path: Path) -> None:
         placed[:3, 3] += utm
         poses.append(placed)
     files = [tmp_path / f"{k}.npy" for k in range(3)]
-    refused(r"map coordinates, give the sensor's position as `origin`", lambda: open_dataset(files)[0].scan)
+    refused(r"map coordinates give the sensor's position as `origin`", lambda: open_dataset(files)[0].scan)
     alone = open_dataset(files, origin=tuple(poses[0][:3, 3]))
     assert alone[0].mount.sensor_height == pytest.approx(1.2, abs=0.01)
     write_poses(tmp_path / "poses.csv", Trajectory(np.arange(3.0), np.array(poses)), np.arange(3))

@@ -152,8 +152,8 @@ def test_workers_that_die_again_and_again_are_an_error(monkeypatch: pytest.Monke
 
     assert issubclass(workers.BrokenExecutor, RuntimeError)
     monkeypatch.setattr("ogm.evaluation.tasks.work_off", dies)
-    monkeypatch.setattr(workers, "DIED", ("BrokenExecutor",))
-    with pytest.raises(OSError, match="workers died .* frames that were finished are kept"):
+    monkeypatch.setattr(workers, "DEATH_ERRORS", ("BrokenExecutor",))
+    with pytest.raises(OSError, match="workers died .* finished frames are kept"):
         evaluate(methods(), Drives(), SPEC, workers=2)
 
 

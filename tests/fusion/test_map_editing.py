@@ -87,7 +87,7 @@ def test_a_map_of_another_place_or_kind_is_not_continued() -> None:
     far, from_grid = pose(500.0, 0.0), EvidentialMapper.from_grid
     refused("has no cell in the window", from_grid, noise(SPEC), SPEC, T_map_vehicle=far)
     refused("wanted masses", from_grid, LayeredGrid(SPEC, {"slope": np.zeros(SPEC.shape)}))
-    refused("turned by", from_grid, PlacedGrid(noise(SPEC), pose(yaw=1.0)))
+    refused("rotated by", from_grid, PlacedGrid(noise(SPEC), pose(yaw=1.0)))
 
 
 def with_layers(grid: EvidentialGrid, seed: int = 0) -> PlacedGrid:

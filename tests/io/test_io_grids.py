@@ -67,10 +67,10 @@ def test_rounded_masses_still_sum_to_one(tmp_path: Path) -> None:
         ("a.npy", np.zeros((4, 6)), "masses of free and occupied"),
         ("b.npy", np.zeros((4, 6, 2), np.uint8), "masses of free and occupied"),
         ("c.npy", np.full((4, 6, 2), 0.7), r"c\.npy: mass must be"),
-        ("d.npy", np.full((4, 6, 2), np.nan), r"d\.npy: mass must be"), ("e.npy", np.zeros((4, 7, 2)), "no squares"),
+        ("d.npy", np.full((4, 6, 2), np.nan), r"d\.npy: mass must be"), ("e.npy", np.zeros((4, 7, 2)), "not square"),
         ("f.npy", b"\x93NUMPY", "no readable numpy header"), ("g.npy", np.array([{}]), "masses of free and occupied"),
         ("h.png", b"\x89PNG\r\n\x1a\n", "damaged"), ("i.png", np.zeros((4, 6), np.uint8), "RGB"),
-        ("j.txt", b"x", "wanted .npz"), ("k.npy", np.zeros((0, 6, 2)), "damaged|no squares"),
+        ("j.txt", b"x", "wanted .npz"), ("k.npy", np.zeros((0, 6, 2)), "damaged|not square"),
         ("l.npz", b"x", r"l\.npz"),
     ])  # fmt: skip
 def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, message: str) -> None:
@@ -119,7 +119,7 @@ def test_layers_are_named_where_masses_are_wanted(tmp_path: Path) -> None:
     assert np.isnan(layers["conflict"]).sum() == 23  # masked cells have no value
     write_grid(tmp_path / "a.npz", layers)
     assert read_any_grid(tmp_path / "a.npz") == layers
-    no_masses = r"wanted masses of free and occupied, got layers \(conflict\): grid_from_layer"
+    no_masses = r"wanted masses of free and occupied, got layers \(conflict\): convert one by grid_from_layer"
     for name in ("b.yaml", "b.png", "b.mcap"):
         refused(no_masses, write_grid, tmp_path / name, layers)
     refused("got ndarray", write_grid, tmp_path / "c.npz", corner(), error=TypeError)

@@ -233,9 +233,9 @@ def test_streams_of_xz_that_follow_each_other_are_one_file(check, tmp_path):
     path.write_bytes(one + bytes(8) + other + bytes(4))
     assert read_bytes(path)[0] == b"abc" * 9999 + b"defg" * 99_999
     path.write_bytes(one + other[:-5])
-    refused("no whole .xz", read_bytes, path, error=OgmError)
+    refused("no complete .xz", read_bytes, path, error=OgmError)
     path.write_bytes(one + b"what else")
-    refused("no whole .xz", read_bytes, path, error=OgmError)
+    refused("no complete .xz", read_bytes, path, error=OgmError)
 
 
 def test_xz_whose_decoder_takes_much_memory_is_refused(tmp_path):
@@ -354,7 +354,7 @@ def test_layers_of_laz_must_end_where_the_table_of_chunks_begins(form, tmp_path)
     for claim in (2**32 - 1, struct.unpack_from("<I", whole, at)[0] + 1):
         struct.pack_into("<I", whole, at, claim)
         path.write_bytes(whole)
-        refused("no whole LAS cloud", read_scan, path, error=OgmError)
+        refused("no complete LAS cloud", read_scan, path, error=OgmError)
 
 
 # ---- logs

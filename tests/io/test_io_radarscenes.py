@@ -156,16 +156,16 @@ _HOSTILE = {
     "cut": (lambda path: path.write_bytes(path.read_bytes()[:3000]), "cannot be read by HDF5"),
     "soft link": (_linked(h5py.SoftLink("/other")), "no dataset odometry of its own"),
     "external link": (_linked(h5py.ExternalLink("elsewhere.h5", "odometry")), "no dataset odometry of its own"),
-    "virtual": (_virtual, "lies in other files"),
-    "external storage": (_external, "lies in other files"),
+    "virtual": (_virtual, "is stored in other files"),
+    "external storage": (_external, "is stored in other files"),
     "filters": (_unpacking, r"packed by the filters \[1, 1\]"),
     "no table": (_replaced("odometry", data=np.zeros(60)), "must be a table"),
     "no column": (_replaced("odometry", data=_PATH[["timestamp", "x_seq", "vx"]]), "has no y_seq, yaw_seq"),
     "text column": (_replaced("odometry", data=_PATH.astype([(n, "S9") for n in _PATH.dtype.names])), "kind 'iu'"),
     "back in time": (_replaced("odometry", data=_PATH[::-1]), "increasing timestamps"),
     "nowhere": (_replaced("odometry", data=_PATH[:0]), "got 0 rows"),
-    "short": (_replaced("radar_data", data=detections()[0][:20]), "are scenes.json and radar_data.h5 of one sequence"),
-    "others' rows": (_replaced("radar_data", data=detections()[0][::-1]), "of another sensor than radar_"),
+    "short": (_replaced("radar_data", data=detections()[0][:20]), "use scenes.json and radar_data.h5 of one sequence"),
+    "others' rows": (_replaced("radar_data", data=detections()[0][::-1]), "of another sensor, wanted only radar_"),
 }  # fmt: skip
 
 
@@ -203,8 +203,8 @@ def test_a_small_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path: Path, 
 
 
 @each("change, message", [
-        (lambda scene: scene.update(radar_indices=[6, 3]), "first row and the one after"),
-        (lambda scene: scene.update(radar_indices=[0.5, 3]), "first row and the one after"),
+        (lambda scene: scene.update(radar_indices=[6, 3]), "first row and the end row"),
+        (lambda scene: scene.update(radar_indices=[0.5, 3]), "first row and the end row"),
         (lambda scene: scene.update(sensor_id=7), "radar_7, which is not in sensors.json"),
         (lambda scene: scene.pop("radar_indices"), "no 'radar_indices'"),
     ])  # fmt: skip

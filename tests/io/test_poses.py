@@ -106,7 +106,7 @@ def test_times_come_from_stamps_or_frame_numbers_or_the_count() -> None:
     np.testing.assert_array_equal(Poses(poses, stamps, numbers).trajectory(rate=10).stamps, stamps)
     np.testing.assert_allclose(Poses(poses, None, numbers).trajectory(rate=10).stamps, [1.0, 1.1, 1.5])
     np.testing.assert_allclose(Poses(poses).trajectory(rate=5).stamps, [0, 0.2, 0.4])
-    with pytest.raises(ValueError, match="give the rate"):
+    with pytest.raises(ValueError, match="give the scan rate"):
         Poses(poses).trajectory()
     with pytest.raises(ValueError, match="above 0"):
         Poses(poses).trajectory(rate=0)
@@ -188,8 +188,8 @@ def test_our_own_files_need_no_calibration(tmp_path: Path) -> None:
 @each("name, numbers, message", [
         ("poses.json", None, "name it .csv"),
         ("poses.txt", np.arange(12), "no frame numbers"),
-        ("poses.csv", np.arange(11), "12 integers"),
-        ("poses.csv", np.arange(12.0), "12 integers"),
+        ("poses.csv", np.arange(11), "12 increasing integers"),
+        ("poses.csv", np.arange(12.0), "12 increasing integers"),
         ("poses.csv", np.zeros(12, int), "increase"),
     ])  # fmt: skip
 def test_what_cannot_be_written_is_refused(name: str, numbers: np.ndarray, message: str, tmp_path: Path) -> None:
@@ -272,7 +272,7 @@ def test_flat_g2o_lies_in_the_plane(tmp_path: Path) -> None:
 
 @each("line, wanted", [
         ("VERTEX_SE2 1 2 3", "line 2 of .* and 3 finite numbers"), ("VERTEX_SE2 1 2 3 nan", "finite"),
-        ("VERTEX_SE2 one 2 3 4", "a whole number"), ("VERTEX_SE2", "a whole number"),
+        ("VERTEX_SE2 one 2 3 4", "an integer"), ("VERTEX_SE2", "an integer"),
         ("VERTEX_SE2 -4 2 3 4", "from 0"), ("VERTEX_SE2 0 2 3 4", "the vertex 0 of line 1 again"),
         ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 2", "quaternion of length 1"),
     ])  # fmt: skip

@@ -287,7 +287,7 @@ def test_client_or_scheduler_of_a_cluster_may_be_killed(tmp_path: Path, town: Pa
             _, errors = process.communicate(timeout=120)
         if who == "scheduler":
             assert process.returncode == 1
-            assert "the same command goes on" in errors
+            assert "run the same command again" in errors
         else:
             subprocess.run(command, env=environment, check=True, capture_output=True, timeout=300)
     if who == "scheduler":

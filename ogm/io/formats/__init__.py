@@ -1,4 +1,4 @@
-"""Formats of point clouds: a new one is a parser in a module here, with an entry in `PARSERS`.
+"""Formats of point clouds. A new format is a parser in a module here, with an entry in `PARSERS`.
 
 A parser takes the unpacked bytes of a file and its path (for messages) and returns a `Table` of named columns.
 """
@@ -25,8 +25,8 @@ def parse_kitti(data: bytes, path: Path) -> Table:
     columns = _float_rows(data, path, 4)
     if not len(data) % 20 and columns["intensity"].max(initial=0) > 1 and _are_rings(np.frombuffer(data, "<f4")[4::5]):
         raise OgmError(
-            f"{path} has intensities up to {columns['intensity'].max():g} as rows of 4 float32, and whole numbers as "
-            "every fifth value: it has rows of 5 (nuScenes), name it .pcd.bin"
+            f"{path} has intensities up to {columns['intensity'].max():g} as rows of 4 float32, and integers as every "
+            "fifth value: its rows have 5 values (nuScenes), name it .pcd.bin"
         )
     return Table("KITTI", columns, intensity_max=1.0, headerless=True)
 
@@ -36,14 +36,14 @@ def parse_nuscenes(data: bytes, path: Path) -> Table:
     columns = _float_rows(data, path, 5)
     if not _are_rings(columns["ring"]):
         raise OgmError(
-            f"{path} has rings from {columns['ring'].min():g} to {columns['ring'].max():g} as fifth values, wanted "
-            "whole numbers from 0 to 65535: it has rows of another number of values, 4 in KITTI's .bin"
+            f"{path} has fifth values from {columns['ring'].min():g} to {columns['ring'].max():g}, wanted rings, "
+            "integers from 0 to 65535: its rows have another number of values, such as 4 (KITTI), name it .bin"
         )
     return Table("nuScenes", columns, intensity_max=255.0, headerless=True)
 
 
 def _are_rings(values: np.ndarray) -> bool:
-    """Return whether nearly all values may be numbers of lasers."""
+    """Return whether nearly all values are possible laser numbers."""
     with np.errstate(invalid="ignore"):
         whole = (values >= 0) & (values < 2**16) & (values == np.floor(values))
     return bool(np.count_nonzero(whole) >= 0.95 * values.size)
@@ -52,11 +52,11 @@ def _are_rings(values: np.ndarray) -> bool:
 def _float_rows(data: bytes, path: Path, width: int) -> dict[str, np.ndarray]:
     wanted = f"rows of {width} float32: {', '.join(_NAMES[:width])}"
     if all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in data[:4096]):
-        raise OgmError(f"{path} is text, wanted {wanted}: name it after the format it has")
+        raise OgmError(f"{path} is text, wanted {wanted}: name it after its format")
     if len(data) % (4 * width):
         raise OgmError(
-            f"{path} has {len(data)} bytes, which is no multiple of {4 * width}, wanted {wanted}: it is cut "
-            "short, or has another number of values (4 in KITTI's .bin, 5 in nuScenes' .pcd.bin)"
+            f"{path} has {len(data)} bytes, no multiple of {4 * width}, wanted {wanted}: it is cut short, or its rows "
+            "have another number of values (4 in KITTI's .bin, 5 in nuScenes' .pcd.bin)"
         )
     return dict(zip(_NAMES, np.frombuffer(data, "<f4").reshape(-1, width).T, strict=False))
 
@@ -64,8 +64,8 @@ def _float_rows(data: bytes, path: Path, width: int) -> dict[str, np.ndarray]:
 def parse_npy(data: bytes, path: Path) -> Table:
     """Read ``.npy``: (N, 3), (N, 4) or (N, 5) points, or an organised cloud (rows, columns, 3 or more).
 
-    The values of a point are x, y, z, intensity, ring. Of an organised cloud the first four are read; what
-    follows differs too much from file to file. Pickled objects are refused.
+    The values of a point are x, y, z, intensity, ring. Only the first four are read from an organised cloud, as
+    further values have no common meaning. Pickled objects are refused.
     """
 
     def fits(shape: tuple[int, ...]) -> bool:
@@ -80,7 +80,7 @@ def parse_npy(data: bytes, path: Path) -> Table:
 
 
 PARSERS: dict[str, Callable[[bytes, Path], Table]] = {
-    ".pcd.bin": parse_nuscenes,  # before .bin: the first ending that fits is taken
+    ".pcd.bin": parse_nuscenes,  # before .bin: the first matching ending is used
     ".bin": parse_kitti,
     ".pcd": parse_pcd,
     ".ply": parse_ply,
@@ -116,22 +116,20 @@ def parse(data: bytes, path: Path) -> Table:
     data : bytes
         The whole file, unpacked.
     path : Path
-        Its name, without ``.xz`` or ``.gz``.
+        File name, without ``.xz`` or ``.gz``.
 
     Raises
     ------
     OgmError
-        If the ending is not known, the first bytes are another format's, or the file is damaged.
+        If the ending is unknown, the first bytes belong to another format, or the file is damaged.
     """
-    if (suffix := next((one for one in PARSERS if path.name.lower().endswith(one)), None)) is None:
+    if (suffix := next((ending for ending in PARSERS if path.name.lower().endswith(ending)), None)) is None:
         is_map = path.suffix.lower() in _MAPS
         way_out = "`ogm view` shows maps and pictures of maps" if is_map else "name the file after its format"
-        raise OgmError(
-            f"{path} ends in {path.suffix or 'no suffix'}, wanted {', '.join(PARSERS)}, or one of these "
-            f"and .xz or .gz; {way_out}"
-        )
-    for signature, what, suffixes in _SIGNATURES:
+        wanted = f"wanted {', '.join(PARSERS)}, also with .xz or .gz"
+        raise OgmError(f"{path} ends in {path.suffix or 'no suffix'}, {wanted}; {way_out}")
+    for signature, found, suffixes in _SIGNATURES:
         if data.startswith(signature) and suffix not in suffixes:
             way_out = f"name it {' or '.join(suffixes)}" if suffixes else "give the point cloud itself"
-            raise OgmError(f"{path} is {what}, wanted a file as its name promises, {suffix}: {way_out}")
+            raise OgmError(f"{path} is {found}, wanted {suffix} as in its name: {way_out}")
     return PARSERS[suffix](data, path)

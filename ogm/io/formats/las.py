@@ -1,4 +1,4 @@
-"""LAS and LAZ clouds, by `laspy` and `lazrs`, whose claims are held against the size of the file."""
+"""LAS and LAZ clouds, by `laspy` and `lazrs`, after checking their counts against the size of the file."""
 
 import io
 import struct
@@ -13,19 +13,19 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
-_FORMAT = 104  # position of the format of the points; its highest bit is set in LAZ
+_FORMAT = 104  # position of the point format; its highest bit is set in LAZ
 _AT_ONCE = 2**20  # points
-_RECORD = 54  # [byte] of a variable length record at least
+_RECORD = 54  # [byte] least size of a variable length record
 
 
 def parse_las(data: bytes, path: Path) -> Table:
-    """Read LAS or LAZ: coordinates, intensity (16 bit) and, where there is one, gps_time."""
+    """Read LAS or LAZ: coordinates, intensity (16 bit) and, if present, gps_time."""
     laspy = optional("laspy", path)
     _check(data, path)
     if data[_FORMAT] & 0x80:
         optional("lazrs", path)
     try:
-        # Of its decoders, the one of a single thread trusts less of the counts of a damaged file.
+        # The single-threaded decoder is safer against wrong counts in damaged files.
         decoder = laspy.LazBackend.Lazrs
         with laspy.open(io.BytesIO(data), laz_backend=decoder, read_evlrs=False) as reader:
             header = reader.header
@@ -34,11 +34,11 @@ def parse_las(data: bytes, path: Path) -> Table:
             if size > current_limits().file:
                 raise too_large(path, size, "file")
             if size > space:
-                raise ValueError(f"its header promises {header.point_count} points, which do not fit in it")
+                raise ValueError(f"its header states {header.point_count} points, which do not fit into it")
             columns = _columns(reader)
     except OgmError:
         raise
-    except BaseException as error:  # laspy and its decoders let through whatever a damaged file leads them to
+    except BaseException as error:  # laspy and its decoders let arbitrary errors of damaged files through
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":  # of lazrs, in Rust
             raise
         raise OgmError(f"{path} is no readable LAS cloud ({error}): it is damaged or wrongly named") from error
@@ -46,7 +46,7 @@ def parse_las(data: bytes, path: Path) -> Table:
 
 
 def _columns(reader: Any) -> dict[str, NDArray[Any]]:
-    """Read the points in parts: the records take as much memory as the columns."""
+    """Read the points in parts, as the records take as much memory as the columns."""
     count, done = reader.header.point_count, 0
     has_time = "gps_time" in reader.header.point_format.dimension_names
     columns = {name: np.empty(count, np.float64) for name in ("x", "y", "z", *(("gps_time",) if has_time else ()))}
@@ -54,7 +54,7 @@ def _columns(reader: Any) -> dict[str, NDArray[Any]]:
     while done < count:
         part = reader.read_points(min(_AT_ONCE, count - done))
         if not len(part):
-            raise ValueError(f"it has {done} points, its header promises {count}")
+            raise ValueError(f"it has {done} points, its header states {count}")
         with np.errstate(over="ignore", invalid="ignore"):  # such points are dropped later
             for name, column in columns.items():
                 column[done : done + len(part)] = part[name]
@@ -63,39 +63,39 @@ def _columns(reader: Any) -> dict[str, NDArray[Any]]:
 
 
 def _check(data: bytes, path: Path) -> None:
-    """Hold the counts that laspy and lazrs take on trust against the size of the file."""
+    """Check the counts that laspy and lazrs trust against the size of the file."""
 
     def number(at: int, size: int) -> int:
         return int.from_bytes(data[at : at + size], "little")
 
-    start, records = number(96, 4), number(100, 4)  # where the points begin, how many records lie before them
+    start, records = number(96, 4), number(100, 4)  # position of the points, and number of records before them
     sound = data.startswith(b"LASF") and len(data) > _FORMAT and records * _RECORD <= start <= len(data)
-    if sound and data[_FORMAT] & 0x80:  # LAZ: the points begin with the position of the table of chunks
+    if sound and data[_FORMAT] & 0x80:  # LAZ: the points begin with the position of the chunk table
         table = number(start, 8)
         if table == 2**64 - 1:  # a stream: its position was known only at the end
             table = number(len(data) - 8, 8)
         sound = start < table <= len(data) - 8 and number(table + 4, 4) <= table - start
         sound = sound and layers_fit(data, start + 8, table)
     if not sound:
-        raise OgmError(f"{path} is no whole LAS cloud: it is cut short, damaged or wrongly named")
+        raise OgmError(f"{path} is no complete LAS cloud: it is cut short, damaged or wrongly named")
 
 
 _HEADER = struct.Struct("<2x16sHH32x")  # of a variable length record: user, number, length
-_ITEMS, _ITEM = 32, struct.Struct("<HHH")  # place of their number in the laszip record; type, size, version
+_ITEMS, _ITEM = 32, struct.Struct("<HHH")  # position of the item count in the laszip record; type, size, version
 _LAYERED = 3  # compressor
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of POINT14, RGB14, RGBNIR14, WAVEPACKET14
-_BYTES = 14  # BYTE14, of which every byte has a layer
+_BYTES = 14  # BYTE14, with one layer per byte
 
 
 def layers_fit(data: bytes, first: int, table: int) -> bool:
-    """Return whether all layers end before the table of chunks; True where the points are not layered.
+    """Return whether all layers end before the chunk table; True for points without layers.
 
     Parameters
     ----------
     data : bytes
         The whole file.
     first, table : int
-        Where the first chunk and the table of chunks begin.
+        Positions of the first chunk and of the chunk table.
     """
     try:
         record = _laszip(data)
@@ -114,7 +114,7 @@ def layers_fit(data: bytes, first: int, table: int) -> bool:
 
 
 def _laszip(data: bytes) -> bytes:
-    """Return the record that states how the points are packed; a KeyError if there is none."""
+    """Return the laszip record, which describes the packing of the points; raise KeyError without one."""
     at, count = struct.unpack_from("<H", data, 94)[0], struct.unpack_from("<I", data, 100)[0]
     for _ in range(count):
         user, number, size = _HEADER.unpack_from(data, at)

@@ -1,9 +1,9 @@
-"""PCD and PLY clouds, whose headers are text: points as text, binary, and in PCD packed or organised.
+"""PCD and PLY clouds with text headers: points as text or binary, and for PCD also packed or organised.
 
-Read here rather than by a library: PCL itself wrote padding fields of COUNT 0 for years, which `pypcd4`
-refuses, and a header must not decide how much memory is taken. It also keeps the most common format free of
-further packages; only binary_compressed needs one. For PLY, `plyfile` 1.1 is slower by more than a factor of 2
-(135 times for a million points from a packed file, 4 times for text) and allocates what a damaged header promises.
+A library does not serve here: PCL itself wrote padding fields of COUNT 0 for years, which `pypcd4` refuses, and a
+header must not determine the memory taken. The most common format also needs no further packages, except for
+binary_compressed. For PLY, `plyfile` 1.1 is slower by more than a factor of 2 (135 times for a million points from a
+packed file, 4 times for text) and allocates the size stated by a damaged header.
 """
 
 import re
@@ -19,7 +19,7 @@ from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
 _HEADER_LIMIT = 2**16  # [byte] within which a header must end
-_LZF_EXPANSION = 88  # at most: 3 bytes of LZF unpack to 264
+_LZF_EXPANSION = 88  # largest factor: 3 bytes of LZF unpack to 264
 _KINDS = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}
 
 
@@ -34,15 +34,15 @@ class _Header(NamedTuple):
 def parse_pcd(data: bytes, path: Path) -> Table:
     """Read PCD.
 
-    Fields named ``_`` are padding. Bytes after the last point are left alone, for PCL fills its last page of
-    memory with zeros. VIEWPOINT is not applied: points stay in the frame in which they are stored.
+    Fields named ``_`` are padding. Bytes after the last point are ignored, because PCL fills its last memory page with
+    zeros. VIEWPOINT is not applied: points stay in the frame in which they are stored.
 
     Parameters
     ----------
     data : bytes
         The whole file, unpacked.
     path : Path
-        Its name, for messages.
+        File name, for messages.
     """
     header, body = _split(data, path)
     if header.encoding == "ascii":
@@ -57,7 +57,7 @@ def parse_pcd(data: bytes, path: Path) -> Table:
 
 
 def _split(data: bytes, path: Path) -> tuple[_Header, memoryview]:
-    """Take the header off."""
+    """Split the header from the body."""
     entries: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in entries:
@@ -72,7 +72,7 @@ def _split(data: bytes, path: Path) -> tuple[_Header, memoryview]:
 
 
 def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
-    """Hold the header's lines against each other; COLUMNS stands for FIELDS, and HEIGHT is 1 by default, as in PCL."""
+    """Check the header's lines for consistency; like PCL, accept COLUMNS for FIELDS, and a missing HEIGHT as 1."""
     entries = {"HEIGHT": ["1"], **({"FIELDS": entries["COLUMNS"]} if "COLUMNS" in entries else {}), **entries}
     if missing := [key for key in ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT") if not entries.get(key)]:
         raise OgmError(f"{path} has no {', '.join(missing)} in its header: it is damaged or no PCD file")
@@ -80,19 +80,15 @@ def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
     refuse_doubles((name for name in names if name != "_"), path)
     kinds = [kind.upper() + size for kind, size in zip(entries["TYPE"], entries["SIZE"], strict=False)]
     if not len(names) == len(entries["TYPE"]) == len(entries["SIZE"]) or not _KINDS.issuperset(kinds):
-        raise OgmError(
-            f"{path} has TYPE and SIZE {' '.join(kinds)[:80]} for {len(names)} FIELDS in its PCD header, "
-            f"wanted one of {', '.join(sorted(_KINDS))} for each: it is damaged"
-        )
+        got, wanted = f"{' '.join(kinds)[:80]} for {len(names)} FIELDS", f"one of {', '.join(sorted(_KINDS))} for each"
+        raise OgmError(f"{path} has TYPE and SIZE {got} in its PCD header, wanted {wanted}: it is damaged")
     counts = _integers(entries, "COUNT", len(names), path) if "COUNT" in entries else [1] * len(names)
     if any(count < 1 for name, count in zip(names, counts, strict=True) if name != "_"):
         raise OgmError(f"{path} has COUNT {counts} in its PCD header, wanted 1 or more: it is damaged")
     (width,), (height,) = (_integers(entries, key, 1, path) for key in ("WIDTH", "HEIGHT"))
     (points,) = _integers(entries, "POINTS", 1, path) if "POINTS" in entries else [width * height]
     if min(width, height) < 0 or points != width * height:
-        raise OgmError(
-            f"{path} has POINTS {points} in its PCD header, wanted WIDTH {width} times HEIGHT {height}: it is damaged"
-        )
+        raise OgmError(f"{path} has POINTS {points} in its PCD header, wanted {width} x {height}: it is damaged")
     encoding = " ".join(entries["DATA"]).lower()
     if encoding not in ("ascii", "binary", "binary_compressed"):
         raise OgmError(f"{path} has DATA {encoding[:40]!r}, wanted ascii, binary or binary_compressed")
@@ -105,19 +101,17 @@ def _integers(entries: dict[str, list[str]], key: str, wanted: int, path: Path) 
     words = entries[key]
     digits = (word.removeprefix("-") for word in words)
     if len(words) != wanted or not all(d.isascii() and d.isdigit() and len(d) < 19 for d in digits):
-        raise OgmError(
-            f"{path} has {key} {' '.join(words)[:80]!r} in its PCD header, wanted {wanted} whole number(s): "
-            "it is damaged"
-        )
+        got = " ".join(words)[:80]
+        raise OgmError(f"{path} has {key} {got!r} in its PCD header, wanted {wanted} integer(s): it is damaged")
     return [int(word) for word in words]
 
 
 def _repaired(fields: list[Field], path: Path) -> list[Field]:
-    """Undo a mistake of old PCL versions in the COUNT of padding.
+    """Correct a bug of old PCL versions in the COUNT of padding.
 
-    Their `generateHeader` took the size of the field after a gap for that of the field before it, so the
-    fields behind the gap seem to lie elsewhere, while the sum over a record is right. A padding COUNT of 0 or
-    less gives such a header away: where there is no gap, a right one has no padding.
+    Their `generateHeader` confused the size of the field after a gap with the size before it, so the fields behind the
+    gap seem to lie elsewhere, while the sum over a record is right. A padding COUNT of 0 or less reveals such a header:
+    without a gap, a correct header has no padding.
     """
     if all(field.count > 0 for field in fields):
         return fields
@@ -135,7 +129,7 @@ def _repaired(fields: list[Field], path: Path) -> list[Field]:
 
 
 def _unpacked(header: _Header, body: memoryview, path: Path) -> dict[str, np.ndarray]:
-    """Undo LZF; the fields then lie one after the other, each for all points."""
+    """Unpack LZF data, which stores each field for all points in turn."""
     if not header.points:
         return binary_columns(header.fields, 0, body, path)
     check_size(8, header.points, body, path)
@@ -145,10 +139,8 @@ def _unpacked(header: _Header, body: memoryview, path: Path) -> dict[str, np.nda
     if needed > current_limits().file:
         raise too_large(path, needed, "file")
     if size != needed or size > _LZF_EXPANSION * packed or min(field.count for field in header.fields) < 1:
-        raise OgmError(
-            f"{path} has {packed} bytes that shall unpack to {size}, wanted {needed} for {header.points} "
-            "points: it is damaged"
-        )
+        wanted = f"wanted {needed} for {header.points} points"
+        raise OgmError(f"{path} has {packed} bytes for {size} unpacked, {wanted}: it is damaged")
     try:
         content = optional("lzf", path).decompress(bytes(body[8 : 8 + packed]), size) or b""
     except ValueError as error:
@@ -158,7 +150,7 @@ def _unpacked(header: _Header, body: memoryview, path: Path) -> dict[str, np.nda
     return binary_columns(header.fields, header.points, memoryview(content), path, planar=True)
 
 
-_END = re.compile(rb"\nend_header\r?\n")  # a line of its own: a comment may hold the word
+_END = re.compile(rb"\nend_header\r?\n")  # on its own line: a comment may contain the word
 _ORDER = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -168,9 +160,9 @@ _TYPES = {
 
 
 def parse_ply(data: bytes, path: Path) -> Table:
-    """Read the element ``vertex`` of a PLY file, whose properties must be single numbers.
+    """Read the element ``vertex`` of a PLY file; its properties must be single numbers.
 
-    Elements before it are stepped over, elements after it (faces) are left alone.
+    Elements before it are skipped, elements after it (faces) are ignored.
 
     Parameters
     ----------
@@ -192,10 +184,10 @@ def parse_ply(data: bytes, path: Path) -> Table:
 
 
 def _split_ply(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[Field | None]]], memoryview]:
-    """Take the header off; a property that is a list is None among its element's fields."""
+    """Split the header from the body; list properties are None among the fields of their element."""
     end = _END.search(data, 0, _HEADER_LIMIT)
     if not data.startswith(b"ply") or end is None:
-        raise OgmError(f"{path} has no whole PLY header: it is cut short or no PLY file")
+        raise OgmError(f"{path} has no complete PLY header: it is cut short or no PLY file")
     encoding = ""
     elements: list[tuple[str, int, list[Field | None]]] = []
     for line in data[: end.start()].decode("ascii", "replace").split("\n")[1:]:
@@ -218,9 +210,7 @@ def _split_ply(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[
 def _single(fields: list[Field | None], element: str, path: Path) -> list[Field]:
     single = [field for field in fields if field is not None]
     if len(single) < len(fields):
-        raise OgmError(
-            f"{path} has lists in its PLY element {element}, wanted single numbers: write the points without them"
-        )
+        raise OgmError(f"{path} has lists in its PLY element {element}, wanted single numbers: write it without them")
     refuse_doubles((field.name for field in single), path)
     return single
 

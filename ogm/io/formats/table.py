@@ -1,4 +1,4 @@
-"""Named columns of numbers: what every format of point clouds is read into, and helpers that formats share."""
+"""Named columns of numbers, the common result of all parsers of point clouds, and shared helpers."""
 
 import io
 import itertools
@@ -18,7 +18,7 @@ from ogm.storage.limits import current_limits, too_large
 log: logging.Logger = logging.getLogger(__name__)
 
 POSITION = ("x", "y", "z")
-INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")  # the first that is there counts
+INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")  # in order of preference
 RING = ("ring", "laser_number", "channel", "laser_id", "line")
 TIME = ("time", "timestamp", "time_stamp", "t", "offset_ns", "offset_time", "time_offset", "gps_time", "gpstime")
 DOPPLER = ("doppler", "doppler_velocity", "radial_velocity", "range_rate", "velocity")
@@ -27,22 +27,22 @@ KNOWN = frozenset(POSITION + INTENSITY + RING + TIME + DOPPLER + RCS)
 
 
 class Table(NamedTuple):
-    """What a file holds, before axes and scales are settled.
+    """Columns of a file, before axes and scales are applied.
 
     Parameters
     ----------
     format : str
-        What the file is, in words.
+        Name of the format.
     columns : dict of str to (N,) array
-        The numbers per point, under the file's own names and in its own types.
+        Numbers per point, under the file's own names and in its own types.
     shape : (rows, columns) or None
-        The raster of an organised cloud, whose rows follow each other in `columns`; None for a list.
+        Raster of an organised cloud, stored row by row in `columns`; None for a list of points.
     intensity_max : float or None
-        Raw intensity that means 1 in this format; None where the format does not define it.
+        Raw intensity that becomes 1 in this format; None if undefined.
     fields : tuple of str
-        The names of all that the file holds, where `columns` has not all of it; else empty.
+        Names of all fields of the file, if `columns` holds only a part of them; else empty.
     headerless : bool
-        Whether nothing in the file states how many values a row has.
+        Whether the file does not state its number of values per row.
     """
 
     format: str
@@ -55,7 +55,7 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True)
 class Field:
-    """One number, or `count` of them, that every point has."""
+    """A field with `count` numbers per point."""
 
     name: str
     type: np.dtype
@@ -63,34 +63,32 @@ class Field:
 
     @property
     def length(self) -> int:
-        """Bytes in a binary record."""
+        """Size in a binary record [byte]."""
         return self.type.itemsize * self.count
 
 
 def plain(name: str) -> str:
-    """Return a field's name as spelled in `KNOWN`: in small letters, without the ``scalar_`` of CloudCompare."""
+    """Return a field's name as in `KNOWN`: in lower case, without the ``scalar_`` of CloudCompare."""
     return name.lower().removeprefix("scalar_")
 
 
 def refuse_doubles(names: Iterable[str], path: Path | str) -> None:
-    """Raise where two fields are one coordinate, but for capitals and ``scalar_``; of other fields the first counts.
+    """Raise if two fields are the same coordinate, except for case and ``scalar_``; log other duplicates.
 
     Parameters
     ----------
     names : iterable of str
-        The file's own names, without those of padding.
+        The file's own names, without padding.
     path : Path
-        The file's name, for messages.
+        File name, for messages.
     """
     names = list(names)
     count = Counter(plain(name) for name in names)
     if doubled := [name for name in names if plain(name) in POSITION and count[plain(name)] > 1]:
-        raise OgmError(
-            f"{path} has the fields {', '.join(doubled)[:200]}, wanted one of each name (capitals and scalar_ "
-            "make no difference): write the file with one of them, or rename the other"
-        )
+        got = f"{', '.join(doubled)[:200]}, which differ only in case or scalar_"
+        raise OgmError(f"{path} has the fields {got}, wanted one of each: remove or rename the others")
     if doubled := [name for name in names if plain(name) in KNOWN and count[plain(name)] > 1]:
-        text = "%s has the fields %s, of which the first counts: capitals and scalar_ make no difference"
+        text = "%s has the fields %s, which differ only in case or scalar_: the first is used"
         notice(log, "doubled fields", text, path, ", ".join(doubled)[:200])
 
 
@@ -102,15 +100,15 @@ def binary_columns(
     Parameters
     ----------
     fields : list of Field
-        What a record holds, in order and without gaps.
+        Fields of a record, in order and without gaps.
     points : int
-        How many records there are.
+        Number of records.
     body : memoryview
-        The bytes; what follows the last record is left alone.
+        Data bytes; bytes after the last record are ignored.
     path : Path
-        The file's name, for messages.
+        File name, for messages.
     planar : bool
-        Whether the fields lie one after the other, each for all points, rather than in records.
+        Whether each field is stored for all points in turn, instead of in records.
     """
     record = sum(field.length for field in fields)
     check_size(record * points, points, body, path)
@@ -129,26 +127,24 @@ def binary_columns(
 def text_columns(fields: list[Field], points: int, body: memoryview, path: Path) -> dict[str, np.ndarray]:
     """Read every field from lines of numbers, one line per point; of several values, the first.
 
-    The parameters are those of `binary_columns`. Lines are taken one by one, so that they need not all be in
-    memory; still a number of two letters becomes one of up to eight bytes, so there is a limit of its own for text.
+    Parameters: see `binary_columns`. Lines are read one by one to limit memory. A number of two characters becomes
+    up to eight bytes, so text has its own limit.
     """
     check_text(body, path)
     per_line = sum(field.count for field in fields)
-    check_size(2 * per_line * points - 1, points, body, path)  # a digit and a blank for each number
+    check_size(2 * per_line * points - 1, points, body, path)  # a digit and a blank per number
     if not points:
         return {field.name: np.empty(0, field.type) for field in fields}
     try:
         try:
             table = _rows([field.type for field in fields], fields, points, body)
-        except ValueError:  # nan or 12.0 where the header promises whole numbers
+        except ValueError:  # nan or 12.0 in a column of integers
             loose = [field.type if field.type.kind == "f" else np.dtype(np.float64) for field in fields]
             table = _rows(loose, fields, points, body)
     except (ValueError, OverflowError) as error:
-        raise OgmError(f"{path} has a line that is not {per_line} numbers as its header promises: {error}") from error
+        raise OgmError(f"{path} has a line that is not {per_line} numbers, as stated by its header: {error}") from error
     if len(table) < points:
-        raise OgmError(
-            f"{path} has {len(table)} lines of points, its header promises {points}: it is cut short or damaged"
-        )
+        raise OgmError(f"{path} has {len(table)} lines of points, its header states {points}: it is cut short")
     columns: dict[str, np.ndarray] = {}
     for i, field in enumerate(fields):
         columns.setdefault(field.name, table[str(i)][:, 0])
@@ -156,26 +152,24 @@ def text_columns(fields: list[Field], points: int, body: memoryview, path: Path)
 
 
 def _rows(types: list[np.dtype], fields: list[Field], points: int, body: memoryview) -> np.ndarray:
-    """Read lines of numbers as records of some types."""
+    """Read lines of numbers as records of the given types."""
     row = np.dtype([(str(i), kind, (field.count,)) for i, (kind, field) in enumerate(zip(types, fields, strict=True))])
     filled = (line for line in io.TextIOWrapper(io.BytesIO(body), "ascii", "replace") if line.strip())
     lines = itertools.islice(filled, points)
-    first = list(itertools.islice(lines, 1))  # loadtxt warns of no line at all
+    first = list(itertools.islice(lines, 1))  # loadtxt warns about empty input
     if not first:
         return np.empty(0, row)
     return np.loadtxt(itertools.chain(first, lines), row, comments=None, ndmin=1)
 
 
 def check_size(needed: int, points: int, body: memoryview, path: Path) -> None:
-    """Trust a header's numbers only as far as the file reaches."""
+    """Raise if the body is smaller than the header implies."""
     if needed > len(body):
-        raise OgmError(
-            f"{path} has {len(body)} bytes after its header, wanted at least {needed} for the {points} "
-            "points that the header promises: it is cut short or its header is damaged"
-        )
+        wanted = f"wanted at least {needed} for the stated {points} points"
+        raise OgmError(f"{path} has {len(body)} bytes after its header, {wanted}: it is cut short or damaged")
 
 
 def check_text(body: memoryview, path: Path) -> None:
-    """Refuse more text than the limit allows."""
+    """Raise if text exceeds its limit."""
     if len(body) > current_limits().text:
         raise too_large(path, len(body), "text")

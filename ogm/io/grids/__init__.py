@@ -1,1 +1,1 @@
-"""Grids in files, both ways: map_server, GeoTIFF, NetCDF, Zarr, logs, pictures, arrays. Only here do maps flip."""
+"""Grid files, read and written: map_server, GeoTIFF, NetCDF, Zarr, logs, pictures, arrays. Axes are flipped here."""

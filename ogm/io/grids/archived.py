@@ -1,4 +1,4 @@
-"""Grids in ``.npz`` files with their place, stamp and further layers: what `EvidentialGrid.save` writes, and more."""
+"""Grids in ``.npz`` files with pose, stamp and further layers, compatible with `EvidentialGrid.save`."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from ogm.storage.archive import open_archive, stated_format, write_archive
 
 
 def write_archived(path: Path, placed: PlacedGrid) -> None:
-    """Write a grid, upright in its frame."""
+    """Write a grid in the axes of its frame."""
     placed = placed.upright
     facts: dict[str, Any] = {"frame_id": placed.frame_id, "height": float(placed.T_frame_grid[2, 3])}
     facts |= {name: fact for name in ("stamp", "crs") if (fact := getattr(placed, name)) is not None}
@@ -20,9 +20,9 @@ def write_archived(path: Path, placed: PlacedGrid) -> None:
 
 
 def read_archived(path: Path) -> PlacedGrid:
-    """Read a grid of any kind; older files have neither place nor stamp nor layers."""
+    """Read a grid of any kind; older files have no pose, stamp or layers."""
     stated = stated_format(path)
-    kind: Any = next((one for one in (DynamicGrid, LayeredGrid) if stated == one.FORMAT), EvidentialGrid)
+    kind: Any = next((known for known in (DynamicGrid, LayeredGrid) if stated == known.FORMAT), EvidentialGrid)
     with open_archive(path, kind.FORMAT) as arrays:
         has_layers = kind is not LayeredGrid and "layers" in arrays
         return PlacedGrid(

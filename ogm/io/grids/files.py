@@ -1,4 +1,4 @@
-"""Grid files of all formats, by the ending of their names; arrays and pictures, which hold no place of their own."""
+"""Grid files of all formats, by the ending of their names; plain arrays and pictures, which hold no area."""
 
 import warnings
 from pathlib import Path
@@ -19,39 +19,39 @@ from ogm.io.messages.grids import AnyGrid
 from ogm.io.reading import optional, parse_array, read_bytes
 from ogm.storage.files import FilePath, OgmError, atomic_write, error_context
 
-GRID_ENDINGS = (".npz", ".npy", ".png")  # of files that hold the grid of one frame
+GRID_ENDINGS = (".npz", ".npy", ".png")  # files with the grid of one frame
 _YAML, _TIFF, _SCIENTIFIC = (".yaml", ".yml"), (".tif", ".tiff"), (".nc", ".zarr")
-MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # of what `write_grid` writes
+MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # endings that `write_grid` supports
 
 
 def write_grid(
     path: FilePath, grid: AnyGrid | PlacedGrid, *, mode: MapMode | None = None, message: GridMessage | None = None
 ) -> None:
-    """Write a grid in the format that the ending of the path names. Files are whole or not there.
+    """Write a grid in the format given by the ending of the path, in one step.
 
     Parameters
     ----------
     path : path
-        ``.npz`` (exact, `EvidentialGrid.save`, `DynamicGrid.save`), ``.yaml`` (nav2 and ROS map_server, with an image
-        beside it), ``.tif`` (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red 255
-        times the mass of occupied, green that of free), ``.mcap``, ``.db3``, ``.bag`` (a log with this one grid on
-        ``/map``; of a drive: `GridLog`).
+        ``.npz`` (exact, like `EvidentialGrid.save`, `DynamicGrid.save`), ``.yaml`` (nav2 and ROS map_server, with an
+        image file), ``.tif`` (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red is
+        255 times the mass of occupied, green 255 times the mass of free), ``.mcap``, ``.db3``, ``.bag`` (a log with
+        this grid on ``/map``; for a whole drive see `GridLog`).
     grid : EvidentialGrid, DynamicGrid, LayeredGrid or PlacedGrid
-        ``.npz``, ``.tif``, ``.nc``, ``.zarr`` and the messages grid-map and foxglove-grid hold all bands: masses, those
-        of a `DynamicGrid`, and layers. The others hold free and occupied alone: of a `LayeredGrid`, `grid_from_layer`
-        chooses one. With its place in a frame, a stamp and a coordinate reference system, as far as the format holds
-        them; ``.npz`` and ``.png`` hold no turn.
+        ``.npz``, ``.tif``, ``.nc``, ``.zarr`` and the messages grid-map and foxglove-grid hold all bands: masses, bands
+        of a `DynamicGrid`, and layers. The others hold only free and occupied; use `grid_from_layer` for a layer of a
+        `LayeredGrid`. Pose, stamp and coordinate reference system of a `PlacedGrid` are stored if the format holds
+        them; ``.npz`` and ``.png`` hold no rotation.
     mode : {"trinary", "scale", "raw"}, optional
-        Of ``.yaml``: the state of each cell (default), or its value of 0 ... 100, which is occupied + unknown / 2, by
-        grey levels and transparency, or as it is.
+        Mode of ``.yaml``: the state of each cell (default), or its value of 0 ... 100, occupied + unknown / 2, by grey
+        levels and transparency, or directly.
     message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}, optional
-        Of logs, see `GridLog`; by default the first. A costmap is on ``/costmap_raw``.
+        Message of logs, see `GridLog`; by default occupancy-grid. A costmap is on ``/costmap_raw``.
 
     Raises
     ------
     ValueError
-        If the numbers of the grid are no masses, no format has that ending, an option is given for another, the grid
-        is tilted, or turned where the format holds no turn, or something else than a grid of that format would be
+        If the numbers of the grid are no masses, the ending is unknown, an option does not belong to the format, the
+        grid is tilted, or rotated and the format holds no rotation, or a file or folder that is no such grid would be
         replaced.
     ImportError
         If the package of the format is missing.
@@ -86,7 +86,7 @@ def write_grid(
 def check_grid_output(
     path: FilePath, *, mode: MapMode | None = None, message: GridMessage | None = None, crs: str | None = None
 ) -> None:
-    """Raise what `write_grid` would raise for a path and options, before hours of work: ValueError, ImportError.
+    """Check a path and options for `write_grid` before hours of work; raises its ValueError and ImportError.
 
     Parameters
     ----------
@@ -94,16 +94,16 @@ def check_grid_output(
     mode : {"trinary", "scale", "raw"}, optional
     message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}, optional
     crs : str, optional
-        Of the `PlacedGrid`.
+        Coordinate reference system of the `PlacedGrid`.
     """
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in MAP_ENDINGS:
         raise ValueError(f"a grid is written as {', '.join(MAP_ENDINGS)}, got {path}")
     if mode is not None and (ending not in _YAML or mode not in get_args(MapMode)):
-        raise ValueError(f"mode must be one of {', '.join(get_args(MapMode))}, for .yaml files alone; got {mode!r}")
+        raise ValueError(f"mode must be one of {', '.join(get_args(MapMode))}, for .yaml files only; got {mode!r}")
     if message is not None and ending not in LOG_ENDINGS:
-        raise ValueError(f"message is for {', '.join(LOG_ENDINGS)} alone, got {message!r} for {path}")
+        raise ValueError(f"message is only for {', '.join(LOG_ENDINGS)}, got {message!r} for {path}")
     if ending in _YAML:
         check_map_server(path, mode or "trinary")
     elif ending in LOG_ENDINGS:
@@ -119,31 +119,31 @@ def check_grid_output(
 def read_grid(
     path: FilePath, area: GridSpec | None = None, *, topic: str | None = None, free_thresh: float | None = None
 ) -> EvidentialGrid:
-    """Read the masses of free and occupied, in the coordinates of the frame that they were written in.
+    """Read the masses of free and occupied, in the coordinates of the frame of the file.
 
     Parameters
     ----------
     path : path
-        What `write_grid` writes, and other programs' files of these formats: ``.yaml`` of map_server, whose occupancy
-        values become masses without unknown, but for cells that are unknown; ``.tif``, ``.nc`` and ``.zarr`` with bands
-        or variables free and occupied; ``.mcap``, ``.db3`` and ``.bag`` with OccupancyGrid, GridMap or foxglove.Grid,
-        of which the last counts, with the OccupancyGridUpdates after it; ``.png`` as the paper's released code exports
-        it: red 255 times the mass of occupied, green that of free, row 0 the front, column 0 the left; ``.npy`` with
-        masses of free and occupied, (nx, ny, 2) float, index (0, 0) behind on the right, as everywhere in `ogm`.
+        A file written by `write_grid` or by another program. ``.yaml``: map_server; occupancy values become masses
+        without unknown, except for unknown cells. ``.tif``, ``.nc`` and ``.zarr``: bands or variables free and
+        occupied. ``.mcap``, ``.db3`` and ``.bag``: the last OccupancyGrid, GridMap or foxglove.Grid, with later
+        OccupancyGridUpdates. ``.png``: as exported by the paper's released code, red 255 times the mass of occupied,
+        green 255 times the mass of free, row 0 the front, column 0 the left. ``.npy``: masses of free and occupied,
+        (nx, ny, 2) float, with the axes of `ogm`, index (0, 0) at the rear right.
     area : GridSpec, optional
-        Area of ``.npy`` and ``.png``, which do not hold it; their cells may be coarser or finer.
+        Area of ``.npy`` and ``.png``, which do not store it; its resolution is ignored.
     topic : str, optional
-        Of logs; by default the one with grids, or ``/map`` if there are several.
+        Topic of logs; by default the only topic with grids, or ``/map`` if there are several.
     free_thresh : float, optional
-        Of ``.yaml``: replaces the file's. 0.196 where a warning states that unknown cells are read as free.
+        Threshold of ``.yaml``, replaces the file's. Use 0.196 if a warning states that unknown cells are read as free.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is damaged, of another kind, holds no masses, cells that are no squares (on that area), or a grid that is
-        turned: see `read_placed_grid`.
+        If it is damaged, has another format, holds no masses, non-square cells (on that area), or a rotated grid: see
+        `read_placed_grid`.
     ImportError
         If the package of the format is missing.
     """
@@ -155,9 +155,9 @@ def read_grid(
 def read_any_grid(
     path: FilePath, area: GridSpec | None = None, *, topic: str | None = None, free_thresh: float | None = None
 ) -> AnyGrid:
-    """Read a grid of any kind: a `DynamicGrid`, the masses, or, where there are none, a `LayeredGrid`.
+    """Read a grid of any kind: a `DynamicGrid`, an `EvidentialGrid`, or without masses a `LayeredGrid`.
 
-    Layers beside masses are read by `read_placed_grid`. Parameters and errors as for `read_grid`.
+    Further layers are read by `read_placed_grid`. Parameters and errors: see `read_grid`.
     """
     placed = read_placed_grid(path, area, topic=topic, free_thresh=free_thresh)
     with error_context(path):
@@ -167,27 +167,27 @@ def read_any_grid(
 def read_placed_grid(
     path: FilePath, area: GridSpec | None = None, *, topic: str | None = None, free_thresh: float | None = None
 ) -> PlacedGrid:
-    """Read all that a file holds: a grid with its place in a frame, which may be turned, and further layers.
+    """Read the full content of a file: a grid with its pose in a frame, which may be rotated, and further layers.
 
-    Where a file holds all of a `DynamicGrid`, that is its grid; where it has no masses, a `LayeredGrid`. Parameters and
-    errors as for `read_grid`.
+    The grid is a `DynamicGrid` if all of its bands exist, and a `LayeredGrid` if there are no masses. Parameters and
+    errors: see `read_grid`.
     """
     path = Path(path)
     ending = log_ending(path) or path.suffix.lower()
     if ending not in (*MAP_ENDINGS, ".npy"):
-        raise OgmError(f"{path} is no grid that can be read; wanted {', '.join((*MAP_ENDINGS, '.npy'))}")
+        raise OgmError(f"{path} is no readable grid, wanted {', '.join((*MAP_ENDINGS, '.npy'))}")
     if topic is not None and ending not in LOG_ENDINGS:
-        raise ValueError(f"topic is for {', '.join(LOG_ENDINGS)} alone, got {topic!r} for {path}")
+        raise ValueError(f"topic is only for {', '.join(LOG_ENDINGS)}, got {topic!r} for {path}")
     if free_thresh is not None and ending not in _YAML:
-        raise ValueError(f"`free_thresh` is for .yaml files alone, got {free_thresh} for {path}")
+        raise ValueError(f"`free_thresh` is only for .yaml files, got {free_thresh} for {path}")
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
     if path.is_dir() != (ending == ".zarr") or not (path.is_file() or path.is_dir()):
         raise OgmError(f"{path} is a {'folder' if path.is_dir() else 'file or a device'}, which a {ending} is not")
     if ending in (".npy", ".png") and area is None:
-        raise OgmError(f"{path} does not hold its area: give `length` and `width` [m] of its `area`")
+        raise OgmError(f"{path} does not store its area: give `length` and `width` [m] of its `area`")
     try:
-        # what is damaged may hold any number, and libraries warn of what is refused below
+        # damaged files may hold any number, and libraries warn about content that is refused below
         with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
             return _read(path, area, topic, free_thresh)
     except ValueError as error:
@@ -211,7 +211,7 @@ def _read(path: Path, area: GridSpec | None, topic: str | None, free_thresh: flo
 
 
 def read_array(path: Path, area: GridSpec) -> EvidentialGrid:
-    """Read masses of free and occupied, (nx, ny, 2) float, index (0, 0) behind on the right."""
+    """Read masses of free and occupied, (nx, ny, 2) float, index (0, 0) at the rear right."""
     wanted = "masses of free and occupied, (nx, ny, 2) float"
     array = parse_array(read_bytes(path)[0], path, lambda shape: len(shape) == 3 and shape[-1] == 2, wanted)
     if array.dtype.kind != "f":
@@ -220,11 +220,11 @@ def read_array(path: Path, area: GridSpec) -> EvidentialGrid:
 
 
 def read_picture(path: Path, area: GridSpec) -> EvidentialGrid:
-    """Read a picture: red 255 times the mass of occupied, green that of free, row 0 the front, column 0 the left."""
+    """Read a picture: red 255 times the mass of occupied, green for free, row 0 the front, column 0 the left."""
     with open_image(path) as picture:
         if picture.mode not in ("RGB", "RGBA"):
             raise OgmError(f"{path} must be an RGB picture, red occupied and green free, got {picture.mode}")
-        spec = _on(area, (picture.height, picture.width), path)  # before it is unpacked
+        spec = _on(area, (picture.height, picture.width), path)  # before unpacking
         green, red = picture.getchannel(1), picture.getchannel(0)
     mass = np.empty((*spec.shape, 2), np.float32)
     for state, channel in enumerate((green, red)):
@@ -235,7 +235,7 @@ def read_picture(path: Path, area: GridSpec) -> EvidentialGrid:
 
 
 def write_picture(path: Path, grid: EvidentialGrid) -> None:
-    """Write a picture as `read_picture` reads it. Masses are rounded to 1/255; the place of the cells is not in it."""
+    """Write a picture for `read_picture`, with masses rounded to 1/255 and without the area."""
     from PIL import Image
 
     pixels = np.zeros((*grid.spec.shape, 3), np.uint8)
@@ -245,11 +245,11 @@ def write_picture(path: Path, grid: EvidentialGrid) -> None:
 
 
 def _on(area: GridSpec, shape: tuple[int, int], path: Path) -> GridSpec:
-    """Return cells of a shape that fill an area."""
+    """Return a spec with cells of a shape that fill an area."""
     resolution = area.length / max(shape[0], 1)
     if not np.isclose(resolution * shape[1], area.width, rtol=1e-6):
         raise OgmError(
-            f"{path} has {shape[0]} x {shape[1]} cells; on {area.length:g} m x {area.width:g} m they are no squares. "
-            "Save it as .npz with its own spec (EvidentialGrid.save)"
+            f"{path} has {shape[0]} x {shape[1]} cells, which are not square on {area.length:g} m x {area.width:g} m: "
+            "give the right area, or save the grid as .npz with its own spec (EvidentialGrid.save)"
         )
     return GridSpec(resolution, shape, area.origin)

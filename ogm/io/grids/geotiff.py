@@ -1,11 +1,10 @@
-"""GeoTIFF: a cloud-optimised file with a band for each layer, row 0 the top; turned by its GeoTransform."""
+"""GeoTIFF: a cloud-optimised file with one band per layer, row 0 the top; its GeoTransform holds the rotation."""
 
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
@@ -14,13 +13,13 @@ from ogm.io.reading import optional, reason
 from ogm.storage.files import OgmError, atomic_write
 from ogm.storage.limits import current_limits, too_large
 
-_COLOURS = ("green", "red", "blue")  # of the first bands, where a program shows them as a picture
-_CACHE = 2**24  # [byte] of blocks that GDAL keeps; by default a twentieth of the memory
-_SQUARE = 1e-6  # departure of a pixel from a square that rounding can make
+_COLOURS = ("green", "red", "blue")  # of the first bands, for programs that show them as a picture
+_CACHE = 2**24  # [byte] of blocks kept by GDAL; its default is a twentieth of the memory
+_SQUARE = 1e-6  # departure of a pixel from a square by rounding
 
 
 def check_crs(crs: str, path: Path) -> Any:
-    """Return a coordinate reference system as rasterio has it; raise unless its coordinates are metres on a plane."""
+    """Return a coordinate reference system of rasterio; raise unless it is projected, in metres."""
     optional("rasterio", path, "geo", "written")
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -28,18 +27,14 @@ def check_crs(crs: str, path: Path) -> Any:
     try:
         system = CRS.from_user_input(crs)
     except (CRSError, ValueError) as error:
-        raise ValueError(
-            f"there is no coordinate reference system {crs!r} ({error}); wanted one such as EPSG:25832"
-        ) from error
+        raise ValueError(f"{crs!r} is no coordinate reference system ({error}); give one like EPSG:25832") from error
     if not system.is_projected or not math.isclose(system.linear_units_factor[1], 1.0):
-        raise ValueError(
-            f"{crs} is not in metres on a plane, as cells are; use a projected one, such as UTM (EPSG:25832)"
-        )
+        raise ValueError(f"{crs} is not projected in metres; give a projected system, such as UTM (EPSG:25832)")
     return system
 
 
 def write_geotiff(path: Path, placed: PlacedGrid) -> None:
-    """Write a GeoTIFF: named bands of float32, exact. Nodata is NaN, which no mass is: unknown is a mass, too."""
+    """Write a GeoTIFF with named bands of float32, exact. Nodata is NaN, as unknown is a valid mass."""
     rasterio = optional("rasterio", path, "geo", "written")
     from rasterio.enums import ColorInterp
 
@@ -54,7 +49,7 @@ def write_geotiff(path: Path, placed: PlacedGrid) -> None:
         "bigtiff": "IF_SAFER",
     }  # fmt: skip
     tags = {"frame_id": placed.frame_id} | ({} if placed.stamp is None else {"stamp": repr(placed.stamp)})
-    with rasterio.MemoryFile(ext=".tif") as memory:  # GDAL does not report a disk that is full when it closes a file
+    with rasterio.MemoryFile(ext=".tif") as memory:  # GDAL does not report a full disk when it closes a file
         try:
             with memory.open(**profile) as image:
                 for band, (name, layer) in enumerate(layers.items(), start=1):
@@ -64,19 +59,19 @@ def write_geotiff(path: Path, placed: PlacedGrid) -> None:
                     others = [ColorInterp.undefined] * (len(layers) - len(_COLOURS))
                     image.colorinterp = [ColorInterp[name] for name in _COLOURS] + others
                 image.update_tags(**tags)
-        except Exception as error:  # rasterio lets GDAL's own errors through
+        except Exception as error:  # rasterio lets errors of GDAL through
             raise OSError(f"{path} cannot be written: {error}") from error
         with atomic_write(path) as file:
             file.write(memory.getbuffer())
 
 
 def read_geotiff(path: Path) -> PlacedGrid:
-    """Read a GeoTIFF: masses of bands with the names free and occupied, other bands as layers; nodata is NaN."""
+    """Read a GeoTIFF: masses from the bands free and occupied, other bands as layers; nodata is NaN."""
     rasterio = optional("rasterio", path, "geo")
     try:
-        # not one of GDAL's formats that name other files
+        # the driver is fixed, as other formats of GDAL can name further files
         with rasterio.Env(GDAL_CACHEMAX=_CACHE), rasterio.open(path, driver="GTiff") as image:
-            GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
+            GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # refuses too many cells before unpacking
             names = [name or f"band{number}" for number, name in enumerate(image.descriptions, start=1)]
             read = {name: k for k, name in enumerate(names, start=1) if not is_derived(name, names)}
             size = 4 * len(read) * image.width * image.height
@@ -91,11 +86,13 @@ def read_geotiff(path: Path) -> PlacedGrid:
                 raise OgmError(f"{path} has two bands of one name: {', '.join(names)[:80]}")
             resolution, (x, y, yaw), down = _place(image.transform, image.height, path)
             spec = GridSpec(resolution, (image.width, image.height), (x, y))
-            bands = {name: _band(image, number)[:: -1 if down else 1].T for name, number in read.items()}
+            rows = slice(None, None, -1 if down else 1)
+            values = {name: image.read(k, out_dtype="float32", masked=True) for name, k in read.items()}
+            bands = {name: band.filled(np.nan)[rows].T for name, band in values.items()}
             tags, crs = image.tags(), None if image.crs is None else image.crs.to_string()
     except OgmError:
         raise
-    except Exception as error:  # rasterio lets GDAL's own errors through
+    except Exception as error:  # rasterio lets errors of GDAL through
         raise OgmError(f"{path} is damaged or no GeoTIFF: {reason(error, path)}") from error
     if crs is not None:
         check_crs(crs, path)
@@ -103,20 +100,11 @@ def read_geotiff(path: Path) -> PlacedGrid:
     return placed_at(LayeredGrid(spec, bands), yaw, **facts)
 
 
-def _band(image: Any, number: int) -> NDArray[np.float32]:
-    """Read a band, (height, width); NaN for nodata."""
-    read = image.read(number, out_dtype="float32", masked=True)
-    values: NDArray[np.float32] = read.filled(np.nan)
-    return values
-
-
 def _place(transform: Any, rows: int, path: Path) -> tuple[float, Corner, bool]:
-    """Return the side of a pixel [m], the corner of cell (0, 0), and whether rows lead from the greatest y down."""
+    """Return the side of a pixel [m], the corner of cell (0, 0), and whether rows go from the greatest y down."""
     a, b, c, d, e, f = transform[:6]
     if transform.is_identity or not np.isfinite(transform[:6]).all():
-        raise OgmError(
-            f"{path} has no georeference, so that the size of its cells is not known; see gdal_translate -a_ullr"
-        )
+        raise OgmError(f"{path} has no georeference, so its cell size is unknown; see gdal_translate -a_ullr")
     right, down = complex(a, d), complex(b, e)
     turn = right * 1j
     falling = abs(down + turn) < abs(down - turn)
@@ -129,7 +117,7 @@ def _place(transform: Any, rows: int, path: Path) -> tuple[float, Corner, bool]:
 
 
 def _stamp(text: str | None) -> float | None:
-    """Return the time of a tag; None where it is no finite number."""
+    """Return the time of a tag, or None if it is no finite number."""
     try:
         stamp = float(text or "nan")
     except ValueError:

@@ -1,4 +1,4 @@
-"""Grids in logs (``.mcap``, ``.db3``, ``.bag``): one map, or those of a whole drive with its poses, for viewers."""
+"""Grids in logs (``.mcap``, ``.db3``, ``.bag``): one map, or the maps of a drive with poses, for viewers."""
 
 import logging
 import struct
@@ -22,7 +22,7 @@ from ogm.storage.files import FilePath, OgmError, error_context
 _log = logging.getLogger(__name__)
 
 GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid", "costmap"]
-# Type of each message, and the function that makes it.
+# Type of each message, and the function that builds it.
 _MESSAGES: dict[str, tuple[str, Callable[..., Any]]] = {
     "occupancy-grid": ("nav_msgs/msg/OccupancyGrid", occupancy_grid),
     "grid-map": ("grid_map_msgs/msg/GridMap", grid_map),
@@ -36,11 +36,11 @@ _READERS: dict[str, Callable[[Any], Any]] = {
     "foxglove.Grid": layers_from_foxglove_grid,
     "foxglove_msgs/msg/Grid": layers_from_foxglove_grid,
 }
-_UPDATE, _UPDATES = "map_msgs/msg/OccupancyGridUpdate", "_updates"  # type, and end of the topic's name
+_UPDATE, _UPDATES = "map_msgs/msg/OccupancyGridUpdate", "_updates"  # type, and ending of the topic
 
 
 class GridLog:
-    """Writes grids to a log, with the poses under which they were made. A context manager.
+    """Writer of grids and their poses to a log. A context manager.
 
     The file appears under its name at the end of the ``with`` block.
 
@@ -49,11 +49,11 @@ class GridLog:
     path : path
         ``.mcap``, ``.db3`` or ``.bag``. Its folder must exist.
     message : {"occupancy-grid", "grid-map", "foxglove-grid", "costmap"}
-        ``nav_msgs/OccupancyGrid``, which every viewer and planner reads, has one number per cell.
+        ``nav_msgs/OccupancyGrid`` is read by every viewer and planner, but has one number per cell.
         ``grid_map_msgs/GridMap`` has all bands, for RViz with grid_map's plug-in. ``foxglove.Grid`` has all bands and
-        colours, in MCAP alone. ``nav2_msgs/Costmap`` has the layer ``cost``, see `ogm.planning.costmap`.
+        colours, only in MCAP. ``nav2_msgs/Costmap`` has the layer ``cost``, see `ogm.planning.costmap`.
     topic : str
-        Of the grids; transforms go to ``/tf``.
+        Topic of the grids; transforms go to ``/tf``.
 
     Raises
     ------
@@ -83,13 +83,13 @@ class GridLog:
         return self._log.__exit__(*error)
 
     def write(self, placed: PlacedGrid, transforms: Iterable[StampedTransform] = ()) -> None:
-        """Write a grid at its stamp (at 0 s without one), and transforms before it.
+        """Write a grid at its stamp (at 0 s without a stamp), preceded by transforms.
 
         Parameters
         ----------
         placed : PlacedGrid
         transforms : iterable of StampedTransform
-            Such as the pose of the vehicle.
+            For example the pose of the vehicle.
         """
         transforms, stamp = list(transforms), placed.stamp or 0.0
         if transforms:
@@ -107,26 +107,26 @@ def check_logged(path: Path, message: str) -> None:
         raise ValueError(f"message must be one of {', '.join(get_args(GridMessage))}, got {message!r}")
     if message == "foxglove-grid":
         if path.suffix.lower() != ".mcap":
-            raise ValueError(f"foxglove-grid is for .mcap files alone, got {path}; grid-map has the masses too")
+            raise ValueError(f"foxglove-grid is only for .mcap files, got {path}; grid-map has the masses too")
         optional("foxglove", path, "live", "written")
     for package in ("rosbags", "mcap"):
         optional(package, path, "ros", "written")
 
 
 def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
-    """Read the last grid of a log; of an OccupancyGrid on ``/map`` with all later updates on ``/map_updates``.
+    """Read the last grid of a log; an OccupancyGrid on ``/map`` includes later updates on ``/map_updates``.
 
     Parameters
     ----------
     path : Path
     topic : str, optional
-        By default the one with grids, or ``/map`` if there are several.
+        By default the only topic with grids, or ``/map`` if there are several.
     """
     try:
         with open_log(path) as log:
             topic = topic or _topic(log, path)
             if not (refs := log.refs([topic])):
-                raise OgmError(f"{path} has no message of {topic}: was it recorded to its end?")
+                raise OgmError(f"{path} has no message of {topic}: the log is incomplete, or the topic is wrong")
             message = log.message(refs[-1])
             for warning in log.warnings:
                 _log.warning("%s", warning)
@@ -134,14 +134,14 @@ def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
                 raise OgmError(f"{topic} of {path} has messages of {message.type}, wanted {', '.join(_READERS)}")
             placed = _placed(message)
             return _updated(placed, log, f"{topic}{_UPDATES}", refs[-1].log_time * 1e-9, path)
-    except (OgmError, AttributeError, TypeError, SyntaxError) as error:  # a log defines its own types
+    except (OgmError, AttributeError, TypeError, SyntaxError) as error:  # logs define their own types
         if isinstance(error, OgmError) and str(path) in str(error):
             raise
         raise OgmError(f"{path}: the last message of {topic} is damaged: {error}") from error
 
 
 def _updated(placed: PlacedGrid, log: LogReader, topic: str, start: float, path: Path) -> PlacedGrid:
-    """Return a grid with the updates of a topic that were recorded after it, each of which replaces some cells."""
+    """Return a grid with the later updates of a topic, each of which replaces some cells."""
     if topic not in log.topics or log.topics[topic].type != _UPDATE or not isinstance(placed.grid, EvidentialGrid):
         return placed
     grid, stamp, lost, applied = placed.grid, placed.stamp, list[str](), 0
@@ -163,7 +163,7 @@ def _updated(placed: PlacedGrid, log: LogReader, topic: str, start: float, path:
 
 
 def _topic(log: LogReader, path: Path) -> str:
-    """Return the topic that has grids."""
+    """Return the topic with grids."""
     found = [name for name, facts in log.topics.items() if facts.type in _READERS and facts.count]
     if len(found) == 1:
         return found[0]
@@ -173,10 +173,8 @@ def _topic(log: LogReader, path: Path) -> str:
         raise OgmError(f"{path} has grids of {', '.join(found)}: give one as `topic`")
     there = ", ".join(f"{name} ({facts.type})" for name, facts in log.topics.items())
     if any(facts.type == _UPDATE and facts.count for facts in log.topics.values()):
-        raise OgmError(
-            f"{path} has updates of a map, but no whole map that they change, only {there}: begin to record before the "
-            "map is published, or publish it anew"
-        )
+        way_out = "start recording before the map is published, or publish it again"
+        raise OgmError(f"{path} has updates of a map, but no complete map, only {there}: {way_out}")
     raise OgmError(f"{path} has no grids ({', '.join(_READERS)}), only {there or 'nothing'}: make them by ogm fuse")
 
 
@@ -192,12 +190,11 @@ def _placed(message: LogMessage) -> PlacedGrid:
     place = T, frame_name(frame), stamp or None
     if isinstance(grid, EvidentialGrid):
         return PlacedGrid(grid, *place)
-    with error_context(f"{message.type} of {frame} has masses that are none"):
+    with error_context(f"{message.type} of {frame} has invalid masses"):
         return PlacedGrid.of_bands(grid, *place)
 
 
-_SIZES = {1: 8, 5: 4}  # [byte] of the wire types of fixed length
-_XY, _XYZ, _XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
+_SIZES = {1: 8, 5: 4}  # [byte] of wire types of fixed length
 
 
 def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
@@ -206,23 +203,24 @@ def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
     Raises
     ------
     OgmError
-        If the bytes are none.
+        If the bytes are no such message.
     """
-    with error_context("it is no whole foxglove.Grid", ValueError, IndexError, TypeError, AttributeError, struct.error):
+    with error_context(
+        "it is no complete foxglove.Grid", ValueError, IndexError, TypeError, AttributeError, struct.error
+    ):
         top = _fields(data)
         pose, time = _fields(_last(top, 3, b"")), _fields(_last(top, 1, b""))
         fields = []
-        for one in top.get(8, []):
-            field = _fields(one)
-            fields.append(
-                SimpleNamespace(name=_last(field, 1, b"").decode(), offset=_whole(field, 2), type=_last(field, 3, 0))
-            )
+        for part in top.get(8, []):
+            field = _fields(part)
+            name, kind = _last(field, 1, b"").decode(), _last(field, 3, 0)
+            fields.append(SimpleNamespace(name=name, offset=_whole(field, 2), type=kind))
         return SimpleNamespace(
             timestamp=SimpleNamespace(sec=_last(time, 1, 0), nanosec=_last(time, 2, 0)),
             frame_id=_last(top, 2, b"").decode(),
-            pose=SimpleNamespace(position=_vector(pose, 1, _XYZ), orientation=_vector(pose, 2, _XYZW)),
+            pose=SimpleNamespace(position=_vector(pose, 1, "xyz"), orientation=_vector(pose, 2, "xyzw")),
             column_count=_whole(top, 4),
-            cell_size=_vector(top, 5, _XY),
+            cell_size=_vector(top, 5, "xy"),
             row_stride=_whole(top, 6),
             cell_stride=_whole(top, 7),
             fields=fields,
@@ -231,7 +229,7 @@ def decode_foxglove_grid(data: bytes) -> SimpleNamespace:
 
 
 def _fields(data: bytes) -> dict[int, list[Any]]:
-    """Return the values of a message by the numbers of their fields."""
+    """Return the values of a protobuf message by field number."""
     found: dict[int, list[Any]] = {}
     position = 0
     while position < len(data):
@@ -267,7 +265,7 @@ def _varint(data: bytes, position: int) -> tuple[int, int]:
 
 
 def _last(fields: dict[int, list[Any]], number: int, default: Any) -> Any:
-    """Return the value of a field; one that is missing has its default, as proto3 has it."""
+    """Return the value of a field, or the default of proto3 if it is missing."""
     return fields.get(number, [default])[-1]
 
 
@@ -275,7 +273,7 @@ def _whole(fields: dict[int, list[Any]], number: int) -> int:
     return int(struct.unpack("<I", _last(fields, number, bytes(4)))[0])
 
 
-def _vector(fields: dict[int, list[Any]], number: int, names: tuple[str, ...]) -> SimpleNamespace:
+def _vector(fields: dict[int, list[Any]], number: int, names: str) -> SimpleNamespace:
     """Return a message of doubles."""
     inner = _fields(_last(fields, number, b""))
     numbers = (struct.unpack("<d", _last(inner, k, bytes(8)))[0] for k in range(1, len(names) + 1))

@@ -1,7 +1,7 @@
-"""Maps of ROS's map_server: a YAML file, and an image whose row 0 is the top, the greatest y.
+"""Maps of ROS's map_server: a YAML file, and an image with its row 0 at the top, the greatest y.
 
 Rules of nav2's loader (``nav2_map_server/src/map_io.cpp``): ``p = (255 - grey) / 255``, or ``grey / 255`` if negated.
-trinary: occupied above ``occupied_thresh``, free below ``free_thresh``, else unknown (later versions count p at a
+trinary: occupied above ``occupied_thresh``, free below ``free_thresh``, else unknown (later versions treat p at a
 threshold as known). scale: the same thresholds, linear in between, transparent is unknown. raw: the grey is the value,
 unknown above 100.
 """
@@ -29,18 +29,18 @@ MapMode = Literal["trinary", "scale", "raw"]
 _GREYS = np.array([205, 254, 0], np.uint8)  # of CellState.UNKNOWN, FREE, OCCUPIED
 _THRESHOLDS = {  # occupied, free. Grey 205 is p = 0.19608: with map_saver's 0.25 unknown would load as free
     "trinary": (0.65, 0.196),
-    "scale": (1.0, 0.0),  # with which the values 0 ... 100 load exactly
+    "scale": (1.0, 0.0),  # the values 0 ... 100 then load exactly
     "raw": (0.65, 0.196),
 }
 _FORMATS = ("PNG", "PPM", "BMP", "JPEG")  # PPM: also PGM and PBM
 _NUMBERS = ("resolution", "occupied_thresh", "free_thresh")
 _NO, _YES = ("0", "false", "no", "False"), ("1", "true", "yes", "True")
-_CREATOR = "CREATOR: ogm"  # comment of images, by which those of a map that was cut short are known
+_CREATOR = "CREATOR: ogm"  # comment of images, which identifies images of an interrupted write
 _MAX_TEXT = 2**16  # [byte] of a YAML file, which has seven short lines
 
 
 class _Header(NamedTuple):
-    """The values of the YAML file."""
+    """Values of the YAML file."""
 
     image: Path
     mode: MapMode
@@ -52,10 +52,11 @@ class _Header(NamedTuple):
 
 
 def write_map_server(path: Path, placed: PlacedGrid, mode: MapMode = "trinary") -> None:
-    """Write a map for map_server: ``NAME.yaml`` with ``NAME.pgm``, or ``NAME-scale.png`` in mode scale, with alpha.
+    """Write a map for map_server: ``NAME.yaml`` with ``NAME.pgm``, or ``NAME-scale.png`` with alpha in mode scale.
 
-    Both files are written whole beside their names; then an old YAML file is removed, and the image and the YAML file
-    get their names, in this order. A crash in between leaves no YAML file, hence no map, but never a wrong one.
+    Both files are first written completely under temporary names. Then an old YAML file is removed, and the image and
+    the YAML file are renamed, in this order. A crash in between leaves no YAML file, hence no map, but never a wrong
+    one.
 
     Raises
     ------
@@ -82,14 +83,14 @@ def write_map_server(path: Path, placed: PlacedGrid, mode: MapMode = "trinary") 
             else:
                 head = f"P5\n# {_CREATOR}\n{pixels.shape[1]} {pixels.shape[0]}\n255\n"
                 image_file.write(head.encode() + pixels.tobytes())
-            for one in (file, image_file):  # so that a full disk is noticed while the old map is whole
-                one.flush()
-                os.fsync(one.fileno())
+            for part in (file, image_file):  # detects a full disk while the old map is intact
+                part.flush()
+                os.fsync(part.fileno())
             path.unlink(missing_ok=True)
 
 
 def check_map_server(path: Path, mode: MapMode = "trinary") -> None:
-    """Raise ValueError if the image of a map would replace a file that is none of a map of that name."""
+    """Raise ValueError if the image of a map would replace an unrelated file."""
     image_path = _image_of(path, mode)
     if not os.path.lexists(image_path):
         return
@@ -99,13 +100,11 @@ def check_map_server(path: Path, mode: MapMode = "trinary") -> None:
         with open(image_path, "rb") as file:
             if _CREATOR.encode() in file.read(256):
                 return
-    raise ValueError(
-        f"{path} would replace {image_path}, which is no image of that map: give another name, or move the image"
-    )
+    raise ValueError(f"{path} would replace {image_path}, which is no image of that map: give another name, or move it")
 
 
 def _image_of(path: Path, mode: MapMode) -> Path:
-    """Return the path of the image of a map; NAME.png may be a picture of the map."""
+    """Return the image path of a map; NAME.png stays available for a picture of the map."""
     return path.with_name(f"{path.stem}{'-scale.png' if mode == 'scale' else '.pgm'}")
 
 
@@ -127,14 +126,14 @@ def _rows(cells: NDArray[Any]) -> NDArray[Any]:
 
 
 def read_map_server(path: Path, free_thresh: float | None = None) -> PlacedGrid:
-    """Read a map of map_server. Values become masses as `ogm.io.messages.grids.mass_from_occupancy` makes them.
+    """Read a map of map_server. Values become masses by `ogm.io.messages.grids.mass_from_occupancy`.
 
     Parameters
     ----------
     path : Path
     free_thresh : float, optional
-        Replaces that of the file. With 0.25, which nav2's map_saver wrote up to 2025, its own grey of unknown cells is
-        free, for nav2 and here; with 0.196 it is unknown.
+        Replaces the file's threshold. With 0.25, written by nav2's map_saver up to 2025, its own grey of unknown cells
+        is free, for nav2 and here; with 0.196 it is unknown.
     """
     header = _header(path)
     if free_thresh is not None:
@@ -155,10 +154,10 @@ def _header(path: Path) -> _Header:
     if len(text) > _MAX_TEXT:
         raise OgmError(f"{path} has more than {_MAX_TEXT} bytes, wanted the YAML file of a map: seven lines")
     try:
-        values = yaml.load(text, yaml.BaseLoader)  # leaves scalars as text: no merge keys, which can fill the memory
+        values = yaml.load(text, yaml.BaseLoader)  # keeps scalars as text and ignores merge keys, which can fill memory
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         problem = getattr(error, "problem", None) or type(error).__name__
-        raise OgmError(f"{path} is no YAML ({problem}): is it cut short, or wrongly named?") from error
+        raise OgmError(f"{path} is no YAML ({problem}): it is cut short or wrongly named") from error
     if not isinstance(values, dict):
         raise OgmError(f"{path} holds a {type(values).__name__}, wanted the keys image, resolution, origin, ...")
     mode = values.get("mode", "trinary")
@@ -170,7 +169,7 @@ def _header(path: Path) -> _Header:
     resolution, occupied, free = (_number(values.get(key), key, path) for key in _NUMBERS)
     if resolution <= 0:
         raise OgmError(f"{path}: resolution must be above 0 m, got {resolution:g}")
-    corner = Corner(*(_number(one, "origin", path) for one in origin))
+    corner = Corner(*(_number(value, "origin", path) for value in origin))
     if mode == "scale" and not occupied > free:
         raise OgmError(f"{path}: occupied_thresh must be above free_thresh, got {occupied:g} and {free:g}")
     negate = values.get("negate", "0")
@@ -191,20 +190,18 @@ def _number(text: Any, key: str, path: Path) -> float:
 
 
 def _brief(value: Any) -> str:
-    """Return a value of a file for an error; of one that holds others only the type, as it may be huge."""
+    """Return a value for an error text; only the type of a container, which may be huge."""
     return repr(value)[:40] if isinstance(value, str | None) else type(value).__name__
 
 
 def _image_path(path: Path, name: Any) -> Path:
-    """Return the path of the image, which must not leave the folder of the YAML file."""
+    """Return the image path, which must not leave the folder of the YAML file."""
     if not isinstance(name, str) or not is_file_name(name):
         raise OgmError(f"{path}: image must be the name of a file, got {_brief(name)}")
     folder = Path(os.path.abspath(path.parent))
     image = Path(os.path.abspath(folder / name))
     if not image.is_relative_to(folder):
-        raise OgmError(
-            f"{path}: image {_brief(name)} lies outside the folder of the file; copy it there and give its name alone"
-        )
+        raise OgmError(f"{path}: image {_brief(name)} lies outside of the file's folder; copy it there")
     if not image.is_file():
         raise OgmError(f"{path}: there is no image {_brief(name)} beside it; copy it there")
     return image
@@ -215,14 +212,14 @@ def _values(header: _Header) -> NDArray[np.int8]:
     channels, highest = _channels(header.image)
     alpha = channels[-1] if len(channels) in (2, 4) else None
     colours = list(channels) if alpha is None else list(channels[:-1])
-    if alpha is not None and header.mode == "trinary":  # the loader averages it in
+    if alpha is not None and header.mode == "trinary":  # the loader averages over alpha too
         colours = [*colours * (3 // len(colours)), alpha]
     total = colours[0].astype(np.uint16)
-    for one in colours[1:]:
-        total += one
+    for colour in colours[1:]:
+        total += colour
     table = _value_table(header, len(colours) * highest)
     values = table[total]
-    unknown = int(_GREYS[0]) * len(colours) * highest // 255  # the grey of unknown cells, as all map_savers write it
+    unknown = int(_GREYS[0]) * len(colours) * highest // 255  # grey of unknown cells in all versions of map_saver
     if header.mode == "trinary" and not header.negate and table[unknown] == 0:
         share = np.count_nonzero(total == unknown) / total.size
         if share > 0:
@@ -251,9 +248,9 @@ def _value_table(header: _Header, white: int) -> NDArray[np.int8]:
 
 
 def _channels(path: Path) -> tuple[tuple[NDArray[Any], ...], int]:
-    """Return the channels of an image (grey, grey and alpha, RGB or RGBA), and the number that means white."""
+    """Return the channels of an image (grey, grey and alpha, RGB or RGBA), and the value of white."""
     with open_image(path, _FORMATS) as image:
-        GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
+        GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # refuses too many cells before unpacking
         if image.mode.startswith("I"):  # 16 bit
             return (np.asarray(image).clip(0, 65535),), 65535
         if image.mode not in ("L", "LA", "RGB", "RGBA"):

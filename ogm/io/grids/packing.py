@@ -1,4 +1,4 @@
-"""How the arrays of Zarr maps may be packed: by decoders that crafted chunks do not make read beyond their memory."""
+"""Permitted codecs of Zarr maps: decoders that crafted chunks cannot make read beyond their memory."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ _CODECS = {"bytes", "crc32c", "gzip", "sharding_indexed", "transpose", "zstd"}
 
 
 def check_packing(path: Path) -> None:
-    """Raise OgmError if an array of a Zarr folder is packed in another way, such as by Blosc."""
+    """Raise OgmError if an array of a Zarr folder has another codec, such as Blosc."""
     for described in sorted(path.glob("*/zarr.json")):
         left = list(json.loads(described.read_bytes())["codecs"])
         while left:

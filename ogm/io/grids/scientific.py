@@ -4,7 +4,6 @@ import errno
 import json
 import math
 import os
-import struct
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,13 +11,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.extras import install_line
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.placed import PlacedGrid, nanometres
 from ogm.io.messages.grids import AnyGrid, is_derived
 from ogm.io.reading import optional, reason
 from ogm.pose import pose
+from ogm.storage.archive import UNREADABLE
 from ogm.storage.files import OgmError, update_hint
 from ogm.storage.limits import current_limits, too_large
 from ogm.storage.whole_path import whole_path
@@ -33,8 +32,8 @@ _BANDS = {  # unit and meaning
     "unknown": ("1", "belief mass of unknown, 1 - free - occupied"),
     "static": ("1", "belief mass of occupied by something static"),
     "dynamic": ("1", "belief mass of occupied by something dynamic"),
-    "velocity_x": ("m s-1", "mean velocity over ground of what is dynamic, along x of the grid"),
-    "velocity_y": ("m s-1", "mean velocity over ground of what is dynamic, along y of the grid"),
+    "velocity_x": ("m s-1", "mean velocity over ground of dynamic objects, along x of the grid"),
+    "velocity_y": ("m s-1", "mean velocity over ground of dynamic objects, along y of the grid"),
     "velocity_covariance_xx": ("m2 s-2", "variance of velocity_x"),
     "velocity_covariance_xy": ("m2 s-2", "covariance of velocity_x and velocity_y"),
     "velocity_covariance_yy": ("m2 s-2", "variance of velocity_y"),
@@ -46,17 +45,13 @@ _BANDS = {  # unit and meaning
     "step": ("m", "step of the ground"),
     "roughness": ("m", "roughness of the ground"),
     "highest_obstacle": ("m", "height of the highest obstacle"),
-    "clearance": ("m", "clearance below what hangs above the ground"),
+    "clearance": ("m", "clearance below overhanging objects"),
     "traversability": ("1", "traversability"),
 }
 _MASSES = ("free", "occupied", "unknown", "static", "dynamic")
 _CHUNK = 1024  # [cells] side of a chunk
-_STRIP = 2**18  # cells that are read at once, at least
-_SAME_STEP = 1e-6  # departure of a step from the others, in cells, that rounding can make
-_READ_ERRORS = (
-    *(OSError, ValueError, LookupError, TypeError, RuntimeError, AttributeError, MemoryError, ArithmeticError),
-    struct.error,
-)
+_STRIP = 2**18  # least number of cells read at once
+_SAME_STEP = 1e-6  # departure of a step from the others by rounding, in cells
 
 
 def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
@@ -70,16 +65,16 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
     -------
     xarray.Dataset
         Variables ``free``, ``occupied`` and ``unknown`` of dims (y, x), float32 in [0, 1], not copied, and all further
-        layers; coordinates ``x`` and ``y`` of the cells' centres [m], increasing. Attributes
-        ``resolution`` [m], ``frame_id`` and, if known, ``stamp`` [s] and ``height`` in the frame [m]. The coordinates
-        are those of the frame; where the grid is turned or tilted in it, they are the grid's own, and the attribute
-        ``T_frame_grid`` has the 16 numbers of the transform, row by row. With a `crs`, ``spatial_ref`` is the grid
-        mapping (or, where the grid is turned, the attribute ``crs_wkt``).
+        layers; coordinates ``x`` and ``y`` of the cells' centres [m], increasing. Attributes ``resolution`` [m],
+        ``frame_id`` and, if known, ``stamp`` [s] and ``height`` in the frame [m]. The coordinates belong to the frame.
+        For a grid rotated or tilted in it, they belong to the grid, and the attribute ``T_frame_grid`` has the 16
+        numbers of the transform, row by row. A `crs` is stored as the grid mapping ``spatial_ref``, or for a rotated
+        grid as the attribute ``crs_wkt``.
 
     Raises
     ------
     ImportError
-        If xarray is missing, or for a `crs` rasterio.
+        If xarray is missing, or rasterio for a `crs`.
     """
     xarray = optional("xarray", Path("an xarray.Dataset"), "geo", "made")
     placed = PlacedGrid.of(grid)
@@ -116,26 +111,26 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
 
 
 def _described(name: str) -> dict[str, Any]:
-    """Return the attributes of a layer; the unit of other layers than those of `ogm` is not known."""
+    """Return the attributes of a layer; the unit of foreign layers is unknown."""
     unit, text = _BANDS.get(name, ("", name.replace("_", " ")))
     masses = {"valid_min": np.float32(0), "valid_max": np.float32(1)} if name in _MASSES else {}
     return {"long_name": text} | ({"units": unit} if unit else {}) | masses
 
 
 def from_xarray(dataset: "Dataset") -> PlacedGrid:
-    """Return the grid of an `xarray.Dataset` that has what `to_xarray` gives it; parts and coarser ones of it too.
+    """Return the grid of an `xarray.Dataset` made by `to_xarray`, or of a part or coarser version of it.
 
     Parameters
     ----------
     dataset : xarray.Dataset
-        With variables of numbers of dims y and x in any order: ``free`` and ``occupied``, masses in [0, 1], NaN is
-        unknown; for a `DynamicGrid` all that `to_xarray` makes of one but unknown; any others are layers. And with
-        coordinates ``x`` and ``y`` of the cells' centres in equal steps [m], one number of metres for both.
+        Numeric variables of dims y and x in any order: ``free`` and ``occupied``, masses in [0, 1], NaN is unknown;
+        for a `DynamicGrid` all variables of `to_xarray` except unknown; all others are layers. Coordinates ``x`` and
+        ``y`` of the cells' centres, with one equal step for both [m].
 
     Raises
     ------
     OgmError
-        If something is missing, of another shape, or no mass.
+        If a variable or coordinate is missing, has another shape, or is no mass.
     """
     if hint := update_hint(found := dataset.attrs.get("format"), *_TITLES):
         raise OgmError(f"the dataset has the format {found}, this version of ogm reads {', '.join(_TITLES)}{hint}")
@@ -158,7 +153,7 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
 
 
 def _layers(dataset: "Dataset") -> "Dataset":
-    """Return the variables over y and x, or raise OgmError where there is none, or masses are none."""
+    """Return the variables over y and x; raise OgmError without any, or for invalid masses."""
     names = []
     for name, layer in dataset.data_vars.items():
         fits = set(layer.dims) == {"x", "y"} and layer.dtype.kind in "fiu"
@@ -172,19 +167,19 @@ def _layers(dataset: "Dataset") -> "Dataset":
 
 
 def _check_sizes(layers: "Dataset") -> None:
-    """Refuse more cells than a grid has, and chunks that are larger: a file of a few bytes can promise them."""
+    """Refuse too many cells and too large chunks, which a file of a few bytes can state."""
     GridSpec(1.0, (int(layers.sizes["x"]), int(layers.sizes["y"])), (0.0, 0.0))
     size = sum(layer.nbytes for layer in layers.data_vars.values())
     if size > current_limits().grid:
         raise too_large("the dataset", size, "grid")
     for layer in layers.data_vars.values():
         chunks = layer.encoding.get("chunks") or layer.encoding.get("chunksizes") or ()
-        if layer.dtype.itemsize * math.prod(max(int(one), 1) for one in chunks) > current_limits().grid:
-            raise OgmError(f"chunks of {chunks} cells are larger than any grid; it is not unpacked")
+        if layer.dtype.itemsize * math.prod(max(int(side), 1) for side in chunks) > current_limits().grid:
+            raise OgmError(f"chunks of {chunks} cells are larger than any grid: the dataset is damaged")
 
 
 def _spec(dataset: "Dataset", shape: tuple[int, int]) -> tuple[GridSpec, tuple[slice, slice]]:
-    """Return the cells of a dataset, and the order in which its arrays [ix, iy] become increasing."""
+    """Return the spec of a dataset, and the slices that make its arrays [ix, iy] increasing."""
     stated = float(dataset.attrs.get("resolution", "nan"))
     x, y = _axis(dataset, "x", stated), _axis(dataset, "y", stated)
     resolution = x.step or y.step or stated
@@ -198,7 +193,7 @@ def _spec(dataset: "Dataset", shape: tuple[int, int]) -> tuple[GridSpec, tuple[s
 
 
 def _values(layer: "DataArray") -> NDArray[Any]:
-    """Read a layer, (nx, ny), in strips along its first axis: Zarr takes a multiple of the memory of what it reads."""
+    """Read a layer, (nx, ny), in strips along its first axis, as Zarr needs a multiple of the memory of its data."""
     along, across = layer.dims
     chunks = layer.encoding.get("chunks") or layer.encoding.get("chunksizes") or (1, 1)
     wanted = max(_STRIP // layer.sizes[across], 1)
@@ -212,7 +207,7 @@ def _values(layer: "DataArray") -> NDArray[Any]:
 
 
 class _Axis(NamedTuple):
-    """The least coordinate of an axis and its step [m] (None for one cell), and whether it decreases."""
+    """Least coordinate of an axis, its step [m] (None for one cell), and whether it decreases."""
 
     first: float
     step: float | None
@@ -220,7 +215,7 @@ class _Axis(NamedTuple):
 
 
 def _axis(dataset: "Dataset", axis: str, stated: float) -> _Axis:
-    """Read a coordinate; its step is the resolution that the dataset states if they are the same but for rounding."""
+    """Read a coordinate; its step is the stated resolution if they agree except for rounding."""
     if axis not in dataset.coords:
         raise OgmError(f"the dataset must have a coordinate {axis}, the cells' centres [m]")
     centres = np.asarray(dataset[axis].to_numpy(), np.float64)
@@ -236,17 +231,16 @@ def _axis(dataset: "Dataset", axis: str, stated: float) -> _Axis:
         step = stated
     even = centres[0] + step * np.arange(count)
     if not (step > 0 and np.allclose(centres, even, rtol=0, atol=max(1e-3 * step, 1e-9 * abs(centres[0])))):
-        raise OgmError(
-            f"{axis} must have equal steps [m], got {np.diff(centres).min():g} to {np.diff(centres).max():g}"
-        )
+        steps = np.diff(centres)
+        raise OgmError(f"{axis} must have equal steps [m], got {steps.min():g} to {steps.max():g}")
     return _Axis(float(centres[0]), step, decreases)
 
 
 def _crs(dataset: "Dataset") -> str | None:
-    """Return the coordinate reference system, as short as it can be written."""
+    """Return the coordinate reference system in its shortest form."""
     place = dataset.coords.get("spatial_ref")
     attributes = dataset.attrs if place is None else place.attrs
-    wkt = attributes.get("crs_wkt", attributes.get("spatial_ref"))  # the latter by GDAL
+    wkt = attributes.get("crs_wkt", attributes.get("spatial_ref"))  # spatial_ref is written by GDAL
     if wkt is None:
         return None
     if find_spec("rasterio") is None:
@@ -265,22 +259,27 @@ def write_scientific(path: Path, placed: PlacedGrid) -> None:
     check_scientific(path)
     dataset = to_xarray(placed)
     with whole_path(path) as temporary:
-        chunks = tuple(min(one, _CHUNK) for one in placed.grid.spec.shape[::-1])
+        chunks = tuple(min(side, _CHUNK) for side in placed.grid.spec.shape[::-1])
         if path.suffix.lower() == ".zarr":
             checked: Any = {"compressors": [{"name": "zstd", "configuration": {"level": 0, "checksum": True}}]}
             chunked = dict.fromkeys(map(str, dataset.data_vars), checked | {"chunks": chunks})
             encoding = dict.fromkeys(map(str, dataset.variables), checked) | chunked
             dataset.to_zarr(temporary, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
             return
-        nothing = np.float32(np.nan)
-        packed = {"zlib": True, "complevel": 1, "_FillValue": nothing, "chunksizes": chunks, "fletcher32": True}
+        packed = {
+            "zlib": True,
+            "complevel": 1,
+            "_FillValue": np.float32(np.nan),
+            "chunksizes": chunks,
+            "fletcher32": True,
+        }
         encoding = dict.fromkeys(map(str, dataset.data_vars), packed)
         encoding |= dict.fromkeys(("x", "y"), {"_FillValue": None, "fletcher32": True})
         try:
             dataset.to_netcdf(temporary, format="NETCDF4", engine="netcdf4", encoding=encoding)
-        except (RuntimeError, PermissionError) as error:  # of a full disk: HDF5 has no better
+        except (RuntimeError, PermissionError) as error:  # HDF5 has no better error for a full disk
             text = getattr(error, "strerror", None) or error
-            raise OSError(errno.EIO, f"{text}: is the disk full?", str(path)) from error
+            raise OSError(errno.EIO, f"{text}: check for a full disk", str(path)) from error
 
 
 def read_scientific(path: Path) -> PlacedGrid:
@@ -293,14 +292,14 @@ def read_scientific(path: Path) -> PlacedGrid:
             options = {"engine": "zarr", "zarr_format": 3, "consolidated": False}  # filters of format 2 can unpickle
         with xarray.open_dataset(path, **options, decode_times=False, cache=False) as dataset:
             return from_xarray(dataset)
-    except _READ_ERRORS as error:
+    except UNREADABLE as error:
         if isinstance(error, OgmError | PermissionError):
             raise
         raise OgmError(f"{path} is damaged or no {path.suffix} file: {reason(error, path)}") from error
 
 
 def check_scientific(path: Path) -> None:
-    """Raise if a package is missing, or if a Zarr folder would replace one that is no grid of ours, or holds more."""
+    """Raise if a package is missing, or if a foreign Zarr folder, or one with further files, would be replaced."""
     _need(path, "written")
     if path.suffix.lower() != ".zarr" or not path.exists():
         return
@@ -315,15 +314,10 @@ def check_scientific(path: Path) -> None:
         others = [] if inside[1:2] == ("c",) else [name for name in names if name != "zarr.json"]
         if others:
             other = Path(*inside, others[0])
-            raise ValueError(f"{path} would be replaced with {other} in it, which is no part of a grid: move that")
+            raise ValueError(f"{path} would be replaced with {other} in it, which is no part of a grid: move it away")
 
 
 def _need(path: Path, verb: str) -> Any:
     """Return xarray; raise if it or the package of the format is missing."""
-    xarray = optional("xarray", path, "geo", verb)
-    for_format = "zarr" if path.suffix.lower() == ".zarr" else "netCDF4"
-    if find_spec(for_format) is None:
-        raise ImportError(
-            f"{path} cannot be {verb} without the package {for_format}: {install_line('geo')}", name=for_format
-        )
-    return xarray
+    optional("zarr" if path.suffix.lower() == ".zarr" else "netCDF4", path, "geo", verb)
+    return optional("xarray", path, "geo", verb)

@@ -1,4 +1,4 @@
-"""Logs: ROS 1 bags, ROS 2 bags and MCAP, read without ROS, whole or cut, and written.
+"""Logs: ROS 1 bags, ROS 2 bags and MCAP, read without ROS, also if cut short, and written.
 
 >>> from ogm.io.logs import open_log
 >>> with open_log("drive.mcap") as log:                           # doctest: +SKIP

@@ -1,6 +1,6 @@
-"""ROS 1 bags of version 2.0, whole or cut: their records are walked from the beginning.
+"""ROS 1 bags of version 2.0, complete or cut: their records are read from the beginning.
 
-Other readers need the index at the end of a bag, which a recording that was stopped does not have.
+Other readers need the index at the end of a bag, which an interrupted recording lacks.
 """
 
 import struct
@@ -18,8 +18,8 @@ from ogm.storage.limits import current_limits
 BAG_MAGIC = b"#ROSBAG V"
 _VERSION = BAG_MAGIC + b"2.0\n"
 _MESSAGE, _FILE_HEADER, _INDEX, _CHUNK, _, _CONNECTION = (bytes([op]) for op in range(2, 8))
-_BEGINNING = 4096  # [byte] that are read at once: a header, and the message if it is short
-_HEADER_LIMIT = 2**16  # [byte] of a record's header; the definitions of types stand in the data
+_BEGINNING = 4096  # [byte] read at once: a header, and the message if it is short
+_HEADER_LIMIT = 2**16  # [byte] of a record's header; type definitions are part of the data
 _UINT = struct.Struct("<I")
 
 Header = dict[str, bytes]
@@ -35,7 +35,7 @@ class BagFile(ChunkedFile):
     Raises
     ------
     OgmError
-        If it is of another version, or encrypted.
+        If it has another version, or is encrypted.
     """
 
     kind, channel_word = "ROS 1 bag", "connection"
@@ -62,7 +62,7 @@ class BagFile(ChunkedFile):
             space = chunk.stored - offset
         header, start, length = _record(data)
         if header["op"] != _MESSAGE or length > min(space - start, current_limits().file):
-            raise OgmError("there is no whole message at its place: the file is damaged")
+            raise OgmError("there is no complete message at its place: the file is damaged")
         wanted = length if size is None else min(size, length)
         if start + wanted > len(data) and not chunk.packing:
             return self._file.read(chunk.start + offset + start, wanted)
@@ -102,10 +102,8 @@ class BagFile(ChunkedFile):
         whole = position == size
         self._note_chunk(pending if whole else [])  # some index records of the last chunk may be missing
         if not whole or not 0 < index <= size:
-            self.warnings.append(
-                f"{self.path} is cut or damaged at byte {position} of {size}: only the messages before are read. Was "
-                "it recorded, or copied, to its end?"
-            )
+            problem = f"cut or damaged at byte {position} of {size}"
+            self.warnings.append(f"{self.path} is {problem}: only earlier messages are read; record or copy all of it")
         if cut is not None:
             self._rescue(cut)
 
@@ -132,14 +130,12 @@ class BagFile(ChunkedFile):
             position = end
 
     def _define(self, header: Header, data: bytes | memoryview) -> None:
-        """Take a connection."""
+        """Add a connection."""
         number = _number(header, "conn")
         if number not in self.channels:
             facts = _fields(memoryview(data))
-            topic, name, text = (
-                found.decode("utf-8", "replace")
-                for found in (header.get("topic", b""), facts.get("type", b""), facts.get("message_definition", b""))
-            )
+            parts = header.get("topic", b""), facts.get("type", b""), facts.get("message_definition", b"")
+            topic, name, text = (part.decode("utf-8", "replace") for part in parts)
             self.channels[number] = Channel(topic, ros2_name(name), "ros1", text, "ros1msg")
 
 
@@ -151,17 +147,17 @@ def _head(stream: BinaryIO) -> memoryview:
 
 
 def _record(data: memoryview) -> tuple[Header, int, int]:
-    """Return the header of a record, where its data begin, and their length; raise if it is cut or damaged."""
+    """Return the header of a record, the position and the length of its data; raise if it is cut or damaged."""
     size = _UINT.unpack_from(data)[0] if len(data) >= _UINT.size else 0
     start = 2 * _UINT.size + size
     header = _fields(data[_UINT.size : _UINT.size + size]) if 0 < size <= _HEADER_LIMIT and start <= len(data) else {}
     if len(header.get("op", b"")) != 1:
-        raise OgmError("there is no whole record")
+        raise OgmError("there is no complete record")
     return header, start, _UINT.unpack_from(data, start - _UINT.size)[0]
 
 
 def _fields(data: memoryview) -> Header:
-    """Return the fields of a header; those of a damaged one that can be read."""
+    """Return the fields of a header; for a damaged one, the readable fields."""
     found, position = {}, 0
     while position + _UINT.size <= len(data):
         end = position + _UINT.size + _UINT.unpack_from(data, position)[0]
@@ -172,7 +168,7 @@ def _fields(data: memoryview) -> Header:
 
 
 def _number(header: Header, name: str, size: int = 4) -> int:
-    """Return an integer of a header; raise if it has none."""
+    """Return an integer of a header; raise if it is missing."""
     value = header.get(name, b"")
     if len(value) != size:
         raise OgmError(f"a record has no {name} of {size} bytes: the bag is damaged")

@@ -1,4 +1,4 @@
-"""Chunks of a log file, which hold many messages and may be packed, and the base of the log files that have them."""
+"""Chunks of a log file, which hold many messages and may be packed, and the base class of chunked log files."""
 
 import bz2
 import struct
@@ -16,27 +16,27 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 
-_BEGINNING = 2**18  # [byte] that are unpacked at least: blocks of zstd have half of it
+_BEGINNING = 2**18  # [byte] least size to unpack: blocks of zstd have half of it
 _PACKED = Path("a packed log")
-_KEPT = 4  # unpacked chunks in memory: some 1 MB each, or one scan; fewer where they are beyond the limit for a file
-_PIECE = 2**22  # [byte] that are unpacked in one step: no library allocates what a damaged chunk claims
+_KEPT = 4  # unpacked chunks in memory: about 1 MB each, or one scan; fewer if they exceed the limit for a file
+_PIECE = 2**22  # [byte] unpacked in one step: no library allocates the size stated by a damaged chunk
 
 
 class Chunk(NamedTuple):
-    """Where a chunk lies.
+    """Position and packing of a chunk.
 
     Attributes
     ----------
     start : int
-        Of its stored bytes in the file.
+        Position of its stored bytes in the file.
     stored : int
-        Their number.
+        Number of stored bytes.
     size : int
-        Their number when unpacked.
+        Number of unpacked bytes.
     packing : str
-        "" for none, "zstd", "lz4", "bz2".
+        "" if not packed, or "zstd", "lz4", "bz2".
     checksum : int
-        CRC-32 of what is unpacked; 0 if there is none.
+        CRC-32 of the unpacked bytes; 0 without checksum.
     """
 
     start: int
@@ -47,7 +47,7 @@ class Chunk(NamedTuple):
 
 
 class Chunks:
-    """The chunks of a file, of which the last ones that were read are kept unpacked.
+    """Chunks of a file, unpacked on request; the last used stay in memory.
 
     Parameters
     ----------
@@ -67,41 +67,41 @@ class Chunks:
 
     @property
     def packings(self) -> str:
-        """How chunks are packed, in words; "" where none is."""
+        """Names of the packings used, separated by commas; "" if no chunk is packed."""
         return ", ".join(sorted({chunk.packing for chunk in self._all} - {""}))
 
     def append(self, chunk: Chunk) -> None:
-        """Add a chunk that is whole in the file."""
+        """Add a chunk that is complete in the file."""
         self._all.append(chunk)
 
     def append_cut(self, chunk: Chunk) -> None:
-        """Add a chunk of which the file has the beginning only, as far as that can be unpacked."""
+        """Add the beginning of a chunk that is cut, as far as it can be unpacked."""
         stored = min(self._file.size - chunk.start, current_limits().file)
         data = _unpack(self._file.read(chunk.start, stored), chunk)
         self._all.append(chunk._replace(stored=stored, size=len(data), checksum=0))
 
     def is_kept(self, number: int) -> bool:
-        """Tell whether a chunk is unpacked already."""
+        """Return whether a chunk is already unpacked."""
         return number in self._unpacked
 
     def data(self, number: int, end: int | None = None) -> bytes:
-        """Return what a chunk holds, unpacked.
+        """Return the unpacked content of a chunk.
 
         Parameters
         ----------
         number : int
         end : int, optional
-            So many bytes are enough. Of a beginning, the checksum is not known to fit.
+            Number of bytes needed from the beginning. The checksum of a beginning is not verified.
 
         Raises
         ------
         OgmError
-            If it is damaged, or packed in an unknown way.
+            If the chunk is damaged, or has an unknown packing.
         """
         chunk, kept = self._all[number], self._unpacked.get(number, b"")
         wanted = chunk.size if end is None else min(end, chunk.size)
         if len(kept) < wanted or number not in self._unpacked:
-            # A scan is often the last in its chunk, after messages of a few bytes.
+            # A scan is often the last message of its chunk, after messages of a few bytes.
             limit = max(wanted, 2 * len(kept), _BEGINNING)
             data = self._beginning(chunk, limit) if chunk.packing and limit < chunk.size / 2 else b""
             self._unpacked[number] = data if len(data) >= wanted else self._whole(chunk)
@@ -110,7 +110,7 @@ class Chunks:
         return self._unpacked[number]
 
     def _forget(self) -> None:
-        """Drop the chunks that were used longest ago, but never the one that was read last."""
+        """Drop the least recently used chunks, but keep the last chunk read."""
         total = sum(map(len, self._unpacked.values()))
         while len(self._unpacked) > _KEPT or (total > current_limits().file and len(self._unpacked) > 1):
             total -= len(self._unpacked.popitem(last=False)[1])
@@ -125,14 +125,14 @@ class Chunks:
             raise too_large(where, max(chunk.size, chunk.stored), "file")
         data = _unpack(self._file.read(chunk.start, chunk.stored), chunk)
         if len(data) != chunk.size:
-            raise OgmError(f"{where} is damaged: {len(data)} of its {chunk.size} bytes can be unpacked")
+            raise OgmError(f"{where} is damaged: only {len(data)} of its {chunk.size} bytes can be unpacked")
         if chunk.checksum and zlib.crc32(data) != chunk.checksum:
-            raise OgmError(f"{where} is damaged: its checksum does not fit")
+            raise OgmError(f"{where} is damaged: its checksum does not match")
         return data
 
 
 def _unpack(stored: bytes, chunk: Chunk) -> bytes:
-    """Unpack the bytes of a chunk, or their beginning where the rest is cut off."""
+    """Unpack the bytes of a chunk, or their beginning if the rest is cut off."""
     limit = min(chunk.size, current_limits().file)
     if chunk.packing not in _UNPACK:
         raise OgmError(f"the chunk at byte {chunk.start} is packed by {chunk.packing!r}, known are zstd, lz4 and bz2")
@@ -140,12 +140,12 @@ def _unpack(stored: bytes, chunk: Chunk) -> bytes:
         return _UNPACK[chunk.packing](stored, limit)
     except ImportError:
         raise
-    except Exception as error:  # each library has its own
+    except Exception as error:  # each library has its own error classes
         raise OgmError(f"the chunk at byte {chunk.start} is damaged: {error}") from error
 
 
 def unpack_zstd(stored: bytes, limit: int) -> bytes:
-    """Return what bytes packed by zstd hold, up to a limit [byte]."""
+    """Return the content of bytes packed by zstd, up to a limit [byte]."""
     zstandard = optional("zstandard", _PACKED, "ros")
     with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
         return _in_pieces(reader.read, limit)
@@ -157,7 +157,7 @@ def _lz4(stored: bytes, limit: int) -> bytes:
 
 
 def _of_decoder(decoder: Any, stored: bytes, limit: int) -> bytes:
-    """Unpack by a decoder that has the interface of `bz2.BZ2Decompressor`."""
+    """Unpack by a decoder with the interface of `bz2.BZ2Decompressor`."""
     rest = [stored]
 
     def read(size: int) -> bytes:
@@ -167,7 +167,7 @@ def _of_decoder(decoder: Any, stored: bytes, limit: int) -> bytes:
 
 
 def _in_pieces(read: Callable[[int], bytes], limit: int) -> bytes:
-    """Return what a function reads, up to a limit, piece by piece."""
+    """Return the output of a reading function, up to a limit, read in pieces."""
     pieces, size = [], 0
     while size < limit and (piece := read(min(_PIECE, limit - size))):
         pieces.append(piece)
@@ -184,7 +184,7 @@ _UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
 
 
 class ChunkedFile:
-    """A log file with chunks, whole or cut; see `LogFile`. Subclasses know the records of a format.
+    """A log file with chunks, complete or cut; see `LogFile`. Subclasses read the records of a format.
 
     Parameters
     ----------
@@ -199,8 +199,8 @@ class ChunkedFile:
     warnings : list of str
     """
 
-    kind: ClassVar[str]  # of the file, in words
-    channel_word: ClassVar[str]  # for a channel, in warnings
+    kind: ClassVar[str]  # name of the file format
+    channel_word: ClassVar[str]  # word for a channel, in warnings
 
     def __init__(self, path: Path) -> None:
         self.path, self._file = path, RandomAccess(path)
@@ -208,31 +208,31 @@ class ChunkedFile:
         self.warnings: list[str] = []
         self._chunks = Chunks(self._file)
         self._parts: dict[int, list[NDArray[np.int64]]] = {}
-        self._noted = 0  # chunks whose messages are in the index
+        self._noted = 0  # number of chunks with indexed messages
         with open(path, "rb") as stream:
             try:
                 self._walk(stream)
                 self._find_channels()
             except (struct.error, ValueError, LookupError) as error:
-                self.warnings.append(f"{path} is damaged ({error}): only the messages before are read")
+                self.warnings.append(f"{path} is damaged ({error}): only earlier messages are read")
         found = {number: np.concatenate(rows) for number, rows in self._parts.items()}
         self.index = {number: rows for number, rows in found.items() if number in self.channels}
         self.format = f"{self.kind} ({self._chunks.packings})" if self._chunks.packings else self.kind
 
     def _walk(self, stream: BinaryIO) -> None:
-        """Go from record to record, over the contents of chunks."""
+        """Read the records of the file in order, skipping the contents of chunks."""
         raise NotImplementedError
 
     def _walk_chunk(self, number: int, data: bytes, messages: bool) -> None:
-        """Take the channels of an unpacked chunk, and its messages if wanted."""
+        """Add the channels of an unpacked chunk, and its messages if wanted."""
         raise NotImplementedError
 
     def _indexed(self, number: int, record: Any) -> tuple[int, NDArray[np.int64]]:
-        """Return the channel of an index record, and the rows of its messages in a chunk: time [ns], chunk, place."""
+        """Return the channel of an index record, and its messages in a chunk as rows: time [ns], chunk, place."""
         raise NotImplementedError
 
     def _rescue(self, chunk: Chunk) -> None:
-        """Take what is whole from a cut chunk."""
+        """Add the complete messages of a cut chunk."""
         try:
             self._chunks.append_cut(chunk)
         except OgmError:
@@ -240,7 +240,7 @@ class ChunkedFile:
         self._note_chunk([])
 
     def _note_chunk(self, records: list[Any]) -> None:
-        """Note the messages of the last chunk: by its index records, or, without any, by its contents."""
+        """Add the messages of the last chunk: by its index records, or without any by its contents."""
         number = len(self._chunks) - 1
         if number < self._noted:
             return
@@ -255,7 +255,7 @@ class ChunkedFile:
             self._parts.setdefault(channel, []).append(rows)
 
     def _look_into(self, number: int, *, messages: bool) -> None:
-        """Unpack a chunk and walk over its records."""
+        """Unpack a chunk and read its records."""
         try:
             data = self._chunks.data(number)
         except OgmError as error:
@@ -264,15 +264,14 @@ class ChunkedFile:
         self._walk_chunk(number, data, messages)
 
     def _find_channels(self) -> None:
-        """Look into chunks for channels that went with the end of the file, or that it does not repeat."""
+        """Search chunks for channels that are not repeated outside of them, or were lost with the end of the file."""
         first = sorted({int(rows[0][0, 1]) for number, rows in self._parts.items() if number not in self.channels})
         for number in (*first, *range(len(self._chunks))):
             if self._parts.keys() <= self.channels.keys():
                 return
-            if number >= 0:  # else a message that lies in no chunk
+            if number >= 0:  # below 0 for messages outside of chunks
                 self._look_into(number, messages=False)
         for number in self._parts.keys() - self.channels.keys():
             count = sum(map(len, self._parts[number]))
-            self.warnings.append(
-                f"{self.path}: {count} messages are of {self.channel_word} {number}, which is nowhere defined"
-            )
+            word = f"{self.channel_word} {number}"
+            self.warnings.append(f"{self.path}: {count} messages belong to {word}, which is not defined")

@@ -1,4 +1,4 @@
-"""ROS 2 bags in SQLite (.db3), whole or cut, with or without definitions of their types."""
+"""ROS 2 bags in SQLite (.db3), complete or cut, with or without type definitions."""
 
 import os
 import sqlite3
@@ -19,10 +19,10 @@ from ogm.storage.limits import current_limits, too_large
 
 DB3_MAGIC = b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_INDEX = (  # blobs are opened by rowid, which `id` is another name for only as a primary key
+_INDEX = (  # blobs are opened by rowid, which equals `id` only for a primary key
     "SELECT topic_id, timestamp, rowid, typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' FROM messages"
 )
-_ROWS = 10_000  # of the index that become one array
+_ROWS = 10_000  # rows of the index per array
 
 
 class Db3File:
@@ -35,7 +35,7 @@ class Db3File:
     Raises
     ------
     OgmError
-        If it is no such file, or so damaged that nothing can be read.
+        If it is no such file, or too damaged to read anything.
     """
 
     def __init__(self, path: Path) -> None:
@@ -46,8 +46,8 @@ class Db3File:
             self.channels = self._read_channels()
         except sqlite3.Error as error:
             raise OgmError(
-                f"{path} is no ROS 2 bag that can be read ({error}), wanted an SQLite file with the tables topics and "
-                "messages: is it whole?"
+                f"{path} is no readable ROS 2 bag ({error}), wanted an SQLite file with the tables topics and "
+                "messages: it is damaged or incomplete"
             ) from error
         self._read_index()
         self._check_size()
@@ -70,13 +70,13 @@ class Db3File:
         return data if size is None else data[:size]
 
     def _connection(self) -> sqlite3.Connection:
-        """Return the connection of this process: a forked one must not use its parent's."""
+        """Return the connection of this process: a forked process must not use its parent's."""
         if self._process != os.getpid():
-            # A log beside the file holds messages that it lacks; without one, nothing needs to be locked.
+            # A write-ahead log holds messages missing in the file; without it, nothing needs a lock.
             unwritten = self.path.with_name(f"{self.path.name}-wal")
             mode = "mode=ro" if unwritten.is_file() and unwritten.stat().st_size else "immutable=1"
             self._open = sqlite3.connect(f"file:{quote(str(self.path))}?{mode}", uri=True, check_same_thread=False)
-            self._open.execute("PRAGMA writable_schema=ON")  # reads what there is of a cut file; nothing is written
+            self._open.execute("PRAGMA writable_schema=ON")  # reads the rest of a cut file; nothing is written
             weakref.finalize(self, self._open.close)
             self._process = os.getpid()
         return self._open
@@ -86,9 +86,8 @@ class Db3File:
         rows = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
         definitions = {}
         if connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
-            found = connection.execute(
-                "SELECT topic_type, encoded_message_definition, encoding FROM message_definitions"
-            )
+            columns = "topic_type, encoded_message_definition, encoding"
+            found = connection.execute(f"SELECT {columns} FROM message_definitions")
             definitions = {name: (str(text or ""), str(form or "")) for name, text, form in found}
         return {
             number: Channel(str(topic), str(name), encoding or "cdr", *definitions.get(name, ("", "")))
@@ -119,13 +118,11 @@ class Db3File:
             if len(mine):
                 self.index[number] = np.column_stack([mine[:, 1:], np.zeros(len(mine), np.int64)])
         if count:
-            self.warnings.append(
-                f"{self.path}: {count} messages are left out: their topic is not in the table topics, or their time is "
-                "no whole number"
-            )
+            text = "messages are left out: their topic is not in the table topics, or their time is no integer"
+            self.warnings.append(f"{self.path}: {count} {text}")
 
     def _check_size(self) -> None:
-        """Warn where the file has fewer pages than it states: SQLite takes what a cut page lacks for zeros."""
+        """Warn if the file has fewer pages than it states: SQLite reads missing parts of a page as zeros."""
         with open(self.path, "rb") as file:
             head = file.read(100)
         page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
@@ -133,15 +130,13 @@ class Db3File:
         if size < wanted and head[24:28] == head[92:96] and not self.warnings:
             self._warn(f"{size} of {wanted} bytes")
 
-    def _warn(self, why: str) -> None:
-        self.warnings.append(
-            f"{self.path} is cut or damaged ({why}): only the messages that can be found are read. Was it recorded, or "
-            "copied, to its end?"
-        )
+    def _warn(self, reason: str) -> None:
+        text = f"cut or damaged ({reason}): only the remaining messages are read; record or copy all of it"
+        self.warnings.append(f"{self.path} is {text}")
 
 
 def _unpacked(data: bytes) -> bytes:
-    """Unpack a message that was packed by itself (compression_mode: message)."""
+    """Unpack a message that is packed individually (compression_mode: message)."""
     zstandard = optional("zstandard", Path("a packed message"), "ros")
     with error_context("it is damaged", zstandard.ZstdError):
         content = unpack_zstd(data, current_limits().file + 1)

@@ -1,4 +1,4 @@
-"""What the files of all kinds of logs have in common: channels, an index of messages, and the types of messages."""
+"""Common parts of all kinds of logs: channels, an index of messages, and message types."""
 
 import os
 import re
@@ -15,10 +15,10 @@ from ogm.io.reading import optional
 from ogm.storage.files import OgmError
 
 Place = tuple[int, int]
-"""Where a message lies: two numbers that its file understands."""
+"""Place of a message: two numbers with a meaning for its file."""
 
 LOG_ENDINGS = (".mcap", ".db3", ".bag")
-_UNFINISHED = ".active"  # that recorders add to the name until a log is finished
+_UNFINISHED = ".active"  # suffix added by recorders until a log is finished
 
 
 class Channel(NamedTuple):
@@ -28,13 +28,13 @@ class Channel(NamedTuple):
     ----------
     topic : str
     type : str
-        As in ROS 2: sensor_msgs/msg/PointCloud2.
+        Name as in ROS 2: sensor_msgs/msg/PointCloud2.
     encoding : str
-        "cdr" (ROS 2), "ros1", or another one, whose messages are not decoded.
+        "cdr" (ROS 2), "ros1", or another encoding, which is not decoded.
     definition : str
-        Of the type; "" where the file has none.
+        Definition of the type; "" if missing in the file.
     format : str
-        Of the definition: "ros1msg", "ros2msg", "ros2idl".
+        Format of the definition: "ros1msg", "ros2msg", "ros2idl".
     """
 
     topic: str
@@ -45,17 +45,17 @@ class Channel(NamedTuple):
 
 
 class LogFile(Protocol):
-    """One file of a log: opening it makes an index of its messages, of 24 bytes each, and decodes none.
+    """One file of a log. Opening it indexes its messages, 24 bytes each, and decodes none.
 
     Attributes
     ----------
     format : str
-        In words.
+        Name of the file format.
     channels : dict of int to Channel
     index : dict of int to (K, 3) int64
-        By channel: the log times [ns] and places of its messages, in the order of the file.
+        Log times [ns] and places of the messages by channel, in the order of the file.
     warnings : list of str
-        What is damaged or missing.
+        Damaged or missing parts.
     """
 
     format: str
@@ -64,12 +64,12 @@ class LogFile(Protocol):
     warnings: list[str]
 
     def read(self, place: Place, size: int | None = None) -> bytes | memoryview:
-        """Return the message at a place, or its first `size` bytes; raise `OgmError` where it is damaged."""
+        """Return the message at a place, or its first `size` bytes; raise `OgmError` if it is damaged."""
         ...
 
 
 class RandomAccess:
-    """A file that threads and forked processes may read at the same time; it is closed with its last reference."""
+    """File for concurrent reading by threads and forked processes; closed with its last reference."""
 
     def __init__(self, path: Path) -> None:
         file = os.open(path, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
@@ -77,37 +77,37 @@ class RandomAccess:
         weakref.finalize(self, os.close, file)
 
     def read(self, start: int, size: int) -> bytes:
-        """Return `size` bytes from `start` on, or as many as there are: none before its begin or after its end."""
+        """Return up to `size` bytes from `start` on; none before the beginning or after the end."""
         if not 0 <= start <= self.size or size < 0:
             return b""
         return os.pread(self._file, size, start)
 
 
 def log_ending(path: Path) -> str:
-    """Return the ending of a log's name in small letters, also of ``drive.bag.active``; "" for what is no log."""
+    """Return the ending of a log's name in lower case, also for ``drive.bag.active``; "" for other files."""
     ending = Path(path.name.lower().removesuffix(_UNFINISHED)).suffix
     return ending if ending in LOG_ENDINGS else ""
 
 
 def log_files(folder: Path) -> list[Path]:
-    """Return the parts of a log that lie in a folder, with part 2 before part 10.
+    """Return the parts of a log in a folder, with part 2 before part 10.
 
     Raises
     ------
     OgmError
-        If they are of several kinds.
+        If the folder has logs of several kinds.
     """
-    files = [one for one in folder.iterdir() if log_ending(one) and one.is_file()]
-    if len({log_ending(one) for one in files}) > 1:
-        names = ", ".join(sorted(one.name for one in files))
+    files = [file for file in folder.iterdir() if log_ending(file) and file.is_file()]
+    if len({log_ending(file) for file in files}) > 1:
+        names = ", ".join(sorted(file.name for file in files))
         raise OgmError(f"{folder} holds logs of several kinds ({names}): give one of them")
-    return sorted(files, key=lambda one: [int(p) if p.isdecimal() else p for p in re.split(r"(\d+)", one.name)])
+    return sorted(files, key=lambda file: [int(p) if p.isdecimal() else p for p in re.split(r"(\d+)", file.name)])
 
 
 def ros2_name(name: str) -> str:
-    """Return a type's name as ROS 2 writes it: sensor_msgs/PointCloud2 is sensor_msgs/msg/PointCloud2.
+    """Return a type's name as in ROS 2: sensor_msgs/PointCloud2 is sensor_msgs/msg/PointCloud2.
 
-    A name of DDS is known, too: sensor_msgs::msg::dds_::PointCloud2_.
+    Names of DDS are supported, too: sensor_msgs::msg::dds_::PointCloud2_.
     """
     if "::dds_::" in name:
         name = name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")
@@ -162,8 +162,8 @@ def message_types(ros: int) -> Any:
     Parameters
     ----------
     ros : {1, 2}
-        Those of Noetic, or of the latest ROS 2, with those of velodyne_msgs, livox_ros_driver, livox_ros_driver2,
-        radar_msgs, map_msgs, nav2_msgs, grid_map_msgs, and of ROS 1 tf2_msgs and tf.
+        Types of Noetic, or of the latest ROS 2, and of velodyne_msgs, livox_ros_driver, livox_ros_driver2, radar_msgs,
+        map_msgs, nav2_msgs, grid_map_msgs, and for ROS 1 tf2_msgs and tf.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -180,11 +180,11 @@ def decode(channel: Channel, raw: bytes | memoryview) -> Any:
     Raises
     ------
     OgmError
-        If it is no ROS message, its type is not known, or its bytes do not fit the type.
+        If it is no ROS message, its type is unknown, or its bytes do not fit the type.
     """
     optional("rosbags", Path(channel.topic), "ros")
     if (ros := {"ros1": 1, "cdr": 2}.get(channel.encoding)) is None:
-        raise OgmError(f"messages of {channel.type} are {channel.encoding or 'of no encoding'}, wanted those of ROS")
+        raise OgmError(f"messages of {channel.type} have {channel.encoding or 'no'} encoding, wanted ROS messages")
     if channel.definition:
         try:
             return _decoded(_types_of(channel.type, channel.definition, channel.format), channel.type, ros, raw)
@@ -203,15 +203,15 @@ def _decoded(store: Any, name: str, ros: int, raw: bytes | memoryview) -> Any:
         if isinstance(store, str):
             raise OgmError(store)
         if name not in store.fielddefs:
-            raise OgmError(f"the type {name} is not known, and the log does not define it")
+            raise OgmError(f"the type {name} is unknown, and the log does not define it")
         return (store.deserialize_ros1 if ros == 1 else store.deserialize_cdr)(memoryview(raw), name)
     except (SerdeError, TypesysError, KeyError, ValueError, AssertionError, IndexError, struct.error) as error:
-        raise error if isinstance(error, OgmError) else OgmError(f"it is no whole {name}: {error}") from error
+        raise error if isinstance(error, OgmError) else OgmError(f"it is no complete {name}: {error}") from error
 
 
 @lru_cache(maxsize=256)
 def _types_of(name: str, definition: str, form: str) -> Any:
-    """Return a typestore of the types that one definition holds, or why it cannot be read, in words."""
+    """Return a typestore of the types in a definition, or the text of an error."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -219,11 +219,11 @@ def _types_of(name: str, definition: str, form: str) -> Any:
         if "idl" not in form:
             store.register(get_types_from_msg(definition, name))
             return store
-        parts = [one.partition("\n")[2] for one in definition.split(_IDL_MARK)[1:]] or [definition]
+        parts = [part.partition("\n")[2] for part in definition.split(_IDL_MARK)[1:]] or [definition]
         types: dict[str, Any] = {}
         for part in parts:
             types |= get_types_from_idl(part.removesuffix("=" * 80 + "\n"))
         store.register(types)
     except (TypesysError, KeyError, ValueError, AssertionError, IndexError) as error:
-        return f"it is no whole {name}: {error}"
+        return f"it is no complete {name}: {error}"
     return store

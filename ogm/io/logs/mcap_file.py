@@ -1,7 +1,7 @@
-"""MCAP files, whole or cut: their records are walked from the beginning, so that no index at the end is needed.
+"""MCAP files, complete or cut: their records are read from the beginning, without an index at the end.
 
-The `mcap` package reads a file without its end from start to end only, and stops at the first damaged chunk. Here every
-whole chunk is found, a message is read by its place, and opening a file that is not packed reads no points.
+The `mcap` package reads a file without its end only from start to end, and stops at the first damaged chunk. Here every
+complete chunk is found, messages are read by place, and opening a file without packing reads no points.
 """
 
 import struct
@@ -22,9 +22,9 @@ _RECORD = struct.Struct("<BQ")  # opcode, length
 _SENT = struct.Struct("<HIQQ")  # of a message: channel, sequence, log time, publish time
 _HEAD = _RECORD.size + _SENT.size
 _TIMES = struct.Struct("<QQQI")  # of a chunk: first and last log time, unpacked size, checksum
-_CHUNK_HEAD = _RECORD.size + _TIMES.size + 16  # at least, with the name of its packing
+_CHUNK_HEAD = _RECORD.size + _TIMES.size + 16  # least size, with the name of the packing
 _UNCHUNKED = -1
-_SMALL = 4096  # [byte] shorter messages of a chunk that is not packed are read without its checksum
+_SMALL = 4096  # [byte] shorter messages of an unpacked chunk are read without its checksum
 
 
 class McapFile(ChunkedFile):
@@ -33,7 +33,7 @@ class McapFile(ChunkedFile):
     Parameters
     ----------
     path : Path
-        It begins with `MCAP_MAGIC`.
+        File that begins with `MCAP_MAGIC`.
     """
 
     kind, channel_word = "MCAP", "channel"
@@ -66,10 +66,10 @@ class McapFile(ChunkedFile):
 
     @staticmethod
     def _length(head: bytes, space: int) -> int:
-        """Return the length of a message by the head of its record; there is space for so many bytes."""
+        """Return the length of a message by the head of its record, within the given space [byte]."""
         opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
         if opcode != _MESSAGE or not _SENT.size <= length <= min(current_limits().file, space - _RECORD.size):
-            raise OgmError("there is no whole message at its place: the file is damaged")
+            raise OgmError("there is no complete message at its place: the file is damaged")
         return int(length - _SENT.size)
 
     def _walk(self, stream: BinaryIO) -> None:
@@ -99,13 +99,11 @@ class McapFile(ChunkedFile):
             position = end
 
     def _end_cut(self, stream: BinaryIO, position: int, opcode: int) -> None:
-        """Take what is whole from the end of a cut file."""
+        """Add the complete messages at the end of a cut file."""
         size = self._file.size
         damaged = not opcode and position < size - _RECORD.size
-        self.warnings.append(
-            f"{self.path} is {'damaged' if damaged else 'cut'} at byte {position} of {size}: only the messages before "
-            "are read. Was it recorded, or copied, to its end?"
-        )
+        problem = f"{'damaged' if damaged else 'cut'} at byte {position} of {size}"
+        self.warnings.append(f"{self.path} is {problem}: only earlier messages are read; record or copy all of it")
         if opcode == _CHUNK and size - position > _CHUNK_HEAD:
             self._rescue(_chunk(stream))
 
@@ -130,7 +128,7 @@ class McapFile(ChunkedFile):
             position = end
 
     def _define(self, opcode: int, record: bytes) -> None:
-        """Take a schema or a channel."""
+        """Add a schema or a channel."""
         number = struct.unpack_from("<H", record)[0]
         if opcode == _SCHEMA:
             self._schemas.setdefault(number, _strings(record, 2, 3))
@@ -150,7 +148,7 @@ def _chunk(stream: BinaryIO) -> Chunk:
 
 
 def _strings(record: bytes, position: int, count: int) -> list[str]:
-    """Return the texts from a position on, each after its length."""
+    """Return the texts from a position on, each preceded by its length."""
     found = []
     for _ in range(count):
         length = struct.unpack_from("<I", record, position)[0]

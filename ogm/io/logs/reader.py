@@ -1,4 +1,4 @@
-"""Logs opened and read: messages by topic and in the order of their log times, or by their places."""
+"""Reader of logs: messages by topic in the order of their log times, or by their places."""
 
 import os
 import struct
@@ -16,22 +16,22 @@ from ogm.io.logs.mcap_file import MCAP_MAGIC, McapFile
 from ogm.io.transforms import frame_name
 from ogm.storage.files import FilePath, OgmError, error_context
 
-_ROWS = 10_000  # of the index that become objects at once
-_HEAD = 512  # [byte] in which the header of a message ends, if its frame has a name of usual length
+_ROWS = 10_000  # rows of the index converted to objects at once
+_HEAD = 512  # [byte] that contain the header of a message, for frame names of usual length
 
 
 @dataclass(frozen=True)
 class TopicFacts:
-    """What a log has of a topic.
+    """Facts about a topic of a log.
 
     Attributes
     ----------
     type : str
-        As in ROS 2: sensor_msgs/msg/PointCloud2.
+        Name as in ROS 2: sensor_msgs/msg/PointCloud2.
     count : int
-        Of messages.
+        Number of messages.
     rate : float
-        Mean of messages per second, by log time [Hz]; NaN for fewer than two.
+        Mean messages per second, by log time [Hz]; NaN for fewer than two.
     first, last : float
         Log times [s].
     """
@@ -44,7 +44,7 @@ class TopicFacts:
 
 
 class MessageRef(NamedTuple):
-    """Where a message lies: file, channel, log time [ns] and its place there."""
+    """Position of a message: file, channel, log time [ns] and place in the file."""
 
     file: int
     channel: int
@@ -55,24 +55,24 @@ class MessageRef(NamedTuple):
 class MessageHead(NamedTuple):
     """The header of a message."""
 
-    time: int  # its stamp [ns]
-    stamp: float  # the same [s]
+    time: int  # stamp [ns]
+    stamp: float  # stamp [s]
     frame: str
 
 
 @dataclass(frozen=True, slots=True)
 class LogMessage:
-    """A message as it stands in a log.
+    """A raw message of a log.
 
     Attributes
     ----------
     topic, type : str
     log_time : float
-        When it was recorded [s]: later than the measurement, whose time is the header's stamp.
+        Time of recording [s]: later than the measurement, which has the header's stamp.
     raw : bytes or memoryview
-        Serialised: CDR (ROS 2) or as in ROS 1.
+        Serialised message: CDR (ROS 2) or ROS 1.
     channel : Channel
-        With encoding and definition.
+        Channel with encoding and definition.
     """
 
     topic: str
@@ -82,30 +82,30 @@ class LogMessage:
     channel: Channel
 
     def decode(self) -> Any:
-        """Return the message as an object with its field names; arrays are numpy's.
+        """Return the message as an object with its field names and numpy arrays.
 
         Raises
         ------
         OgmError
-            If it is no ROS message, its type is not known, or it is damaged.
+            If it is no ROS message, its type is unknown, or it is damaged.
         """
         with error_context(f"a message of {self.topic} cannot be read", OgmError):
             return decode(self.channel, self.raw)
 
 
 class LogReader:
-    """Reads a log; `open_log` makes one. A context manager.
+    """Reader of a log, created by `open_log`. A context manager.
 
-    Opening it makes an index of all messages, 24 bytes each; no message is read for that, unless the file is cut.
-    Threads may share a reader.
+    Opening it indexes all messages, 24 bytes each, without reading messages unless the file is cut. Threads may share
+    a reader.
 
     Attributes
     ----------
     topics : dict of str to TopicFacts
     format : str
-        In words.
+        Name of the file format.
     warnings : list of str
-        What is damaged or missing; reading may add some.
+        Damaged or missing parts; reading may add some.
     """
 
     def __init__(self, paths: Sequence[Path], files: Sequence[LogFile]) -> None:
@@ -121,15 +121,15 @@ class LogReader:
         self.close()
 
     def close(self) -> None:
-        """Close the files; nothing more can be read."""
+        """Close the files; further reading is an error."""
         self._files = []
 
     def refs(self, topics: Iterable[str] | None = None, start: float | None = None) -> list[MessageRef]:
-        """Return where messages lie, in the order of their log times; see `messages`."""
+        """Return the positions of messages in the order of their log times; see `messages`."""
         return list(self.iter_refs(topics, start))
 
     def iter_refs(self, topics: Iterable[str] | None = None, start: float | None = None) -> Iterator[MessageRef]:
-        """Yield where messages lie, in the order of their log times; see `messages`."""
+        """Yield the positions of messages in the order of their log times; see `messages`."""
         parts = [np.empty((0, 5), np.int64)]
         wanted = None if topics is None else self._known(topics)
         for n, file in enumerate(self._files):
@@ -146,21 +146,21 @@ class LogReader:
                 yield MessageRef(n, number, time, (a, b))
 
     def messages(self, topics: Iterable[str] | None = None, start: float | None = None) -> Iterator[LogMessage]:
-        """Yield messages in the order of their log time, one in memory at a time.
+        """Yield messages in the order of their log times, one in memory at a time.
 
-        Damaged ones are left out; `warnings` then states how many.
+        Damaged messages are left out and counted in `warnings`.
 
         Parameters
         ----------
         topics : iterable of str, optional
-            All by default.
+            All topics by default.
         start : float, optional
-            Log time from which on messages are yielded [s].
+            Log time of the first messages [s].
 
         Raises
         ------
         OgmError
-            If there is no such topic; the error lists those that there are.
+            If there is no such topic; the error lists the existing topics.
         """
         lost: dict[str, int] = {}
         for ref in self.iter_refs(topics, start):
@@ -184,7 +184,7 @@ class LogReader:
         return LogMessage(channel.topic, channel.type, _seconds(ref.log_time), raw, channel)
 
     def head(self, ref: MessageRef) -> MessageHead:
-        """Read the header of a message that begins with a std_msgs/Header, and no more of it.
+        """Read the header of a message that begins with a std_msgs/Header, without the rest.
 
         Raises
         ------
@@ -196,7 +196,7 @@ class LogReader:
             return _head(channel, raw)
         except (struct.error, IndexError) as error:
             where = f"{self.paths[ref.file]}: a message of {channel.topic} ({channel.type})"
-            raise OgmError(f"{where} begins with no header that can be read: {error}") from error
+            raise OgmError(f"{where} begins without a readable header: {error}") from error
 
     def topic_of(self, ref: MessageRef) -> str:
         """Return the topic of a message."""
@@ -209,7 +209,7 @@ class LogReader:
         channel = file.channels[ref.channel]
         try:
             return channel, file.read(ref.place, size)
-        except (OgmError, struct.error) as error:  # the second of a file that was cut since its index was read
+        except (OgmError, struct.error) as error:  # struct.error for a file cut since it was indexed
             raise OgmError(f"{self.paths[ref.file]}: a message of {channel.topic} is lost, {error}") from error
 
     def _known(self, topics: Iterable[str]) -> set[str]:
@@ -239,7 +239,7 @@ class LogReader:
 
 
 def _seconds(nanoseconds: int) -> float:
-    """Return a time as `ogm.io.messages.plain.stamp_seconds` does: 0.3 s stay 0.3 s."""
+    """Return a time with the rounding of `ogm.io.messages.plain.stamp_seconds`: 0.3 s stay 0.3 s."""
     return nanoseconds // 10**9 + nanoseconds % 10**9 * 1e-9
 
 
@@ -253,7 +253,7 @@ def _head(channel: Channel, raw: bytes | memoryview) -> MessageHead:
         sec, nanosec, length = struct.unpack_from(f"{order}iII", raw, 4)
         start, end = 16, 16 + length - 1  # without the 0 at its end
     else:
-        raise OgmError(f"{channel.topic} is {channel.encoding or 'of no encoding'}, wanted ROS messages")
+        raise OgmError(f"{channel.topic} has {channel.encoding or 'no'} encoding, wanted ROS messages")
     if length > _HEAD - 16:
         raise struct.error(f"its frame has a name of {length} bytes")
     return MessageHead(
@@ -265,11 +265,11 @@ _KINDS: dict[bytes, Callable[[Path], LogFile]] = {MCAP_MAGIC: McapFile, DB3_MAGI
 
 
 def open_log(path: FilePath | Sequence[FilePath]) -> LogReader:
-    """Open a log: a ROS 1 bag (``.bag``), a ROS 2 bag (``.db3``), an MCAP (``.mcap``), or a folder with parts of one.
+    """Open a log: a ROS 1 bag (``.bag``), a ROS 2 bag (``.db3``), an MCAP (``.mcap``), or a folder with parts of a log.
 
-    The first bytes of a file decide what it is. Parts of a recording that was split are one log. Neither
-    ``metadata.yaml`` nor an index at the end of a file is needed: of a file that was cut, all whole messages before the
-    cut are read, and `LogReader.warnings` states where it was cut.
+    The first bytes of a file determine its format. Parts of a split recording are one log. Neither ``metadata.yaml``
+    nor an index at the end of a file is needed: from a cut file, all complete messages before the cut are read, and
+    `LogReader.warnings` states the position of the cut.
 
     Parameters
     ----------
@@ -285,10 +285,10 @@ def open_log(path: FilePath | Sequence[FilePath]) -> LogReader:
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is no log, empty, or so damaged that nothing can be read.
+        If it is no log, empty, or too damaged to read anything.
     """
     given = [path] if isinstance(path, str | os.PathLike) else list(path)
-    paths = [one for each in given for one in (log_files(Path(each)) if Path(each).is_dir() else [Path(each)])]
+    paths = [part for each in given for part in (log_files(Path(each)) if Path(each).is_dir() else [Path(each)])]
     if not paths:
         raise OgmError(f"{given[0] if given else 'nothing'} holds no log ({', '.join(LOG_ENDINGS)})")
     return LogReader(paths, [_opened(path) for path in paths])
@@ -300,10 +300,10 @@ def _opened(path: Path) -> LogFile:
     with open(path, "rb") as file:
         start = file.read(16)
     if not start:
-        raise OgmError(f"{path} holds 0 bytes: was it recorded, or copied, to its end?")
+        raise OgmError(f"{path} holds 0 bytes, wanted a log: the file is incomplete")
     for magic, kind in _KINDS.items():
         if start.startswith(magic):
             return kind(path)
     packed = start.startswith(b"\x28\xb5\x2f\xfd")
-    way = f"unpack it first: zstd -d {path.name}" if packed else "is its name right?"
-    raise OgmError(f"{path} is no log: it begins with {start!r}, wanted an MCAP, a ROS 1 bag or a ROS 2 bag; {way}")
+    way_out = f"unpack it first: zstd -d {path.name}" if packed else "check its name"
+    raise OgmError(f"{path} is no log: it begins with {start!r}, wanted an MCAP, a ROS 1 bag or a ROS 2 bag; {way_out}")

@@ -1,4 +1,4 @@
-"""`LogWriter`: messages to an MCAP, a ROS 2 bag or a ROS 1 bag, which appears when it is whole."""
+"""`LogWriter`: messages to an MCAP, a ROS 2 bag or a ROS 1 bag, written in one step."""
 
 import errno
 import os
@@ -13,11 +13,11 @@ from typing import Any, Self
 from ogm.io.logs.definitions import LOG_ENDINGS, message_types
 from ogm.io.messages.plain import ros_stamp
 from ogm.io.reading import optional
-from ogm.storage.files import FilePath, OgmError, atomic_write, naming
+from ogm.storage.files import FilePath, OgmError, atomic_write, naming, replaced_path
 from ogm.storage.whole_path import whole_path
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
-_TRANSIENT_LOCAL = (  # what a topic that is kept for late subscribers has in a ROS 2 log
+_TRANSIENT_LOCAL = (  # QoS of a ROS 2 topic that is kept for late subscribers
     "- history: 1\n  depth: 100\n  reliability: 1\n  durability: 1\n  deadline: {0}\n  lifespan: {0}\n"
     "  liveliness: 1\n  liveliness_lease_duration: {0}\n  avoid_ros_namespace_conventions: false"
 ).format("{{sec: {sec}, nsec: {nsec}}}".format(**_FOREVER))
@@ -26,22 +26,23 @@ Write = Callable[[str, str, Any, int], None]
 
 
 class LogWriter:
-    """Writes a log: ``.mcap`` (ROS 2), ``.db3`` (ROS 2, one file that needs no metadata.yaml) or ``.bag`` (ROS 1).
+    """Writer of a log: ``.mcap`` (ROS 2), ``.db3`` (ROS 2, one file without metadata.yaml) or ``.bag`` (ROS 1).
 
-    A context manager: the file appears under its name at the end of the ``with`` block; an error inside of it leaves
-    what was there before.
+    A context manager: the file appears under its name at the end of the ``with`` block. An error inside the block
+    leaves an existing file unchanged.
 
     Parameters
     ----------
     path : path
-        Its folder must exist.
+        Path in an existing folder.
     compression : {"", "zstd"}
-        Of the chunks of an MCAP. ROS 1 bags are not packed, for other readers refuse packed ones of this writer.
+        Compression of the chunks of an MCAP. ROS 1 bags are not packed, as other readers refuse packed bags of this
+        writer.
 
     Raises
     ------
     ValueError
-        If the ending is another one, or compression is for another ending.
+        If the ending is not supported, or does not support the compression.
     FileNotFoundError
         If there is no such folder.
 
@@ -58,9 +59,7 @@ class LogWriter:
             raise ValueError(f"cannot write a log to {path}: name it {', '.join(LOG_ENDINGS)}")
         if compression not in ("", "zstd") or (compression and ending != ".mcap"):
             raise ValueError(f"compression must be '', or 'zstd' for .mcap, got {compression!r} for {path}")
-        if not self.path.parent.is_dir():
-            raise FileNotFoundError(f"cannot write {path}: there is no folder {self.path.parent}; create it first")
-        if self.path.is_dir():
+        if replaced_path(path)[0].is_dir():
             raise IsADirectoryError(f"cannot write {path}: it is a folder; give a file name")
         self._ending, self._stack = ending, ExitStack()
         self._write: Write | None = None
@@ -84,19 +83,19 @@ class LogWriter:
         ----------
         topic : str
         type : str
-            As in ROS 2, such as nav_msgs/msg/OccupancyGrid, also in ROS 1 bags; or that of a Foxglove schema, such as
-            foxglove.Grid, in MCAP.
+            Type name as in ROS 2, such as nav_msgs/msg/OccupancyGrid, also for ROS 1 bags; or a Foxglove schema, such
+            as foxglove.Grid, for MCAP.
         message : object
-            With the field names of the type, and numpy arrays where it has arrays of numbers: of `ogm.io.messages`, of
-            `LogMessage.decode` or of rosbags. What ROS 1 has besides (``seq``) is added. For a Foxglove schema, the
+            Message with the field names of the type, and numpy arrays for arrays of numbers: from `ogm.io.messages`,
+            `LogMessage.decode` or rosbags. Additional fields of ROS 1 (``seq``) are added. For a Foxglove schema, a
             message of foxglove-sdk.
         stamp : float
-            Its log time [s].
+            Log time [s].
 
         Raises
         ------
         OgmError
-            If the type is not known, or the message does not fit it.
+            If the type is unknown, or the message does not fit it.
         """
         if self._write is None:
             raise ValueError(f"{self.path} is not open for writing: write inside of the with block")
@@ -106,25 +105,25 @@ class LogWriter:
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
-        """Give errors of a full or broken disk the path of the log."""
+        """Add the path of the log to errors of a full or broken disk."""
         try:
             with naming(self.path):
                 yield
-        except sqlite3.OperationalError as error:  # of ROS 2 bags
+        except sqlite3.OperationalError as error:  # ROS 2 bags
             if not self.path.parent.is_dir():
-                raise FileNotFoundError(f"{self.path} is lost: its folder was removed while it was written") from error
-            raise OSError(errno.EIO, f"{error}: is the disk full?", str(self.path)) from error
+                raise FileNotFoundError(f"{self.path} is lost: its folder was removed during writing") from error
+            raise OSError(errno.EIO, f"{error}: check for a full disk", str(self.path)) from error
 
     def _serialized(self, topic: str, name: str, message: Any, ros: int) -> memoryview:
-        """Return the bytes of a message."""
+        """Return the serialised message."""
         store = message_types(ros)
         try:
             if name not in store.fielddefs:
-                raise OgmError("its type is not known")
+                raise OgmError("its type is unknown")
             if ros == 1:
                 return memoryview(store.serialize_ros1(_for_ros1(message, name, store), name))
             return memoryview(store.serialize_cdr(message, name))
-        except Exception as error:  # of generated code: whatever does not fit
+        except Exception as error:  # generated code raises various errors for fields that do not fit
             raise OgmError(f"{self.path}: a message for {topic} ({name}) cannot be written: {error}") from error
 
     def _begin_mcap(self, stack: ExitStack) -> Write:
@@ -142,7 +141,7 @@ class LogWriter:
             ros = not hasattr(message, "get_schema")
             data = self._serialized(topic, name, message, 2) if ros else message.encode()
             if name not in schemas:
-                if ros:  # with the definitions of its parts
+                if ros:  # includes the definitions of its parts
                     form, text = "ros2msg", message_types(2).generate_msgdef(name, ros_version=2)[0].encode()
                 else:
                     form, text = "protobuf", message.get_schema().data
@@ -200,12 +199,12 @@ def _close(writer: Any) -> None:
 
 
 def _is_latched(topic: str, name: str) -> bool:
-    """Tell whether late subscribers get what was sent before, as those of static transforms and maps expect."""
+    """Return whether late subscribers get earlier messages, as expected for static transforms and maps."""
     return topic == "/tf_static" or name in ("nav_msgs/msg/OccupancyGrid", "nav2_msgs/msg/Costmap")
 
 
 def _for_ros1(message: Any, name: str, store: Any, header: Any = None) -> Any:
-    """Return a message with what ROS 1 has besides: numbers of headers, and the header inside of a GridMap's info."""
+    """Return a message with the additional fields of ROS 1: ``seq`` of headers, and the header in a GridMap's info."""
     from rosbags.interfaces import Nodetype
 
     header = getattr(message, "header", header)
@@ -220,6 +219,6 @@ def _for_ros1(message: Any, name: str, store: Any, header: Any = None) -> Any:
         if kind == Nodetype.NAME:
             value = _for_ros1(value, inner, store, header)
         elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and inner[0][0] == Nodetype.NAME:
-            value = [_for_ros1(one, inner[0][1], store, header) for one in value]
+            value = [_for_ros1(element, inner[0][1], store, header) for element in value]
         fields[field] = value
     return SimpleNamespace(**fields)

@@ -1,8 +1,8 @@
-"""Messages of ROS, Livox, Velodyne and Foxglove: to scans and transforms, and grids to messages and back.
+"""Messages of ROS, Livox, Velodyne and Foxglove: conversion to scans, transforms and grids, and back.
 
-A message is any object with the message's field names, of rosbags, rclpy, rospy or a decoded MCAP. Functions return
-messages as trees of `types.SimpleNamespace` with numpy arrays: rosbags serialises them by the name of their type, and
-`fill_message` copies them into messages of rclpy and rospy.
+A message is any object with the message's field names, from rosbags, rclpy, rospy or a decoded MCAP. Functions return
+messages as trees of `types.SimpleNamespace` with numpy arrays: rosbags serialises them by type name, and `fill_message`
+copies them into messages of rclpy and rospy.
 
 >>> import numpy as np
 >>> from ogm import Scan

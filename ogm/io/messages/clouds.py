@@ -19,7 +19,7 @@ from ogm.storage.files import OgmError, error_context
 
 log: logging.Logger = logging.getLogger(__name__)
 
-# sensor_msgs/PointField.datatype; from 9 on only in releases of ROS 2 since 2025
+# sensor_msgs/PointField.datatype; 9 and above only in releases of ROS 2 since 2025
 _TYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8", "i8", "u8", "u1"), start=1))
 _CODES = {np.dtype(np.float32): 7, np.dtype(np.uint16): 4}
 _PADDING = ("", "_")
@@ -36,37 +36,36 @@ def scan_from_point_cloud2(
 ) -> Scan:
     """Return the scan of a point cloud message.
 
-    Fields are known by their names, in any order and type, as in files: see `ogm.io.read_scan` for what becomes of
-    intensities, rings and rows without a point. ``is_dense`` is not relied upon.
+    Fields are recognised by name, in any order and type, as in files: see `ogm.io.read_scan` for intensities, rings and
+    rows without a point. ``is_dense`` is ignored. Fields outside of their point, or of unknown type, are left out with
+    a warning in the log.
 
     Parameters
     ----------
     message : object
-        With the fields of ``sensor_msgs/PointCloud2``: of rosbags, rclpy, rospy, or of a decoded MCAP.
+        Object with the fields of ``sensor_msgs/PointCloud2``, from rosbags, rclpy, rospy, or a decoded MCAP.
     axes, intensity_max, time_unit
-        As for `ogm.io.read_scan`.
+        See `ogm.io.read_scan`.
     no_returns : bool
-        Whether to find the beams without echo in an organised cloud (``height`` above 1) whose raster is a spinning
-        lidar's; that costs more time than all the rest.
+        Whether to compute the beams without echo of an organised cloud (``height`` above 1) with the raster of a
+        spinning lidar, which takes longer than all other steps.
 
     Returns
     -------
     Scan
-        `Scan.stamp` is that of the header. `Scan.time` counts from it, whether the message has times of the same clock
-        (nearer to the stamp than to 0; they may count s, ms, us or ns), which are before the stamp if that is of the
-        sweep's end; or times since the stamp, which are taken as they are; or times of another clock, which count
-        from the earliest. Where the header has no stamp (0), the earliest time of a clock becomes the stamp.
-        A field that lies outside of its point, or has an unknown type, is left out, with a warning in the log.
-        `Scan.doppler` is a field ``doppler``, ``doppler_velocity``, ``radial_velocity``, ``range_rate`` or
-        ``velocity`` [m/s], positive away from the sensor as the message has to have it; `Scan.rcs` is ``rcs`` [dBsm].
+        `Scan.stamp` is the header's stamp, and `Scan.time` counts from it. Times of the same clock (nearer to the stamp
+        than to 0, in s, ms, us or ns) may precede a stamp at the end of the sweep. Times relative to the stamp are used
+        directly. Times of another clock count from the earliest. If the header has no stamp (0), the earliest time of a
+        clock becomes the stamp. `Scan.doppler` is a field ``doppler``, ``doppler_velocity``, ``radial_velocity``,
+        ``range_rate`` or ``velocity`` [m/s], which must be positive away from the sensor; `Scan.rcs` is ``rcs`` [dBsm].
 
     Raises
     ------
     OgmError
-        If sizes contradict each other, x, y or z is missing or lies outside of its point, or most coordinates are of
-        no scan.
+        If sizes are inconsistent, x, y or z is missing or lies outside of its point, or most coordinates are
+        implausible.
     ValueError
-        If an option makes no sense.
+        If an option is invalid.
     """
     table, where = cloud_table(message)
     if not no_returns:
@@ -77,19 +76,19 @@ def scan_from_point_cloud2(
 
 @reads_message
 def cloud_table(message: Any) -> tuple[Table, str]:
-    """Return the fields of a point cloud message as columns, and a name of the message, for errors.
+    """Return the fields of a point cloud message as columns, and the name of the message for errors.
 
     Raises
     ------
     OgmError
-        If sizes contradict each other, or x, y or z lies outside of its point.
+        If sizes are inconsistent, or x, y or z lies outside of its point.
     """
     where = describe_message(message, "PointCloud2")
     return Table("PointCloud2", *_columns(message, where)), where
 
 
 def _columns(message: Any, where: str) -> tuple[dict[str, NDArray[Any]], tuple[int, int] | None]:
-    """View every field for all points, and the raster of an organised cloud; of several values, the first."""
+    """Return views of all fields, of several values the first, and the raster of an organised cloud."""
     height, width, step = int(message.height), int(message.width), int(message.point_step)
     row_step, data = int(message.row_step), as_bytes(message.data, where)
     if min(height, width, step) < 0 or (height * width and step < 1):
@@ -102,7 +101,7 @@ def _columns(message: Any, where: str) -> tuple[dict[str, NDArray[Any]], tuple[i
             f"{row_step} bytes: it is cut short or damaged"
         )
     if surplus := len(data) - height * row_step:
-        text = "%s has %d bytes after its %d points, which are ignored: is its width right?"
+        text = "%s has %d bytes after its %d points, which are ignored: check its width"
         notice(log, "surplus bytes", text, where, surplus, height * width)
     fields = [field for field in message.fields if field.name not in _PADDING]
     refuse_doubles((field.name for field in fields), where)
@@ -125,7 +124,7 @@ def _columns(message: Any, where: str) -> tuple[dict[str, NDArray[Any]], tuple[i
 
 
 def _damage(field: Any, step: int) -> str:
-    """Return why a field cannot be read from points of some bytes, in words; "" if it can."""
+    """Return the reason why a field cannot be read from points of `step` bytes; "" if it can."""
     if int(field.datatype) not in _TYPES:
         return f"datatype {field.datatype} for {field.name}, wanted 1 to {len(_TYPES)}"
     size = np.dtype(_TYPES[int(field.datatype)]).itemsize
@@ -138,22 +137,22 @@ def _damage(field: Any, step: int) -> str:
 def point_cloud2(scan: Scan, *, frame_id: str, stamp: float | None = None) -> SimpleNamespace:
     """Return a scan as a ``sensor_msgs/PointCloud2``.
 
-    It has x, y, z and intensity [0, 1] as float32, and where the scan has them: ring (uint16), time since the stamp
-    (float32 [s]), doppler [m/s] and rcs [dBsm] (float32). Beams without echo have no place in it.
+    It has x, y, z and intensity [0, 1] as float32, and if present ring (uint16), time since the stamp (float32 [s]),
+    doppler [m/s] and rcs [dBsm] (float32). The message cannot hold beams without echo.
 
     Parameters
     ----------
     scan : Scan
     frame_id : str
-        Of the sensor.
+        Frame of the sensor.
     stamp : float, optional
-        [s]; that of the scan by default, 0 if it has none.
+        [s]; by default the scan's stamp, or 0 without one.
 
     Returns
     -------
     SimpleNamespace
-        With the fields of the message, ``data`` as (bytes,) uint8: rosbags serialises it, `fill_message` copies it
-        into a message of rclpy or rospy.
+        Object with the fields of the message, ``data`` as (bytes,) uint8. rosbags serialises it, `fill_message` copies
+        it into a message of rclpy or rospy.
     """
     columns: dict[str, NDArray[Any]] = dict(zip(("x", "y", "z", "intensity"), scan.points.T, strict=True))
     if scan.ring is not None:
@@ -161,9 +160,8 @@ def point_cloud2(scan: Scan, *, frame_id: str, stamp: float | None = None) -> Si
     for name in ("time", "doppler", "rcs"):
         if getattr(scan, name) is not None:
             columns[name] = getattr(scan, name).astype(np.float32)
-    records = np.empty(
-        len(scan), np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
-    )
+    kind = np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
+    records = np.empty(len(scan), kind)
     for name, column in columns.items():
         records[name] = column
     offsets: Any = records.dtype.fields
@@ -194,59 +192,60 @@ def scan_from_radar_scan(message: Any) -> Scan:
     Parameters
     ----------
     message : object
-        With the fields of the message: azimuth counts to the left of the sensor's x axis, elevation upwards [rad].
+        Object with the fields of the message: azimuth counts to the left of the sensor's x axis, elevation upwards
+        [rad].
 
     Returns
     -------
     Scan
-        `Scan.doppler` is ``doppler_velocity`` as it stands: the message does not define its sign, ours is positive away
-        from the sensor. Intensities are 0: the message's amplitude has no common unit. `Scan.rcs`, which marks scans
-        of radars, is NaN: the message has no cross sections.
+        `Scan.doppler` is ``doppler_velocity`` unchanged: the message does not define its sign, which is positive away
+        from the sensor in `ogm`. Intensities are 0, as the message's amplitude has no common unit. `Scan.rcs`, which
+        marks radar scans, is NaN, as the message has no cross sections.
 
     Raises
     ------
     OgmError
-        If it is no such message, or numbers are of no scan.
+        If it is no such message, or has invalid numbers.
     """
-    rows = [[getattr(one, name) for name in _FIELDS] for one in message.returns]
+    rows = [[getattr(detection, name) for name in _FIELDS] for detection in message.returns]
     scan = _scan(message, "RadarScan", rows, ("doppler",))
     return replace(scan, rcs=np.full(len(scan), np.float32(np.nan)))
 
 
 @reads_message
 def scan_from_continental(message: Any) -> Scan:
-    """Return the scan of a detection list of a Continental ARS548 or SRR520, as TIER IV's nebula driver sends it.
+    """Return the scan of a detection list of a Continental ARS548 or SRR520, as sent by TIER IV's nebula driver.
 
     Parameters
     ----------
     message : object or mapping
-        A ``continental_msgs/ContinentalArs548DetectionList`` or ``ContinentalSrr520DetectionList``, or its fields, as
-        ``ros2 topic echo`` prints them. Of an SRR520, azimuth counts to the left, too, and there is no elevation.
+        A ``continental_msgs/ContinentalArs548DetectionList`` or ``ContinentalSrr520DetectionList``, or its fields as
+        printed by ``ros2 topic echo``. The azimuth counts to the left for both; an SRR520 has no elevation.
 
     Returns
     -------
     Scan
-        Detections that the sensor flags as invalid are left out. `Scan.doppler` is the range rate.
+        Detections flagged as invalid by the sensor are left out. `Scan.doppler` is the range rate.
 
     Raises
     ------
     OgmError
-        If it is no such message, or numbers are of no scan.
+        If it is no such message, or has invalid numbers.
     """
     message = _namespace(message)
     where = describe_message(message, "ContinentalDetectionList")
     flags = ("invalid_distance", "invalid_azimuth", "invalid_elevation", "invalid_range_rate")
     if not isinstance(message.detections, Iterable):
         raise OgmError(f"{where} must have a list of detections, got {type(message.detections).__name__}")
-    valid = [one for one in message.detections if not any(getattr(one, flag, False) for flag in flags)]
+    valid = [row for row in message.detections if not any(getattr(row, flag, False) for flag in flags)]
     rows = [
-        (one.range, one.azimuth_angle, getattr(one, "elevation_angle", 0.0), one.range_rate, one.rcs) for one in valid
+        (row.range, row.azimuth_angle, getattr(row, "elevation_angle", 0.0), row.range_rate, row.rcs) for row in valid
     ]
     return _scan(message, "ContinentalDetectionList", rows, ("doppler", "rcs"))
 
 
 def _scan(message: Any, kind: str, rows: Sequence[Sequence[Any]], others: Sequence[str]) -> Scan:
-    """Return the scan of detections: range, azimuth and elevation of each, and other columns by their names."""
+    """Return the scan of detections with range, azimuth, elevation, and the columns named `others`."""
     where = describe_message(message, kind)
     with error_context(f"{where} has detections that are no numbers", TypeError, ValueError, OverflowError):
         columns = np.array(rows, np.float64).reshape(-1, 3 + len(others)).T
@@ -258,7 +257,7 @@ def _scan(message: Any, kind: str, rows: Sequence[Sequence[Any]], others: Sequen
 
 
 def _namespace(value: Any, levels: int = 4) -> Any:
-    """Return nested mappings as objects, as deep as the messages are."""
+    """Return nested mappings as objects, up to the depth of the messages."""
     if levels and isinstance(value, Mapping):
-        return SimpleNamespace(**{str(key): _namespace(one, levels - 1) for key, one in value.items()})
-    return [_namespace(one, levels - 1) for one in value] if levels and isinstance(value, list) else value
+        return SimpleNamespace(**{str(key): _namespace(inner, levels - 1) for key, inner in value.items()})
+    return [_namespace(inner, levels - 1) for inner in value] if levels and isinstance(value, list) else value

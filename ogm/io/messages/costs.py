@@ -1,4 +1,4 @@
-"""Costs of cells, by `ogm.planning.costmap`, as ``nav2_msgs/Costmap`` and as occupancy, and back."""
+"""Costs of cells from `ogm.planning.costmap`, as ``nav2_msgs/Costmap`` and as occupancy, and back."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -16,33 +16,33 @@ _UNKNOWN = 255
 
 
 def costs_of(bands: LayeredGrid) -> NDArray[np.uint8]:
-    """Return the layer cost as bytes, (nx, ny): 0 free to 254 obstacle, 255 unknown, also where it has no value (NaN).
+    """Return the layer cost as bytes, (nx, ny): 0 free to 254 obstacle, 255 unknown or no value (NaN).
 
     Raises
     ------
     ValueError
-        If there is no such layer, or its numbers are no whole ones from 0 to 255.
+        If there is no such layer, or its numbers are no integers from 0 to 255.
     """
     if COST not in bands.layers:
         got = ", ".join(bands.layers) or "none"
-        raise ValueError(f"wanted a layer {COST}, got {got}: ogm.planning.costmap makes it of masses")
+        raise ValueError(f"wanted a layer {COST}, got {got}: ogm.planning.costmap computes it from masses")
     costs = np.where(np.isnan(bands[COST]), np.float32(_UNKNOWN), bands[COST])
     whole = (costs >= 0) & (costs <= 255) & (costs == np.floor(costs))
     if not whole.all():
-        raise ValueError(f"costs must be whole numbers from 0 to 255, got {costs[~whole][0]:g}")
+        raise ValueError(f"costs must be integers from 0 to 255, got {costs[~whole][0]:g}")
     return costs.astype(np.uint8)
 
 
 def occupancy_from_costs(layers: LayeredGrid) -> EvidentialGrid:
-    """Return the layer cost as occupancy, for formats that hold one value per cell: OccupancyGrid, map_server.
+    """Return the layer cost as occupancy, for formats with one value per cell: OccupancyGrid, map_server.
 
-    Values are those that nav2 publishes (``Costmap2DPublisher``): 0 for cost 0, 1 to 98 for 1 to 252, 99 for 253, 100
-    for 254, unknown for 255. In map_server, mode ``scale`` keeps them.
+    Values match nav2's publisher (``Costmap2DPublisher``): 0 for cost 0, 1 to 98 for 1 to 252, 99 for 253, 100 for 254,
+    unknown for 255. Mode ``scale`` of map_server keeps them.
 
     Parameters
     ----------
     layers : LayeredGrid
-        With the layer ``cost``.
+        Layers that include ``cost``.
 
     Raises
     ------
@@ -63,12 +63,12 @@ def nav2_costmap(
     T_frame_grid: ArrayLike | None = None,
     layers: LayeredGrid | None = None,
 ) -> SimpleNamespace:
-    """Return the layer cost as a ``nav2_msgs/Costmap``, such as nav2 publishes on ``global_costmap/costmap_raw``.
+    """Return the layer cost as a ``nav2_msgs/Costmap``, as published by nav2 on ``global_costmap/costmap_raw``.
 
     Parameters
     ----------
     grid : LayeredGrid, or any grid with `layers`
-        With the layer ``cost``; other layers are not in the message.
+        Grid with the layer ``cost``; other layers are ignored.
     frame_id, stamp, T_frame_grid
         See `ogm.io.messages.occupancy_grid`.
     layers : LayeredGrid, optional
@@ -77,8 +77,8 @@ def nav2_costmap(
     Returns
     -------
     SimpleNamespace
-        With the fields of the message. Its origin is the outer corner of cell (0, 0), its ``data`` begins there and
-        goes along x first.
+        Object with the fields of the message. Its origin is the outer corner of cell (0, 0); ``data`` begins there, x
+        first.
 
     Raises
     ------
@@ -100,24 +100,24 @@ def nav2_costmap(
 
 @reads_message
 def layers_from_nav2_costmap(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]]:
-    """Return the costs of a ``nav2_msgs/Costmap``, and where they lie in the frame of the message.
+    """Return the costs of a ``nav2_msgs/Costmap``, and their pose in the frame of the message.
 
     Returns
     -------
     layers : LayeredGrid
-        The layer ``cost``, NaN where it is unknown.
+        The layer ``cost``, NaN if unknown.
     T_frame_grid : (4, 4) float64
-        Turns and lifts the grid; identity if the message does neither.
+        Rotates and lifts the grid; identity if the message does neither.
 
     Raises
     ------
     OgmError
-        If sizes contradict each other, or the pose is not rigid.
+        If sizes are inconsistent, or the pose is not rigid.
     """
     where, facts = describe_message(message, "Costmap"), message.metadata
     shape, data = (int(facts.size_x), int(facts.size_y)), as_bytes(message.data, describe_message(message, "Costmap"))
     if data.size != shape[0] * shape[1] or min(shape) < 1:
-        raise OgmError(f"{where} has {data.size} values, wanted those of {shape[0]} x {shape[1]} cells")
+        raise OgmError(f"{where} has {data.size} values, wanted {shape[0]} x {shape[1]}: it is damaged")
     origin, T = split_corner(transform_of_pose(facts.origin, where))
     cost = np.where(data == _UNKNOWN, np.float32(np.nan), data).reshape(shape[::-1]).T
     return LayeredGrid(spec_of(facts.resolution, shape, origin, where), {COST: cost}), T

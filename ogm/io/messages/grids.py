@@ -1,4 +1,4 @@
-"""Layers and corners by which files and messages hold a grid; ``nav_msgs/OccupancyGrid`` from a grid, and back."""
+"""Bands and corners of grids in files and messages; ``nav_msgs/OccupancyGrid`` from a grid, and back."""
 
 from collections.abc import Collection
 from types import SimpleNamespace
@@ -29,23 +29,21 @@ _MOVING = ("static", "dynamic", *(f"velocity_{name}" for name in _VELOCITY))
 
 
 def check_grid(grid: AnyGrid) -> None:
-    """Raise unless a grid can be written: TypeError for other objects, ValueError for numbers that are no masses."""
+    """Raise unless a grid can be written: TypeError for other objects, ValueError for invalid masses."""
     if not isinstance(grid, AnyGrid):
-        raise TypeError(
-            f"wanted an EvidentialGrid, DynamicGrid or LayeredGrid, got {type(grid).__name__}: make one of them"
-        )
+        raise TypeError(f"wanted an EvidentialGrid, DynamicGrid or LayeredGrid, got {type(grid).__name__}: convert it")
     if not isinstance(grid, LayeredGrid):
         grid.check()
 
 
 def evidential(grid: AnyGrid) -> EvidentialGrid:
-    """Return the masses of free and occupied of a grid; errors as those of `check_grid`, ValueError without masses."""
+    """Return the masses of free and occupied of a grid; ValueError without masses, else errors of `check_grid`."""
     if isinstance(grid, LayeredGrid):
         grid = grid_from_bands(grid)[0]
         if isinstance(grid, LayeredGrid):
             raise ValueError(
-                f"wanted masses of free and occupied, got layers ({', '.join(grid.layers) or 'none'}): "
-                "grid_from_layer, `--layer NAME`, makes occupancy of one; read_any_grid reads them"
+                f"wanted masses of free and occupied, got layers ({', '.join(grid.layers) or 'none'}): convert one by "
+                "grid_from_layer (`--layer NAME`), or read all by read_any_grid"
             )
     check_grid(grid)
     return grid.to_evidential() if isinstance(grid, DynamicGrid) else grid
@@ -59,7 +57,7 @@ def band_names(grid: AnyGrid) -> tuple[str, ...]:
 
 
 def check_names(grid: AnyGrid, layers: LayeredGrid | None, taken: Collection[str] = ()) -> None:
-    """Raise ValueError unless further layers have the cells of a grid, and names that neither it nor `taken` has."""
+    """Raise ValueError unless further layers have the cells of a grid, and names unused by it and `taken`."""
     if layers is None:
         return
     if layers.spec != grid.spec:
@@ -69,12 +67,12 @@ def check_names(grid: AnyGrid, layers: LayeredGrid | None, taken: Collection[str
 
 
 def bands_of(grid: AnyGrid, layers: LayeredGrid | None = None) -> LayeredGrid:
-    """Return a grid and further layers as named bands, as all files and messages of several bands hold them.
+    """Return a grid and further layers as named bands, as stored by files and messages with several bands.
 
     Parameters
     ----------
     grid : EvidentialGrid, DynamicGrid or LayeredGrid
-        Its masses of free, occupied and unknown, also what else `DynamicGrid.to_layers` has, or its layers.
+        Source of the masses of free, occupied and unknown, of the bands of `DynamicGrid.to_layers`, or of the layers.
     layers : LayeredGrid, optional
         Further layers on the same cells, such as conflict.
 
@@ -91,24 +89,24 @@ def bands_of(grid: AnyGrid, layers: LayeredGrid | None = None) -> LayeredGrid:
 
 
 def grid_from_bands(bands: LayeredGrid) -> tuple[AnyGrid, LayeredGrid | None]:
-    """Return the grid that named bands hold, and the layers that are beside it.
+    """Return the grid of named bands, and the remaining layers.
 
     Parameters
     ----------
     bands : LayeredGrid
-        Masses that have no value (NaN) are unknown.
+        Cells with NaN masses become unknown.
 
     Returns
     -------
     grid : DynamicGrid, EvidentialGrid or LayeredGrid
-        The first if all of its bands are there, the second if free and occupied are, else `bands`.
+        DynamicGrid if all of its bands exist, EvidentialGrid if free and occupied exist, else `bands`.
     layers : LayeredGrid or None
         Bands that are not in `grid`.
 
     Raises
     ------
     ValueError
-        If the numbers of masses are none.
+        If masses are invalid.
     """
     names = bands.layers.keys()
     if not set(MASSES[:2]) <= names:
@@ -127,42 +125,42 @@ def grid_from_bands(bands: LayeredGrid) -> tuple[AnyGrid, LayeredGrid | None]:
 
 
 def is_derived(name: str, names: Collection[str]) -> bool:
-    """Return whether a band need not be read: unknown, where the masses that it is made of are there."""
+    """Return whether a band need not be read: unknown, if free and occupied exist."""
     return name == "unknown" and set(MASSES) <= set(names)
 
 
 def masses_of_bands(bands: LayeredGrid, where: str, word: str) -> AnyGrid:
-    """Return the grid of a message's bands, or raise OgmError where it has no masses."""
+    """Return the grid of a message's bands; raise OgmError without masses."""
     if missing := [name for name in MASSES[:2] if name not in bands.layers]:
         lack = f"{where} has no {word} {' and '.join(missing)}, only {', '.join(bands.layers) or 'none'}"
         reader = {"layer": "layers_from_grid_map", "field": "layers_from_foxglove_grid"}[word]
-        raise OgmError(f"{lack}: it holds no masses of free and occupied; {reader} returns what it holds")
+        raise OgmError(f"{lack}, wanted masses of free and occupied: read it by {reader}")
     with error_context(f"{where} has {word}s that are no masses"):
         return grid_from_bands(bands)[0]
 
 
 def grid_from_layer(layers: LayeredGrid, name: str, values: tuple[float, float] = (0.0, 100.0)) -> EvidentialGrid:
-    """Return one layer as occupancy, for formats that hold one value per cell (map_server, OccupancyGrid, .png).
+    """Return a layer as occupancy, for formats with one value per cell (map_server, OccupancyGrid, .png).
 
     Parameters
     ----------
     layers : LayeredGrid
     name : str
-        The layer.
+        Name of the layer.
     values : (float, float)
-        The value of free cells and that of occupied ones, as (1, 0) of a traversability; values between give
-        probabilities in proportion, values beyond count as the nearer one.
+        Values of free and of occupied cells, such as (1, 0) for a traversability. Values between them become
+        probabilities by linear interpolation, values beyond are clipped.
 
     Returns
     -------
     EvidentialGrid
-        With all mass on free and occupied, none on unknown, but where the layer has no value (NaN). Mode ``scale``
-        of map_server keeps its values in steps of a hundredth.
+        All mass is on free and occupied, except for unknown cells without a value (NaN). Mode ``scale`` of map_server
+        keeps the values in steps of a hundredth.
 
     Raises
     ------
     ValueError
-        If there is no such layer, or both values are the same or not finite.
+        If there is no such layer, or both values are equal or not finite.
     """
     low, high = values
     if name not in layers.layers:
@@ -175,12 +173,12 @@ def grid_from_layer(layers: LayeredGrid, name: str, values: tuple[float, float] 
 
 
 def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
-    """Return what an occupancy grid of ROS holds: -1 for unknown, else 0 (free) to 100 (occupied).
+    """Return the values of an occupancy grid of ROS: -1 for unknown, else 0 (free) to 100 (occupied).
 
     Returns
     -------
     (nx, ny) int8
-        -1 where `ogm.state.predict_state` is unknown; else the probability of occupied, `EvidentialGrid.probability`,
+        -1 if `ogm.state.predict_state` is unknown; else the probability of occupied, `EvidentialGrid.probability`,
         in whole percent.
 
     Raises
@@ -194,12 +192,12 @@ def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
 
 
 def mass_from_occupancy(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Return masses (..., 2) of free and occupied that have the probability of an occupancy grid's values.
+    """Return masses (..., 2) of free and occupied with the probability of an occupancy grid's values.
 
-    All of the mass is on free and occupied, none on unknown; values that are not from 0 to 100 are unknown. Taken back
-    by `occupancy_values`, they are the same.
+    All mass is on free and occupied; values that are not from 0 to 100 become unknown. `occupancy_values` restores the
+    values.
     """
-    if values.dtype == np.int8:  # those of messages and images
+    if values.dtype == np.int8:  # as in messages and images
         table = mass_from_occupancy(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.int16))
         return table[values.view(np.uint8)]
     percent = values.astype(np.float64)
@@ -213,7 +211,7 @@ def occupancy_grid(
 ) -> SimpleNamespace:
     """Return a grid as a ``nav_msgs/OccupancyGrid``.
 
-    Only one number per cell fits: `occupancy_values`. `grid_map` and `foxglove_grid` keep the masses.
+    The message holds only one number per cell, see `occupancy_values`. `grid_map` and `foxglove_grid` keep the masses.
 
     Parameters
     ----------
@@ -223,17 +221,17 @@ def occupancy_grid(
     stamp : float, optional
         [s]; 0 by default.
     T_frame_grid : (4, 4) array, optional
-        Takes the grid's coordinates to that frame; identity by default.
+        Transform from the grid's coordinates to the frame; identity by default.
 
     Returns
     -------
     SimpleNamespace
-        With the fields of the message. Its origin is the outer corner of cell (0, 0), its ``data`` begins there and
-        goes along x first.
+        Object with the fields of the message. Its origin is the outer corner of cell (0, 0); ``data`` begins there, x
+        first.
 
     Notes
     -----
-    The message holds the resolution as float32: 0.1 m becomes 0.100000001490 m for those who do not round.
+    The message holds the resolution as float32: 0.1 m becomes 0.100000001490 m for readers that do not round.
     """
     values = occupancy_values(grid)
     info = SimpleNamespace(
@@ -248,19 +246,19 @@ def occupancy_grid(
 
 @reads_message
 def grid_from_occupancy_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.float64]]:
-    """Return the grid of a ``nav_msgs/OccupancyGrid``, and where it lies in the frame of the message.
+    """Return the grid of a ``nav_msgs/OccupancyGrid``, and its pose in the frame of the message.
 
     Returns
     -------
     grid : EvidentialGrid
         Its masses have the message's probabilities, see `mass_from_occupancy`. The corner is in ``spec.origin``.
     T_frame_grid : (4, 4) float64
-        Turns and lifts the grid; identity if the message does neither.
+        Rotates and lifts the grid; identity if the message does neither.
 
     Raises
     ------
     OgmError
-        If sizes contradict each other, or the pose is none.
+        If sizes are inconsistent, or the pose is invalid.
     """
     where = describe_message(message, "OccupancyGrid")
     info, data = message.info, np.asarray(message.data)
@@ -276,14 +274,14 @@ def grid_from_occupancy_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.f
 def cells_from_update(
     message: Any, shape: tuple[int, int], stamp: float | None
 ) -> tuple[int, int, NDArray[np.float32], float | None]:
-    """Return the cells that a ``map_msgs/OccupancyGridUpdate`` replaces in a map.
+    """Return the cells replaced by a ``map_msgs/OccupancyGridUpdate`` in a map.
 
     Parameters
     ----------
     message : object
-        With the fields of the message.
+        Object with the fields of the message.
     shape : (int, int)
-        Cells of the map.
+        Shape of the map.
     stamp : float or None
         Time of the map [s].
 
@@ -294,12 +292,12 @@ def cells_from_update(
     mass : (width, height, 2) float32
         See `mass_from_occupancy`.
     stamp : float or None
-        Time of the updated map [s]: that of the message, unless it has none.
+        Time of the updated map [s]: the message's stamp, or without one the given stamp.
 
     Raises
     ------
     OgmError
-        If sizes contradict each other, or cells lie outside of the map.
+        If sizes are inconsistent, or cells lie outside of the map.
     """
     where = describe_message(message, "OccupancyGridUpdate")
     x, y, width, height = (int(getattr(message, name)) for name in ("x", "y", "width", "height"))
@@ -307,10 +305,7 @@ def cells_from_update(
     if data.dtype.kind not in "iu" or data.size != width * height:
         raise OgmError(f"{where} has {data.size} values of {data.dtype}, wanted int8 for {width} x {height} cells")
     if min(x, y) < 0 or x + width > shape[0] or y + height > shape[1]:
-        raise OgmError(
-            f"{where} has {width} x {height} cells from ({x}, {y}) on, wanted them inside of the map's {shape[0]} x "
-            f"{shape[1]}"
-        )
+        raise OgmError(f"{where} has {width} x {height} cells from ({x}, {y}) on, wanted cells of the map, {shape}")
     mass = mass_from_occupancy(data.reshape(height, width).T)
     return x, y, mass, stamp_seconds(message.header.stamp) or stamp
 
@@ -322,7 +317,7 @@ def corner_pose(spec: GridSpec, T_frame_grid: ArrayLike | None = None) -> NDArra
 
 
 def split_corner(T_frame_corner: NDArray[np.float64]) -> tuple[tuple[float, float], NDArray[np.float64]]:
-    """Return the corner (x, y) as the grid has it, and T_frame_grid, which turns and lifts but does not shift."""
+    """Return the corner (x, y) in grid coordinates, and T_frame_grid, which rotates and lifts without shift."""
     turn = T_frame_corner.copy()
     turn[:3, 3] = 0.0
     x, y, z = (inverse(turn) @ T_frame_corner)[:3, 3]
@@ -330,7 +325,7 @@ def split_corner(T_frame_corner: NDArray[np.float64]) -> tuple[tuple[float, floa
 
 
 def spec_of(resolution: float, shape: tuple[int, int], origin: tuple[float, float], where: str) -> GridSpec:
-    """Return the spec of a message's grid; a resolution in float32 becomes the shortest number that it stands for."""
+    """Return the spec of a message's grid; a float32 resolution becomes its shortest decimal number."""
     short = np.float32(resolution)
     with error_context(f"{where} has no cells"):
         return GridSpec(float(str(short)) if short == resolution else float(resolution), shape, origin)

@@ -18,30 +18,30 @@ log: logging.Logger = logging.getLogger(__name__)
 
 _TURN = 2 * math.pi
 _FITS = 1.5  # increments between the last beam and angle_max: some drivers state the angle after the last beam
-_LONGEST = 10.0  # [s] that no scan lasts
+_LONGEST = 10.0  # [s] longer than any scan
 
 
 @reads_message
 def scan_from_laser_scan(message: Any, *, intensity_max: IntensityScale | None = None) -> Scan:
     """Return the scan of a ``sensor_msgs/LaserScan`` or ``sensor_msgs/MultiEchoLaserScan``.
 
-    Ranges are read as REP 117 has them, and as drivers deviate from it: see `ogm.io.beams.echoes`. Beams begin at
-    ``angle_min`` and follow each other by ``angle_increment``, negative for lasers that turn to the right;
-    ``angle_max`` counts only where the increment is 0 or gives more than a turn.
+    Ranges follow REP 117 and the common deviations of drivers, see `ogm.io.beams.echoes`. Beams begin at ``angle_min``
+    in steps of ``angle_increment``, negative for lasers that rotate to the right. ``angle_max`` is used only if the
+    increment is 0 or gives more than a turn.
 
     Parameters
     ----------
     message : object
-        With the fields of the message: of rosbags, rclpy, rospy, or of a decoded MCAP.
+        Object with the fields of the message, from rosbags, rclpy, rospy, or a decoded MCAP.
     intensity_max : IntensityScale, optional
         See `ogm.io.read_scan`.
 
     Returns
     -------
     Scan
-        Of kind "planar", in the frame of the laser. `Scan.no_returns` has the beams without echo, `Scan.max_range` is
-        ``range_max``, `Scan.time` counts from the stamp by ``time_increment``. Of a beam with several echoes all are
-        points; one without any echo in its list is unknown.
+        Scan of kind "planar", in the frame of the laser. `Scan.no_returns` has the beams without echo, `Scan.max_range`
+        is ``range_max``, `Scan.time` counts from the stamp by ``time_increment``. All echoes of a beam are points; a
+        beam with an empty list of echoes is unknown.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def scan_from_laser_scan(message: Any, *, intensity_max: IntensityScale | None =
 
 @reads_message
 def laser_intensity_range(message: Any) -> IntensityRange | None:
-    """Return the intensities that mean 0 and 1 by the values of one scan of a laser; None without any."""
+    """Return the intensities of one laser scan that become 0 and 1 by their values; None without intensities."""
     where = describe_message(message, "LaserScan")
     ranges = _per_echo(message.ranges, where)[0]
     intensities = _intensities(message, ranges, where)
@@ -77,19 +77,19 @@ def laser_intensity_range(message: Any) -> IntensityRange | None:
 def scan_from_range(message: Any) -> Scan:
     """Return the scan of a ``sensor_msgs/Range`` of an ultrasonic or infrared sensor.
 
-    A range of the greatest or more, and +inf, is no echo; one below the least, 0, NaN and -inf are unknown. Sensors
-    that detect without measuring have two equal limits: they are free at +inf, and unknown at -inf, as the place of the
-    detection is not known.
+    A range of at least the greatest range, and +inf, is no echo. A range below the least range, 0, NaN and -inf are
+    unknown. Sensors that detect without measuring have two equal limits: they are free at +inf, and unknown at -inf, as
+    the position of the detection is unknown.
 
     Parameters
     ----------
     message : object
-        With the fields of the message.
+        Object with the fields of the message.
 
     Returns
     -------
     Scan
-        Of kind "cone", in the frame of the sensor: one point on the x axis, or one beam without echo, or neither.
+        Scan of kind "cone", in the frame of the sensor: one point on the x axis, or one beam without echo, or neither.
         `Scan.beam_width` is ``field_of_view``, `Scan.max_range` is ``max_range``.
 
     Raises
@@ -98,16 +98,16 @@ def scan_from_range(message: Any) -> Scan:
         If it is no such message.
     """
     where = describe_message(message, "Range")
-    with error_context(f"{where} has limits or a range that are no numbers", TypeError, ValueError):
+    with error_context(f"{where} has limits or a range that are not numeric", TypeError, ValueError):
         low, high, distance = (float(getattr(message, name)) for name in ("min_range", "max_range", "range"))
         width = float(message.field_of_view)
     binary = low == high and 0 < low < math.inf
     if binary and distance == -math.inf:
-        text = "%s: a detection at an unknown distance up to %g m; such are unknown, not occupied"
+        text = "%s: a detection at an unknown distance up to %g m; such detections are unknown, not occupied"
         notice(log, "detections without range", text, where, high)
     least, greatest = range_limits(0.0 if binary else low, high, where)
     if not 0 < width <= _TURN:
-        text = "%s has a field of view of %g rad, wanted above 0 and at most 2 pi: its beam width is not known"
+        text = "%s has a field of view of %g rad, wanted above 0 and at most 2 pi: its beam width is unknown"
         notice(log, "field of view", text, where, width)
     with_echo, silent = echoes(np.array([distance]), least, greatest)
     if not (with_echo | silent).any():
@@ -125,23 +125,23 @@ def scan_from_range(message: Any) -> Scan:
 
 def _numbers(values: Any, where: str, name: str) -> NDArray[np.float64]:
     """Return numbers of a message as an array, (N,)."""
-    with error_context(f"{where} has {name} that are no numbers", TypeError, ValueError, OverflowError):
+    with error_context(f"{where} has {name} that are not numeric", TypeError, ValueError, OverflowError):
         return np.asarray(values, np.float64).reshape(-1)
 
 
 def _per_echo(values: Any, where: str) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
-    """Return the values of all echoes, the beam of each, and the number of beams."""
+    """Return the values of all echoes, the beam of each echo, and the number of beams."""
     with error_context(f"{where} has ranges or intensities that are no lists", TypeError):
         several = len(values) > 0 and hasattr(values[0], "echoes")
     if several:
-        lists = [_numbers(one.echoes, where, "echoes") for one in values]
-        return np.concatenate(lists), np.repeat(np.arange(len(lists)), [len(one) for one in lists]), len(lists)
+        lists = [_numbers(beam.echoes, where, "echoes") for beam in values]
+        return np.concatenate(lists), np.repeat(np.arange(len(lists)), [len(values) for values in lists]), len(lists)
     numbers = _numbers(values, where, "ranges")
     return numbers, np.arange(len(numbers)), len(numbers)
 
 
 def _intensities(message: Any, ranges: NDArray[np.float64], where: str) -> NDArray[np.float64] | None:
-    """Return the intensity of each range; None unless there are as many as ranges."""
+    """Return the intensity of each range; None unless the counts agree."""
     values = _per_echo(message.intensities, where)[0]
     if len(values) and len(values) != len(ranges):
         text = "%s has %d intensities for %d ranges: they are left out"
@@ -150,7 +150,7 @@ def _intensities(message: Any, ranges: NDArray[np.float64], where: str) -> NDArr
 
 
 def _times(message: Any, count: int, where: str) -> NDArray[np.float64] | None:
-    """Return the time of each beam, counted from the stamp [s]; None where it is not stated, or of no scan."""
+    """Return the time of each beam, counted from the stamp [s]; None if missing or too long for a scan."""
     step = float(message.time_increment)
     if step == 0:
         return None
@@ -168,27 +168,27 @@ def _angles(message: Any, count: int, where: str) -> NDArray[np.float64]:
     start, end, step = (float(getattr(message, f"angle_{name}")) for name in ("min", "max", "increment"))
     stated = f"angle_min {start:g}, angle_max {end:g}, angle_increment {step:g}"
     if not math.isfinite(start) or abs(start) > 2 * _TURN:
-        raise OgmError(f"{where} has {stated} for {count} beams, wanted radians of at most two turns: mend the driver")
+        raise OgmError(f"{where} has {stated} for {count} beams, wanted radians within two turns: correct the driver")
     if count < 2:
         return np.full(count, start)
-    fit = (end - start) / (count - 1)  # the increment by which the last beam is at angle_max
+    fit = (end - start) / (count - 1)  # the increment that puts the last beam at angle_max
     fits, sane = _is_step(fit, count), _is_step(step, count)
     if not (fits or sane):
-        way = "are they in degrees? Mend the driver"
-        raise OgmError(f"{where} has {stated} for {count} beams, which give no directions within a turn: {way}")
+        way_out = "use radians instead of degrees, or correct the driver"
+        raise OgmError(f"{where} has {stated} for {count} beams, which give no directions within a turn: {way_out}")
     if not sane:
-        text = "%s has %s for %d beams: angle_max counts, and an increment of %.6g rad"
+        text = "%s has %s for %d beams: angle_max is used, with an increment of %.6g rad"
         notice(log, "wrong angles", text, where, stated, count, fit)
         return np.asarray(start + fit * np.arange(count))
     apart = start + step * (count - 1) - end
-    if math.isfinite(apart) and abs(step) * count < 0.99 * _TURN:  # over the back, where angles jump
+    if math.isfinite(apart) and abs(step) * count < 0.99 * _TURN:  # sectors across the rear, where angles jump
         apart = math.remainder(apart, _TURN)
     if not abs(apart) <= _FITS * abs(step):
-        text = "%s has %s for %d beams, which contradict each other: the increment counts, the last beam is at %.4g rad"
+        text = "%s has %s for %d beams, which is inconsistent: the increment is used, the last beam is at %.4g rad"
         notice(log, "wrong angles", text, where, stated, count, start + step * (count - 1))
     return np.asarray(start + step * np.arange(count))
 
 
 def _is_step(step: float, count: int) -> bool:
-    """Return whether an angle [rad] takes some beams to different directions, within about a turn."""
+    """Return whether an angular step [rad] spreads the beams over different directions, within about a turn."""
     return math.isfinite(step) and abs(step) > 1e-9 and abs(step) * (count - _FITS - 1) <= _TURN

@@ -1,4 +1,4 @@
-"""Grids with all their bands as ``grid_map_msgs/GridMap`` and ``foxglove.Grid``, and back."""
+"""Grids with all bands as ``grid_map_msgs/GridMap`` and ``foxglove.Grid``, and back."""
 
 import logging
 from pathlib import Path
@@ -27,7 +27,7 @@ from ogm.storage.files import OgmError
 
 log: logging.Logger = logging.getLogger(__name__)
 
-_LABELS = ("column_index", "row_index")  # of an Eigen matrix in the order of its memory: column by column
+_LABELS = ("column_index", "row_index")  # dimensions of an Eigen matrix, which is stored column by column
 
 
 def grid_map(
@@ -38,33 +38,33 @@ def grid_map(
     T_frame_grid: ArrayLike | None = None,
     layers: LayeredGrid | None = None,
 ) -> SimpleNamespace:
-    """Return a grid as a ``grid_map_msgs/GridMap`` with the layers free, occupied and unknown, or its own.
+    """Return a grid as a ``grid_map_msgs/GridMap`` with the layers free, occupied and unknown, or its own layers.
 
     Parameters
     ----------
     grid : EvidentialGrid, DynamicGrid or LayeredGrid
-        The latter two with all their layers; velocities are along the grid's axes.
+        All layers of the latter two are included; velocities are along the grid's axes.
     frame_id, stamp, T_frame_grid
         See `ogm.io.messages.occupancy_grid`.
     layers : LayeredGrid, optional
-        Further layers on the same cells, such as `ogm.fusion.EvidentialMapper.conflict`. NaN where there is no value.
+        Further layers on the same cells, such as `ogm.fusion.EvidentialMapper.conflict`. NaN means no value.
 
     Returns
     -------
     SimpleNamespace
-        With the fields of the message of ROS 2, and the header of ROS 1 in ``info``.
+        Object with the fields of the message of ROS 2, and the header of ROS 1 in ``info``.
 
     Notes
     -----
-    As grid_map's code has it (GridMapMath.cpp, GridMapRosConverter.cpp): the pose is the middle of the map; cell (0, 0)
-    is the one of the largest x and y, rows go towards -x and columns towards -y; a layer is written column by column.
-    grid_map has no rotation: its converter drops that of ``info.pose``, which other readers may use. Where the grid is
-    turned in `frame_id`, give it a frame of its own, joined by tf.
+    Conventions of grid_map's code (GridMapMath.cpp, GridMapRosConverter.cpp): the pose is the middle of the map; cell
+    (0, 0) has the largest x and y, rows go towards -x and columns towards -y; a layer is written column by column.
+    grid_map has no rotation: its converter drops the rotation of ``info.pose``, which other readers may use. Give a
+    grid that is rotated in `frame_id` its own frame, connected by tf.
     """
     (nx, ny), named = grid.spec.shape, bands_of(grid, layers).layers
     middle = corner_pose(grid.spec, T_frame_grid) @ pose(grid.spec.length / 2, grid.spec.width / 2)
     if not np.allclose(middle[:3, :3], np.eye(3), atol=1e-9):
-        log.warning("grid_map's own code drops the rotation of a map: give the grid a frame of its own, joined by tf")
+        log.warning("grid_map's own code drops the rotation of a map: give the grid its own frame, connected by tf")
     dimensions = [
         SimpleNamespace(label=label, size=size, stride=stride)
         for label, size, stride in zip(_LABELS, (ny, nx), (nx * ny, nx), strict=True)
@@ -95,19 +95,19 @@ def grid_map(
 
 @reads_message
 def grid_from_grid_map(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
-    """Return the grid of a ``grid_map_msgs/GridMap`` that has the layers free and occupied, and where it lies.
+    """Return the grid of a ``grid_map_msgs/GridMap`` with the layers free and occupied, and its pose.
 
     Returns
     -------
-    grid : EvidentialGrid, or DynamicGrid where there are all of its layers
-        Cells that have no value (NaN) are unknown.
+    grid : EvidentialGrid, or DynamicGrid if all of its layers exist
+        Cells without a value (NaN) are unknown.
     T_frame_grid : (4, 4) float64
-        Turns and lifts the grid; identity if the message does neither.
+        Rotates and lifts the grid; identity if the message does neither.
 
     Raises
     ------
     OgmError
-        If a layer is missing, sizes contradict each other, or numbers are no masses.
+        If a layer is missing, sizes are inconsistent, or numbers are no masses.
     """
     bands, T = layers_from_grid_map(message)
     return masses_of_bands(bands, _describe(message), "layer"), T
@@ -115,28 +115,26 @@ def grid_from_grid_map(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
 
 @reads_message
 def layers_from_grid_map(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]]:
-    """Return all layers of a ``grid_map_msgs/GridMap``, and where they lie in the frame of the message.
+    """Return all layers of a ``grid_map_msgs/GridMap``, and their pose in the frame of the message.
 
     Returns
     -------
     layers : LayeredGrid
-        x forward, y left, from the corner in ``spec.origin`` on.
+        Layers with x forward, y left, starting from the corner in ``spec.origin``.
     T_frame_grid : (4, 4) float64
-        Turns and lifts the grid; identity if the message does neither.
+        Rotates and lifts the grid; identity if the message does neither.
 
     Raises
     ------
     OgmError
-        If sizes contradict each other.
+        If sizes are inconsistent.
     """
     where, info = _describe(message), message.info
     side = float(info.resolution)
     cells = (float(info.length_x) / side, float(info.length_y) / side) if side > 0 else (0.0, 0.0)
     if not np.isfinite(cells).all() or min(cells) < 0.5 or len(message.layers) != len(message.data):
-        raise OgmError(
-            f"{where} has {len(message.layers)} names for {len(message.data)} layers, and {info.length_x:g} x "
-            f"{info.length_y:g} m in cells of {side:g} m: it is damaged"
-        )
+        got = f"{len(message.layers)} names for {len(message.data)} layers, {info.length_x:g} x {info.length_y:g} m"
+        raise OgmError(f"{where} has {got} in cells of {side:g} m: it is damaged")
     shape = (round(cells[0]), round(cells[1]))
     corner = transform_of_pose(info.pose, where) @ pose(-shape[0] * side / 2, -shape[1] * side / 2)
     origin, T = split_corner(corner)
@@ -149,7 +147,7 @@ def layers_from_grid_map(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]
 
 
 def _matrix(layer: Any, shape: tuple[int, int], where: str, start: tuple[int, int]) -> NDArray[np.float32]:
-    """Return a layer as [ix, iy]; its memory is a ring whose first row and column are `start`."""
+    """Return a layer as [ix, iy], from a circular buffer with `start` as its first row and column."""
     data = np.asarray(layer.data, np.float32)[int(layer.layout.data_offset) :]
     if data.size != shape[0] * shape[1]:
         raise OgmError(f"{where} has {data.size} values, wanted {shape[0]} x {shape[1]}: it is damaged")
@@ -159,7 +157,7 @@ def _matrix(layer: Any, shape: tuple[int, int], where: str, start: tuple[int, in
 
 
 def _describe(message: Any) -> str:
-    """Return a name of the message for errors; its header is in ``info`` in ROS 1."""
+    """Return the name of the message for errors; in ROS 1 its header is in ``info``."""
     return describe_message(message if hasattr(message, "header") else message.info, "GridMap")
 
 
@@ -176,30 +174,30 @@ def foxglove_grid(
     layers: LayeredGrid | None = None,
     colour: NDArray[np.floating] | None = None,
 ) -> Any:
-    """Return a grid as a ``foxglove.Grid``, with fields free, occupied and unknown, and a colour, or its own layers.
+    """Return a grid as a ``foxglove.Grid`` with fields free, occupied, unknown and a colour, or its own layers.
 
-    The colours are those of `ogm.plot.colours`, mixed by the masses; unknown is transparent. Layers without masses
-    have none: the viewer colours one.
+    Cells have the colours of `ogm.plot.colours`, mixed by the masses; unknown is transparent. Layers without masses
+    have no colour, so the viewer chooses one.
 
     Parameters
     ----------
     grid : EvidentialGrid, DynamicGrid or LayeredGrid
-        The latter two with all their layers; velocities are along the grid's axes.
+        All layers of the latter two are included; velocities are along the grid's axes.
     frame_id : str
     stamp : float, optional
         [s]; 0 by default.
     T_frame_grid : (4, 4) array, optional
-        Takes the grid's coordinates to that frame; identity by default.
+        Transform from the grid's coordinates to the frame; identity by default.
     layers : LayeredGrid, optional
         Further fields on the same cells, such as `ogm.fusion.EvidentialMapper.conflict`.
     colour : (nx, ny, 3) float array, optional
-        Red, green, blue [0, 1] of cells, which are then opaque; by default a layered grid has none.
+        Red, green, blue [0, 1] of cells, which are then opaque.
 
     Returns
     -------
     foxglove.messages.Grid
-        ``encode()`` gives the bytes of its protobuf message. Its pose is the outer corner of cell (0, 0), its data
-        begin there and go along x first.
+        ``encode()`` gives the bytes of its protobuf message. Its pose is the outer corner of cell (0, 0); its data
+        begin there, x first.
 
     Raises
     ------
@@ -214,7 +212,7 @@ def foxglove_grid(
     if colour is not None:
         check_names(grid, layers, _COLOURS)
         shown = (*np.moveaxis(colour, -1, 0), alpha)
-        named |= {name: np.rint(255 * one).astype(np.uint8) for name, one in zip(_COLOURS, shown, strict=True)}
+        named |= {name: np.rint(255 * band).astype(np.uint8) for name, band in zip(_COLOURS, shown, strict=True)}
     kind = np.dtype([(name, layer.dtype.newbyteorder("<")) for name, layer in named.items()])
     cells = np.empty((ny, nx), kind)
     for name, layer in named.items():
@@ -246,12 +244,12 @@ def foxglove_grid(
 
 @reads_message
 def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
-    """Return the grid of a decoded ``foxglove.Grid`` with the fields free and occupied, and where it lies.
+    """Return the grid of a decoded ``foxglove.Grid`` with the fields free and occupied, and its pose.
 
     Parameters
     ----------
     message : object
-        Message with the fields that protobuf decodes.
+        Object with the field names of the protobuf message.
 
     Returns
     -------
@@ -261,7 +259,7 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
     Raises
     ------
     OgmError
-        If a field is missing, sizes contradict each other, cells are no squares or numbers are no masses.
+        If a field is missing, sizes are inconsistent, cells are not square or numbers are no masses.
     """
     bands, T = layers_from_foxglove_grid(message)
     return masses_of_bands(bands, _describe_foxglove(message), "field"), T
@@ -269,7 +267,7 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
 
 @reads_message
 def layers_from_foxglove_grid(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]]:
-    """Return all fields of a decoded ``foxglove.Grid`` but its colours, and where they lie in the frame of the message.
+    """Return all fields of a decoded ``foxglove.Grid`` except colours, and their pose in the frame of the message.
 
     Parameters, results and errors: see `grid_from_foxglove_grid` and `layers_from_grid_map`.
     """
@@ -287,9 +285,9 @@ def layers_from_foxglove_grid(message: Any) -> tuple[LayeredGrid, NDArray[np.flo
         try:
             kind, offset = np.dtype("<" + _TYPES[int(field.type)]), int(field.offset)
         except (KeyError, ValueError, TypeError) as error:
-            raise OgmError(f"{where} has a field {name} of no type that is known: it is damaged") from error
+            raise OgmError(f"{where} has a field {name} of unknown type: it is damaged") from error
         if not 0 <= offset <= cell - kind.itemsize or (kind.kind != "f" and name in MASSES):
-            raise OgmError(f"{where} has a field {name} that is no float of its cells: it is damaged")
+            raise OgmError(f"{where} has a field {name} that is no float inside of its cells: it is damaged")
         if name not in _COLOURS:
             layers[name] = np.ndarray((ny, nx), kind, data, offset, (row, cell)).T
     origin, T = split_corner(transform_of_pose(message.pose, where))

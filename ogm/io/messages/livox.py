@@ -12,10 +12,10 @@ from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
-_SAME_CLOCK = 10.0  # [s] between the header's stamp and the time base
+_SAME_CLOCK = 10.0  # [s] largest difference of the header's stamp and the time base of one clock
 _POINT = [("offset_time", "u4"), *((axis, "f4") for axis in "xyz")]
 _POINT += [(name, "u1") for name in ("reflectivity", "tag", "line")]
-_SIZE = 19  # [byte] of a point; from the start of one to that of the next, CDR has 20
+_SIZE = 19  # [byte] of a point; CDR pads points to 20
 
 
 class _CustomMsg(NamedTuple):
@@ -32,14 +32,14 @@ def scan_from_livox(message: Any) -> Scan:
     Parameters
     ----------
     message : bytes or object
-        The message as it is in the log, CDR (ROS 2) or ROS 1, whose points are then viewed without a copy; or an
-        object with its fields, of which each point is an object, which takes some 50 times as long.
+        Raw message of a log, CDR (ROS 2) or ROS 1, which is viewed without a copy; or an object with its fields and one
+        object per point, which takes about 50 times as long.
 
     Returns
     -------
     Scan
-        `Scan.stamp` is that of the header (the time base where that is 0), `Scan.time` counts from it, `Scan.ring` is
-        the line. Points that the sensor tags as doubtful are kept; those at (0, 0, 0) are dropped.
+        `Scan.stamp` is the header's stamp (or if that is 0, the time base), `Scan.time` counts from it, `Scan.ring` is
+        the line. Points tagged as doubtful by the sensor are kept; points at (0, 0, 0) are dropped.
 
     Raises
     ------
@@ -64,20 +64,17 @@ def _from_object(message: Any) -> _CustomMsg:
 
 
 def _from_bytes(data: memoryview) -> _CustomMsg:
-    """View a message as CDR or as ROS 1: its lengths fit one of the two, and only CDR ends a text with a zero."""
+    """View a message as CDR or as ROS 1: its lengths fit only one, and only CDR ends a text with a zero."""
     for read in (_from_cdr, _from_ros1):
         try:
             return read(data)
         except (struct.error, IndexError):
             continue
-    raise OgmError(
-        f"{len(data)} bytes are no Livox CustomMsg, neither of ROS 2 (CDR) nor of ROS 1: they are cut short, or of "
-        "another type"
-    )
+    raise OgmError(f"{len(data)} bytes are no Livox CustomMsg of ROS 1 or ROS 2 (CDR): cut short or of another type")
 
 
 def _from_cdr(data: memoryview) -> _CustomMsg:
-    """View a message of ROS 2: numbers lie at multiples of their size, counted from byte 4."""
+    """View a message of ROS 2: numbers are aligned to their size, counted from byte 4."""
     if data[0] != 0 or data[1] > 1:
         raise IndexError
     order, body = "><"[data[1]], data[4:]
@@ -92,7 +89,7 @@ def _from_cdr(data: memoryview) -> _CustomMsg:
 
 
 def _from_ros1(data: memoryview) -> _CustomMsg:
-    """View a message of ROS 1: all without gaps, little-endian."""
+    """View a message of ROS 1: little-endian without gaps."""
     _, sec, nanosec, length = struct.unpack_from("<4I", data)
     frame = bytes(data[16 : 16 + length])
     timebase, number, count = struct.unpack_from("<QI4xI", data, 16 + length)
@@ -106,6 +103,6 @@ def _message(body: memoryview, head: tuple[int, int, bytes, int, int], order: st
     sec, nanosec, frame, timebase, count = head
     stamp = sec + nanosec * 1e-9
     where = f"CustomMsg of {frame.decode('utf-8', 'replace') or 'no frame'} at {stamp:.6f} s"
-    kind = np.dtype([(name, order + one) for name, one in _POINT])
+    kind = np.dtype([(name, order + code) for name, code in _POINT])
     points = np.ndarray((count,), kind, body, 0, (step,)) if count else np.empty(0, kind)
     return _CustomMsg(stamp, timebase, points, where)

@@ -1,4 +1,4 @@
-"""Parts that messages share: stamps, headers, poses and transforms, as plain objects or those of rclpy and rospy."""
+"""Common parts of messages: stamps, headers, poses and transforms, as plain objects or objects of rclpy and rospy."""
 
 import array
 import functools
@@ -23,7 +23,7 @@ log: logging.Logger = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_LATEST = 2**31  # [s] at which the seconds of ROS 2 end
+_LATEST = 2**31  # [s] end of the seconds in ROS 2
 
 
 def stamp_seconds(stamp: Any) -> float:
@@ -32,12 +32,12 @@ def stamp_seconds(stamp: Any) -> float:
     Parameters
     ----------
     stamp : object
-        With ``sec`` and ``nanosec`` (ROS 2, and both in rosbags) or ``secs`` and ``nsecs`` (ROS 1).
+        Object with ``sec`` and ``nanosec`` (ROS 2, and both in rosbags) or ``secs`` and ``nsecs`` (ROS 1).
 
     Returns
     -------
     float
-        [s], to 2.4e-7 s for times of today: more digits do not fit.
+        [s], with a precision of 2.4e-7 s for present times.
 
     Raises
     ------
@@ -49,14 +49,14 @@ def stamp_seconds(stamp: Any) -> float:
             try:
                 return check_stamp(int(getattr(stamp, sec)) + int(getattr(stamp, nanosec)) * 1e-9)
             except (TypeError, ValueError, OverflowError) as error:
-                raise OgmError(f"{sec} and {nanosec} of a stamp must be whole numbers of a time: {error}") from error
+                raise OgmError(f"{sec} and {nanosec} of a stamp must be integers of a time: {error}") from error
     raise OgmError(f"a stamp must have sec and nanosec, or secs and nsecs, got {type(stamp).__name__}")
 
 
 def ros_stamp(seconds: float) -> SimpleNamespace:
     """Return a stamp with ``sec`` and ``nanosec``, rounded to nanoseconds.
 
-    `stamp_seconds` gives the same number back if it was above 2**22 s, and to half a nanosecond below.
+    `stamp_seconds` restores the same number above 2**22 s, and below it to half a nanosecond.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def ros_stamp(seconds: float) -> SimpleNamespace:
 
 
 def header(stamp: float | None, frame_id: str) -> SimpleNamespace:
-    """Return a header; its ``seq`` is that of ROS 1, which ROS 2 leaves out. Without a stamp it has 0."""
+    """Return a header, with stamp 0 by default; ``seq`` exists only in ROS 1 and is dropped for ROS 2."""
     return SimpleNamespace(seq=0, stamp=ros_stamp(0.0 if stamp is None else stamp), frame_id=frame_id)
 
 
@@ -83,24 +83,24 @@ def frame_of(message: Any) -> str:
 
 
 def reads_message(convert: Callable[P, R]) -> Callable[P, R]:
-    """Let a function raise an OgmError where a message lacks a field: logs bring their own definitions of messages."""
+    """Make a function raise OgmError for missing message fields, as logs bring their own definitions of messages."""
 
     @functools.wraps(convert)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
-        with error_context("a message is not as its type wants it", AttributeError):
+        with error_context("a message lacks a field of its type", AttributeError):
             return convert(*args, **kwargs)
 
     return checked
 
 
 def describe_message(message: Any, kind: str) -> str:
-    """Return a name of a message with a header, for errors; raise if it has none.
+    """Return the name of a message with a header, for errors; raise if it has none.
 
     Parameters
     ----------
     message : object
     kind : str
-        What it should be, such as ``PointCloud2``.
+        Expected type, such as ``PointCloud2``.
     """
     stamped = getattr(message, "header", None)
     if stamped is None or not hasattr(stamped, "stamp") or not hasattr(stamped, "frame_id"):
@@ -109,7 +109,7 @@ def describe_message(message: Any, kind: str) -> str:
 
 
 def as_bytes(data: Any, where: str) -> NDArray[np.uint8]:
-    """View the bytes of a message, (N,), whether numpy, ``bytes``, ``array.array`` or a list of them."""
+    """View the bytes of a message, (N,), from numpy, ``bytes``, ``array.array`` or a list."""
     try:
         if isinstance(data, list | tuple):
             return np.array(data, np.uint8)
@@ -122,21 +122,21 @@ def as_bytes(data: Any, where: str) -> NDArray[np.uint8]:
 def transforms_from_tf(message: Any) -> list[StampedTransform]:
     """Return the transforms of a ``tf2_msgs/TFMessage`` (``/tf``, ``/tf_static``), or of one ``TransformStamped``.
 
-    Of several, those that are damaged are left out, with a warning in the log.
+    Damaged transforms are left out, with a warning in the log.
 
     Raises
     ------
     OgmError
-        If all are damaged: a position is not finite, or a quaternion has not length 1.
+        If all are damaged: a position is not finite, or a quaternion does not have length 1.
     """
     several = message.transforms if hasattr(message, "transforms") else [message]
     result, errors = [], list[OgmError]()
-    for one in several:
+    for stamped in several:
         try:
-            where = describe_message(one, "TransformStamped")
-            child = frame_name(one.child_frame_id)
-            T = _rigid(one.transform.translation, one.transform.rotation, f"{where}, of {child}")
-            result.append(StampedTransform(frame_of(one), child, stamp_seconds(one.header.stamp), T))
+            where = describe_message(stamped, "TransformStamped")
+            child = frame_name(stamped.child_frame_id)
+            T = _rigid(stamped.transform.translation, stamped.transform.rotation, f"{where}, of {child}")
+            result.append(StampedTransform(frame_of(stamped), child, stamp_seconds(stamped.header.stamp), T))
         except OgmError as error:
             errors.append(error)
             if len(errors) == len(several):
@@ -148,12 +148,12 @@ def transforms_from_tf(message: Any) -> list[StampedTransform]:
 
 @reads_message
 def transform_from_odometry(message: Any) -> StampedTransform:
-    """Return the pose of a ``nav_msgs/Odometry``: of its ``child_frame_id`` in the frame of its header.
+    """Return the pose of a ``nav_msgs/Odometry``: ``child_frame_id`` in the frame of its header.
 
     Raises
     ------
     OgmError
-        If a position is not finite, or a quaternion has not length 1.
+        If a position is not finite, or a quaternion does not have length 1.
     """
     placed = message.pose.pose
     T = _rigid(placed.position, placed.orientation, describe_message(message, "Odometry"))
@@ -164,15 +164,16 @@ def transform_from_odometry(message: Any) -> StampedTransform:
 def tf_message(transforms: Iterable[StampedTransform]) -> SimpleNamespace:
     """Return transforms as a ``tf2_msgs/TFMessage``, for ``/tf`` or ``/tf_static``."""
     several = []
-    for one in transforms:
-        placed = pose_message(one.T_parent_child)
+    for stamped in transforms:
+        placed = pose_message(stamped.T_parent_child)
         moved = SimpleNamespace(translation=placed.position, rotation=placed.orientation)
-        several.append(SimpleNamespace(header=header(one.stamp, one.parent), child_frame_id=one.child, transform=moved))
+        top = header(stamped.stamp, stamped.parent)
+        several.append(SimpleNamespace(header=top, child_frame_id=stamped.child, transform=moved))
     return SimpleNamespace(transforms=several)
 
 
 def pose_message(T: ArrayLike) -> SimpleNamespace:
-    """Return a transform (4, 4) as a ``geometry_msgs/Pose``; w of its quaternion is not negative."""
+    """Return a transform (4, 4) as a ``geometry_msgs/Pose`` with non-negative w."""
     array = check_pose(T)
     x, y, z = array[:3, 3].tolist()
     quaternion = matrix_to_quaternion(array[:3, :3])
@@ -183,7 +184,7 @@ def pose_message(T: ArrayLike) -> SimpleNamespace:
 
 
 def transform_of_pose(placed: Any, where: str) -> NDArray[np.float64]:
-    """Return a ``geometry_msgs/Pose`` as a transform (4, 4); a quaternion that was not set, of zeros, turns nothing."""
+    """Return a ``geometry_msgs/Pose`` as a transform (4, 4); an unset quaternion of zeros becomes the identity."""
     q = placed.orientation
     if not any((q.x, q.y, q.z, q.w)):
         q = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
@@ -197,14 +198,14 @@ def _rigid(position: Any, q: Any, where: str) -> NDArray[np.float64]:
 
 
 def fill_message(message: Any, plain: SimpleNamespace) -> Any:
-    """Copy a plain message into one of rclpy or rospy.
+    """Copy a plain message into a message of rclpy or rospy.
 
     Parameters
     ----------
     message : object
-        A new instance of the message's class: ``PointCloud2()``.
+        New instance of the message's class: ``PointCloud2()``.
     plain : SimpleNamespace
-        What a function of this package returned. Fields that `message` has not are left out, such as ``seq`` of a
+        Message returned by a function of this package. Fields missing in `message` are left out, such as ``seq`` of a
         ROS 1 header in ROS 2.
 
     Returns
@@ -222,24 +223,24 @@ def fill_message(message: Any, plain: SimpleNamespace) -> Any:
 
 
 def _filled(message: Any, name: str, value: Any) -> Any:
-    """Return a value in the type that a field has."""
+    """Return a value converted to the type of a field."""
     now = getattr(message, name)
     if isinstance(value, SimpleNamespace):
         return fill_message(now, value)
     if isinstance(value, np.ndarray):
         if isinstance(now, bytes):  # uint8[] of ROS 1
             return value.tobytes()
-        if isinstance(now, array.array):  # a sequence of numbers in ROS 2, which checks each one of a list
+        if isinstance(now, array.array):  # a sequence of numbers in ROS 2, which checks each element of a list
             return array.array(now.typecode, value.astype(np.dtype(now.typecode), copy=False).tobytes())
         return value if isinstance(now, np.ndarray) else value.tolist()
     if isinstance(value, list) and value and isinstance(value[0], SimpleNamespace):
         kind = _element(message, name)
-        return [fill_message(kind(), one) for one in value]
+        return [fill_message(kind(), element) for element in value]
     return value
 
 
 def _element(message: Any, name: str) -> type:
-    """Return the class of the elements of a field, from what the message's class tells about it."""
+    """Return the class of the elements of a field, from the description in the message's class."""
     if hasattr(message, "get_fields_and_field_types"):  # ROS 2: sequence<sensor_msgs/PointField>
         described = message.get_fields_and_field_types()[name].removeprefix("sequence<").split(">")[0].split(",")[0]
     else:  # ROS 1: sensor_msgs/PointField[]

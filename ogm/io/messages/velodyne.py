@@ -1,4 +1,4 @@
-"""Packets of Velodyne sensors, in ``velodyne_msgs/VelodyneScan`` or network captures (``.pcap``), to scans."""
+"""Packets of Velodyne sensors, from ``velodyne_msgs/VelodyneScan`` or network captures (``.pcap``), to scans."""
 
 import logging
 import re
@@ -25,30 +25,30 @@ from ogm.storage.files import FilePath, OgmError, error_context
 
 log: logging.Logger = logging.getLogger(__name__)
 
-# Names of Velodynes, and those that velodyne-decoder has for them
+# Names of Velodynes, and their names in velodyne-decoder
 VELODYNE_MODELS = {
     **{"VLP-16": "VLP16", "Puck LITE": "PuckLite", "Puck Hi-Res": "PuckHiRes", "VLP-32A": "VLP32A"},
     **{"VLP-32B": "VLP32B", "VLP-32C": "VLP32C", "HDL-32E": "HDL32E", "HDL-64E S1": "HDL64E_S1"},
     **{"HDL-64E S2": "HDL64E_S2", "HDL-64E S3": "HDL64E_S3", "VLS-128": "VLS128", "Alpha Prime": "AlphaPrime"},
 }
-"""Names of models, and what `velodyne_decoder.Model` names them. An HDL-64E needs its calibration file besides."""
+"""Names of models, and their names in `velodyne_decoder.Model`. An HDL-64E also needs its calibration file."""
 
-PACKET_BYTES = 1206  # of a packet of data
-_RETURNS = (0x37, 0x38, 0x39, 0x3B)  # strongest, last, both, both with confidence: the last byte but one
-_PRODUCTS = {0x21: "HDL-32E", 0x22: "VLP-16", 0x24: "Puck Hi-Res", 0x28: "VLP-32C", 0xA1: "VLS-128"}  # the last byte
-_SAME_CLOCK = 10.0  # [s] between the stamps of a message and its packets
+PACKET_BYTES = 1206  # size of a data packet
+_RETURNS = (0x37, 0x38, 0x39, 0x3B)  # last byte but one: strongest, last, both, both with confidence
+_PRODUCTS = {0x21: "HDL-32E", 0x22: "VLP-16", 0x24: "Puck Hi-Res", 0x28: "VLP-32C", 0xA1: "VLS-128"}  # last byte
+_SAME_CLOCK = 10.0  # [s] largest difference between the stamps of a message and its packets
 _COLUMNS = ("x", "y", "z", "intensity", "time", "column", "ring")  # of velodyne_decoder
 
 
 class Packet(NamedTuple):
-    """A packet of data.
+    """A data packet.
 
     Attributes
     ----------
     stamp : float
         [s]
     data : bytes
-        1206 of them.
+        1206 bytes.
     """
 
     stamp: float
@@ -64,30 +64,30 @@ def scan_from_velodyne_scan(
     Parameters
     ----------
     message : object
-        With the fields of the message.
+        Object with the fields of the message.
     model : str, optional
-        One of `VELODYNE_MODELS`. By default that of the packets' factory bytes, which an HDL-64E has not, and which
-        are the same for VLP-16 and Puck LITE.
+        One of `VELODYNE_MODELS`. By default read from the packets' factory bytes, which are missing for an HDL-64E and
+        equal for VLP-16 and Puck LITE.
     calibration : path, optional
-        A YAML file of the sensor's angles, as the ROS driver has it; that of the model by default.
+        YAML file of the sensor's angles, in the format of the ROS driver; by default the model's angles.
     no_returns : bool
-        Whether to find the beams without echo, which costs more time than all the rest.
+        Whether to compute the beams without echo, which takes longer than all other steps.
 
     Returns
     -------
     Scan
-        Of both echoes where the sensor reports two; intensity 1 is the sensor's 255. `Scan.stamp` is that of the
-        header, `Scan.time` counts from it.
+        Scan with both echoes if the sensor reports two; intensity 255 becomes 1. `Scan.stamp` is the header's stamp,
+        and `Scan.time` counts from it.
 
     Raises
     ------
     OgmError
-        If there are no packets, one is none of a Velodyne, or nothing tells the model.
+        If there are no packets, a packet has the wrong size, or the model is unknown.
     ImportError
         If velodyne-decoder is missing.
     """
     where = describe_message(message, "VelodyneScan")
-    packets = [Packet(stamp_seconds(one.stamp), as_bytes(one.data, where).tobytes()) for one in message.packets]
+    packets = [Packet(stamp_seconds(part.stamp), as_bytes(part.data, where).tobytes()) for part in message.packets]
     if not packets or any(len(packet.data) != PACKET_BYTES for packet in packets):
         raise OgmError(f"{where} has {len(packets)} packets, wanted some, of {PACKET_BYTES} bytes each: it is damaged")
     decoder = VelodyneDecoder(packets, model, calibration, where)
@@ -95,16 +95,16 @@ def scan_from_velodyne_scan(
 
 
 class VelodyneDecoder:
-    """`velodyne_decoder` for one sensor.
+    """Decoder of one sensor by `velodyne_decoder`.
 
     Parameters
     ----------
     packets : sequence of Packet
-        Some of its packets, which may name the model.
+        Some packets, which may identify the model.
     model, calibration
-        As for `scan_from_velodyne_scan`.
+        See `scan_from_velodyne_scan`.
     where : str
-        What they are of, for errors.
+        Name of the source, for errors.
     """
 
     def __init__(self, packets: Sequence[Packet], model: str | None, calibration: FilePath | None, where: str) -> None:
@@ -113,18 +113,17 @@ class VelodyneDecoder:
         with error_context(f"{calibration} is no calibration of a Velodyne", Exception):
             angles = None if calibration is None else self.library.Calibration.read(str(calibration))
         if angles is None and name.startswith("HDL64E"):
-            raise OgmError(f"{where} is of an HDL-64E, whose angles differ: give its calibration file as calibration")
+            raise OgmError(f"{where} is from an HDL-64E, which has individual angles: give its file as calibration")
         kind = getattr(self.library.Model, name)
         options = {} if angles is None else {"calibration": angles}
-        self.config = self.library.Config(
-            model=kind, min_range=0.0, max_range=1000.0, timestamp_first_packet=True, **options
-        )
+        limits: Any = {"min_range": 0.0, "max_range": 1000.0}
+        self.config = self.library.Config(model=kind, timestamp_first_packet=True, **limits, **options)
 
     def scan(self, packets: Sequence[Packet], stamp: float, no_returns: bool, where: str) -> Scan:
         """Return the scan of some packets; its times count from `stamp`."""
         library = self.library
         product, number = Counter(packet.data[-1] for packet in packets).most_common(1)[0]
-        if number < len(packets) and product in _PRODUCTS:  # the library ends at the first that is damaged
+        if number < len(packets) and product in _PRODUCTS:  # the library stops at the first damaged packet
             text = "%s: %d of %d packets are damaged and left out"
             notice(log, "damaged packets", text, where, len(packets) - number, len(packets))
             packets = [packet for packet in packets if packet.data[-1] == product]
@@ -140,7 +139,7 @@ class VelodyneDecoder:
 
 
 def _directions(columns: dict[str, NDArray[Any]]) -> NDArray[np.float32] | None:
-    """Return the directions of beams without echo: what lacks in the raster of rings and firings."""
+    """Return the directions of beams without echo: the gaps in the raster of rings and firings."""
     row, column = (columns[name].astype(np.intp) for name in ("ring", "column"))
     if not row.size:
         return None
@@ -152,7 +151,7 @@ def _directions(columns: dict[str, NDArray[Any]]) -> NDArray[np.float32] | None:
 
 
 def _model_of(packets: Sequence[Packet], where: str) -> str:
-    """Return the model that the factory bytes at the end of most packets name."""
+    """Return the model identified by the factory bytes at the end of most packets."""
     ends = Counter(packet.data[-2:] for packet in packets)
     known = Counter[str]()
     for end, number in ends.items():
@@ -160,14 +159,14 @@ def _model_of(packets: Sequence[Packet], where: str) -> str:
             known[_PRODUCTS[end[1]]] += number
     if not known or 2 * known.most_common(1)[0][1] <= len(packets):  # single packets may be damaged
         raise OgmError(
-            f"{where} has packets whose last bytes name no model ({', '.join(sorted(end.hex() for end in ends)[:4])}): "
-            f"give as model one of {', '.join(VELODYNE_MODELS)}"
+            f"{where} has packets with last bytes of no known model "
+            f"({', '.join(sorted(end.hex() for end in ends)[:4])}): give as model one of {', '.join(VELODYNE_MODELS)}"
         )
     return VELODYNE_MODELS[known.most_common(1)[0][0]]
 
 
 def _known_model(model: str) -> str:
-    """Return the library's name of a model, whose name may lack blanks, dashes and capitals."""
+    """Return the library's name of a model, ignoring blanks, dashes and case."""
     names = {re.sub(r"[^a-z0-9]", "", name.lower()): value for name, value in VELODYNE_MODELS.items()}
     plain = re.sub(r"[^a-z0-9]", "", model.lower())
     if plain not in names:
@@ -175,8 +174,8 @@ def _known_model(model: str) -> str:
     return names[plain]
 
 
-_MOST = 20_000  # packets of one turn: that of the largest sensor has some 2500
-_LONGEST = 2**24  # [byte] of a packet or a block, as Wireshark has it
+_MAX_PACKETS = 20_000  # of one turn; the largest sensor sends about 2500
+_MAX_BYTES = 2**24  # of a packet or a block, as in Wireshark
 
 
 def scans_from_pcap(
@@ -187,32 +186,32 @@ def scans_from_pcap(
     calibration: FilePath | None = None,
     no_returns: bool = True,
 ) -> Iterator[Scan]:
-    """Read the scans of a network capture, one whole turn of the sensor after the other.
+    """Read the scans of a network capture, turn by turn.
 
-    A turn begins where the first packet begins. What is left at the end and is no whole turn is left out, and so is
-    a packet that is cut off.
+    A turn begins at the azimuth of the first packet. An incomplete turn at the end, and a packet that is cut off, are
+    left out.
 
     Parameters
     ----------
     path : path
         A ``.pcap`` or ``.pcapng``. Packets of other lengths than a Velodyne's data are left out.
     model, calibration, no_returns
-        As for `scan_from_velodyne_scan`.
+        See `scan_from_velodyne_scan`.
     source : str, optional
-        Address and port of the sensor, such as ``192.168.1.201:2368``, where several are in the capture.
+        Address and port of the sensor, such as ``192.168.1.201:2368``, for captures of several sensors.
 
     Yields
     ------
     Scan
-        Its stamp is that of the capture.
+        Scan with the stamp of the capture.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is no capture, has no packets of a Velodyne, or of several sensors and `source` is not given, or nothing
-        tells the model.
+        If it is no capture, has no packets of a Velodyne, has packets of several sensors without `source`, or the model
+        is unknown.
     ImportError
         If velodyne-decoder is missing.
     """
@@ -226,33 +225,32 @@ def scans_from_pcap(
             step = (azimuth - before) % 36000
             advance += step
         before = azimuth
-        if advance >= 36000 or len(turn) >= _MOST:
+        if advance >= 36000 or len(turn) >= _MAX_PACKETS:
             decoder = decoder or VelodyneDecoder(turn, model, calibration, str(path))
             yield decoder.scan(turn, turn[0].stamp, no_returns, str(path))
             turn, advance = [], 0
         turn.append(packet)
     if not turn:
-        raise OgmError(
-            f"{path} has no packets of {PACKET_BYTES} bytes{f' from {source}' if source else ''}, as Velodynes send"
-        )
+        sender = f" from {source}" if source else ""
+        raise OgmError(f"{path} has no packets of {PACKET_BYTES} bytes{sender}, as sent by a Velodyne")
     if advance + step >= 36000:
         decoder = decoder or VelodyneDecoder(turn, model, calibration, str(path))
         yield decoder.scan(turn, turn[0].stamp, no_returns, str(path))
     elif decoder is None:
-        raise OgmError(f"{path} has no whole turn of the sensor, only {advance / 100:g} degrees")
+        raise OgmError(f"{path} has no complete turn of the sensor, only {advance / 100:g} degrees")
     else:
-        log.info("%s: %g degrees at the end are no whole turn and are left out", path, advance / 100)
+        log.info("%s: %g degrees at the end are no complete turn and are left out", path, advance / 100)
 
 
 class BoundedReads:
-    """A file that gives no more at once than a packet can have: dpkt asks for whatever length the file states."""
+    """File that limits the size of one read to a packet: dpkt asks for any length stated by the file."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self.seek, self.name = file, file.seek, file.name
 
     def read(self, size: int) -> bytes:
-        """Read some bytes; raise EOFError for more than a packet can have."""
-        if not 0 <= size <= _LONGEST:
+        """Read some bytes; raise EOFError for more than a packet."""
+        if not 0 <= size <= _MAX_BYTES:
             raise EOFError(f"a packet of {size} bytes")
         return self._file.read(size)
 
@@ -268,7 +266,7 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
             packets = dpkt.pcap.UniversalReader(BoundedReads(file))
             layer = link_layer(packets.datalink(), path, dpkt)
         except (ValueError, EOFError, struct.error, dpkt.Error) as error:
-            raise OgmError(f"{path} is no network capture ({error}): is its name right?") from error
+            raise OgmError(f"{path} is no network capture ({error}): check its name") from error
         try:
             for stamp, raw in packets:
                 data, sender = _payload(layer, raw, dpkt)
@@ -280,7 +278,7 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
                 try:
                     packet = Packet(check_stamp(float(stamp)), data)
                 except ValueError as error:
-                    notice(log, "wrong stamp", "%s has a packet whose %s; it is left out", path, error)
+                    notice(log, "wrong stamp", "%s: a packet is left out: its %s", path, error)
                     continue
                 yield packet
         except (EOFError, dpkt.Error) as error:
@@ -288,12 +286,12 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
 
 
 def link_layer(number: int, path: Path, dpkt: Any) -> Callable[[bytes], Any]:
-    """Return what decodes the packets of a capture, by the number of its link layer.
+    """Return the decoder for packets of a capture, by the number of its link layer.
 
     Raises
     ------
     OgmError
-        If it is another than Ethernet, Linux cooked (``-i any``), IP without a link, and the loopback.
+        If it is not Ethernet, Linux cooked (``-i any``), IP without a link layer, or loopback.
     """
     pcap = dpkt.pcap
     raw = (12, 14, 101, pcap.DLT_IPV4, pcap.DLT_IPV6)  # DLT_RAW differs between systems
@@ -310,12 +308,12 @@ def link_layer(number: int, path: Path, dpkt: Any) -> Callable[[bytes], Any]:
 
 
 def _ip(dpkt: Any, data: bytes) -> Any:
-    """Return a packet of IP without a link layer."""
+    """Return an IP packet without a link layer."""
     return (dpkt.ip6.IP6 if data[:1] and data[0] >> 4 == 6 else dpkt.ip.IP)(data)
 
 
 def _payload(layer: Callable[[bytes], Any], raw: bytes, dpkt: Any) -> tuple[bytes | None, str]:
-    """Return the innermost bytes of a packet of the network, and who sent them."""
+    """Return the innermost bytes of a network packet, and its sender."""
     try:
         packet = layer(raw)
     except (dpkt.Error, struct.error, IndexError):

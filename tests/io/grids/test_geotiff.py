@@ -118,8 +118,8 @@ def test_any_place_comes_back(
 
 
 @each("crs, message", [
-        ("EPSG:4326", "not in metres on a plane"),
-        ("EPSG:2263", "not in metres on a plane"),
+        ("EPSG:4326", "not projected in metres"),
+        ("EPSG:2263", "not projected in metres"),
         ("EPSG:99999999", "no coordinate reference system"),
         ("here", "no coordinate reference system"),
     ])  # fmt: skip
@@ -153,7 +153,7 @@ def test_what_is_no_grid_is_refused(tmp_path: Path) -> None:
         ("mass must be", {"value": 0.7}),
         ("wanted squares", {"transform": rasterio.Affine(0.5, 0, 0, 0, -0.4, 0)}),
         ("wanted squares", {"transform": rasterio.Affine(0.5, 0.1, 0, 0, -0.5, 0)}),
-        ("not in metres on a plane", {"crs": "EPSG:4326"}),
+        ("not projected in metres", {"crs": "EPSG:4326"}),
     ):
         write("a.tif", **{"names": both} | options)
         refused(message)

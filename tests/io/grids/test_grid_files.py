@@ -61,13 +61,13 @@ def test_a_turn_is_kept_or_refused(tmp_path: Path, ending: str) -> None:
     placed = PlacedGrid(grid(), pose(3.0, 4.0, yaw=-2.0))
     path = tmp_path / f"m{ending}"
     if ending in (".npz", ".png"):
-        with pytest.raises(ValueError, match="turned by -114.592 degrees"):
+        with pytest.raises(ValueError, match="rotated by -114.592 degrees"):
             write_grid(path, placed)
         assert not list(tmp_path.iterdir())
         return
     write_grid(path, placed)
     assert read_placed_grid(path).corner == pytest.approx(placed.corner, abs=1e-8)
-    with pytest.raises(OgmError, match=rf"m\{ending}: the grid is turned by -114.592 degrees"):
+    with pytest.raises(OgmError, match=rf"m\{ending}: the grid is rotated by -114.592 degrees"):
         read_grid(path)
 
 
@@ -143,10 +143,10 @@ def test_other_endings_and_options_of_other_formats_are_refused(tmp_path: Path) 
             check_grid_output(tmp_path / path)
     with pytest.raises(ValueError, match=r"mode must be one of trinary, scale, raw, for \.yaml"):
         check_grid_output(tmp_path / "m.tif", mode="raw")
-    with pytest.raises(OgmError, match="no grid that can be read"):
+    with pytest.raises(OgmError, match="no readable grid"):
         read_grid(tmp_path / "m.txt")
     write_grid(tmp_path / "m.png", grid())
-    with pytest.raises(OgmError, match="does not hold its area"):
+    with pytest.raises(OgmError, match="does not store its area"):
         read_grid(tmp_path / "m.png")
 
 

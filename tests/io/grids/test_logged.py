@@ -75,7 +75,7 @@ def test_a_grid_comes_back(tmp_path: Path, ending: str, message: str) -> None:
     if message == "foxglove-grid":
         pytest.importorskip("foxglove")
     if message == "foxglove-grid" and ending != ".mcap":
-        refused(r"for \.mcap files alone", write_grid, path, placed, message=message)
+        refused(r"only for \.mcap files", write_grid, path, placed, message=message)
         return
     write_grid(path, placed, message=message)
     again = read_placed_grid(path)
@@ -157,7 +157,7 @@ def test_updates_change_the_map_that_was_recorded_before_them(
 def test_updates_without_a_map_are_named(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "maps.mcap") as log:
         log.write("/map_updates", "map_msgs/msg/OccupancyGridUpdate", update(0, 0, [[1]]), 1.0)
-    refused("has updates of a map, but no whole map", read_grid, tmp_path / "maps.mcap", error=OgmError)
+    refused("has updates of a map, but no complete map", read_grid, tmp_path / "maps.mcap", error=OgmError)
 
 
 def test_several_topics_ask_for_one(tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_several_topics_ask_for_one(tmp_path: Path) -> None:
     assert read_placed_grid(path).frame_id == "map"
     refused(r"maps\.bag has no topic /x; there are /costmap", read_grid, path, error=OgmError, topic="/x")
     refused("has grids of /a, /b: give one as `topic`", read_grid, write("/a", "/b"), error=OgmError)
-    refused(r"topic is for \.mcap", read_grid, tmp_path / "maps.npz", topic="/a")
+    refused(r"topic is only for \.mcap", read_grid, tmp_path / "maps.npz", topic="/a")
 
 
 def test_logs_without_grids_and_damaged_ones_are_refused(tmp_path: Path) -> None:
@@ -249,8 +249,8 @@ def test_an_error_inside_leaves_what_was_there(tmp_path: Path) -> None:
 def test_options_are_checked_before_the_work(tmp_path: Path) -> None:
     for path, message, text in (
         ("m.mcap", "map", "message must be one of occupancy-grid, grid-map, foxglove-grid"),
-        ("m.npz", "grid-map", r"message is for \.mcap"),
-        ("m.db3", "foxglove-grid", r"for \.mcap files alone"),
+        ("m.npz", "grid-map", r"message is only for \.mcap"),
+        ("m.db3", "foxglove-grid", r"only for \.mcap files"),
     ):
         refused(text, write_grid, tmp_path / path, l_shape(), message=message)
     assert not list(tmp_path.iterdir())

@@ -227,7 +227,7 @@ def test_messages_of_other_encodings_are_listed_but_not_decoded(tmp_path: Path) 
         assert log.topics["/notes"].count == 1
         (one,) = log.messages()
         assert bytes(one.raw) == b"{}"
-        refused("/notes cannot be read: messages of .* are json", one.decode, error=OgmError)
+        refused("/notes cannot be read: messages of .* have json encoding", one.decode, error=OgmError)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("foxglove") is None, reason="no foxglove-sdk")
@@ -291,7 +291,7 @@ def test_types_that_are_nowhere_defined_are_named(tmp_path: Path) -> None:
     base.close()
     with (
         open_log(path) as log,
-        pytest.raises(OgmError, match="/tf cannot be read: the type our_msgs/msg/Own is not known"),
+        pytest.raises(OgmError, match="/tf cannot be read: the type our_msgs/msg/Own is unknown"),
     ):
         next(log.messages()).decode()
 

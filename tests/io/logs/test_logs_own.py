@@ -86,7 +86,7 @@ def test_an_error_leaves_the_file_that_was_there(write: Callable[..., Path], nam
 @each("name", ["a.mcap", "a.db3", "a.bag"])
 def test_messages_that_do_not_fit_their_type_are_refused(tmp_path: Path, name: str) -> None:
     with LogWriter(tmp_path / name) as log:
-        with pytest.raises(OgmError, match=r"/a \(no_msgs/msg/None\) cannot be written: its type is not known"):
+        with pytest.raises(OgmError, match=r"/a \(no_msgs/msg/None\) cannot be written: its type is unknown"):
             log.write("/a", "no_msgs/msg/None", SimpleNamespace(), 1.0)
         with pytest.raises(OgmError, match="cannot be written: .*header"):
             log.write("/a", "geometry_msgs/msg/PoseStamped", tf_message([]), 1.0)

@@ -292,7 +292,7 @@ def test_foxglove_grids_of_others():
         ({"column_count": 10}, "wanted rows of 72 bytes with 10 cells of 8"),
         ({"row_stride": 0}, "rows of 0 bytes"),
         ({"data": bytes(71)}, "71 bytes"),
-        ({"cell_stride": 4}, "no float of its cells"),
+        ({"cell_stride": 4}, "no float inside of its cells"),
         ({"data": np.full(108, 0.9, "f4").tobytes()}, "no masses"),
     ):
         refused(error, grid_from_foxglove_grid, plain_foxglove(**changes), error=OgmError)
@@ -328,7 +328,7 @@ def test_costs_as_occupancy_are_the_values_that_nav2_publishes():
         np.testing.assert_array_equal(occupancy_values(grid).ravel(), wanted)
     refused("wanted a layer cost, got height", occupancy_from_costs, LayeredGrid(spec, {"height": costs}))
     for wrong in (costs + 0.5, costs + 1.0, costs - 1.0):
-        refused("costs must be whole numbers from 0 to 255", nav2_costmap, LayeredGrid(spec, {"cost": wrong}))
+        refused("costs must be integers from 0 to 255", nav2_costmap, LayeredGrid(spec, {"cost": wrong}))
     message = nav2_costmap(LayeredGrid(spec, {"cost": costs}))
     message.metadata.size_x = 15
-    refused("has 256 values, wanted those of 15 x 16 cells", layers_from_nav2_costmap, message, error=OgmError)
+    refused("has 256 values, wanted 15 x 16", layers_from_nav2_costmap, message, error=OgmError)

@@ -67,13 +67,13 @@ def test_limits_that_are_none_are_not_used(limits: tuple[float, float], echoes: 
         ((90, -90, -45), [90, 45, 0, -45, -90], ""),  # to the right
         ((-90, 135, 45), [-90, -45, 0, 45, 90], ""),  # the angle after the last beam
         ((100, -80, 45), [100, 145, -170, -125, -80], ""),  # over the back
-        ((-90, 90, 0), [-90, -45, 0, 45, 90], "angle_max counts"),
-        ((-90, 90, NAN), [-90, -45, 0, 45, 90], "angle_max counts"),
-        ((-90, 90, 45 * 180 / np.pi), [-90, -45, 0, 45, 90], "angle_max counts"),  # in degrees
-        ((-90, NAN, 45), [-90, -45, 0, 45, 90], "the increment counts"),
-        ((-90, 90, 20), [-90, -70, -50, -30, -10], "the increment counts"),
+        ((-90, 90, 0), [-90, -45, 0, 45, 90], "angle_max is used"),
+        ((-90, 90, NAN), [-90, -45, 0, 45, 90], "angle_max is used"),
+        ((-90, 90, 45 * 180 / np.pi), [-90, -45, 0, 45, 90], "angle_max is used"),  # in degrees
+        ((-90, NAN, 45), [-90, -45, 0, 45, 90], "the increment is used"),
+        ((-90, 90, 20), [-90, -70, -50, -30, -10], "the increment is used"),
         ((90, -90, 45), [90, 135, 180, -135, -90], ""),
-        ((90, -45, 40), [90, 130, 170, -150, -110], "the increment counts"),
+        ((90, -45, 40), [90, 130, 170, -150, -110], "the increment is used"),
     ])  # fmt: skip
 def test_angles_come_from_the_increment_unless_it_gives_none(
     angles: tuple[float, ...], expected: list[float], text: str, caplog: pytest.LogCaptureFixture
@@ -89,7 +89,7 @@ def test_angles_come_from_the_increment_unless_it_gives_none(
         ({"angle_increment": 0.0, "angle_max": -0.5, "angle_min": -0.5}, "give no directions within a turn"),
         ({"angle_min": -90.0, "angle_max": 90.0, "angle_increment": 1.0}, "wanted radians"),
         ({"angle_min": NAN}, "wanted radians"),
-        ({"ranges": ["a"] * 4}, "ranges that are no numbers"),
+        ({"ranges": ["a"] * 4}, "ranges that are not numeric"),
         ({"ranges": 4.0}, "no lists"),
     ])  # fmt: skip
 def test_angles_and_ranges_that_decide_the_scan_are_refused(changed: dict[str, Any], message: str) -> None:
@@ -142,4 +142,4 @@ def test_a_binary_ranger_is_free_without_detection_and_unknown_with_one(caplog: 
 def test_unknown_ranges_are_counted(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO):
         scan_from_laser_scan(laser([1.0, 0.0, NAN, INF]))
-    assert "2 of 4 ranges are 0, too near or no number; their beams are unknown" in caplog.text
+    assert "2 of 4 ranges are 0, too near or NaN; their beams are unknown" in caplog.text

@@ -272,7 +272,7 @@ def wrong(**changes):
          "has z at byte 9, 1 times 4 bytes, wanted it inside of point_step 12"),
         (wrong(fields=[*message(columns()).fields[:2], field(0, count=4, name="z")]), "4 times 4"),
         (wrong(fields=[*message(columns()).fields[:2], field(0, 0, name="z")]), "datatype 0"),
-        (wrong(fields=[*message(columns()).fields, *message(columns()).fields]), "one of each name"),
+        (wrong(fields=[*message(columns()).fields, *message(columns()).fields]), "wanted one of each"),
         (message({name: np.full(3, 1e6, "f4") for name in "xyz"}), "coordinates up to 1e[+]06 m"),
         (wrong(header=SimpleNamespace(stamp=3.0, frame_id="a")), "a stamp must have sec and nanosec"),
         (SimpleNamespace(), "PointCloud2 must have a header with stamp and frame_id, got SimpleNamespace"),

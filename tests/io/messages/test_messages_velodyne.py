@@ -105,13 +105,15 @@ def test_packets_that_name_no_model(recorded):
     message = messages[0]
     for packet in message.packets:
         packet.data = np.concatenate([packet.data[:-2], np.uint8([0x41, 0x22])])
-    with pytest.raises(OgmError, match=r"last bytes name no model [(]4122[)]: give as model one of VLP-16, Puck LITE"):
+    with pytest.raises(
+        OgmError, match=r"last bytes of no known model [(]4122[)]: give as model one of VLP-16, Puck LITE"
+    ):
         scan_from_velodyne_scan(message)
     assert len(scan_from_velodyne_scan(message, "vlp16")) > 10_000
     with pytest.raises(ValueError, match="no model 'OS1': give one of VLP-16") as caught:
         scan_from_velodyne_scan(message, "OS1")
     assert not isinstance(caught.value, OgmError)
-    with pytest.raises(OgmError, match="VelodyneScan of velodyne at .* HDL-64E, whose angles differ"):
+    with pytest.raises(OgmError, match="VelodyneScan of velodyne at .* HDL-64E, which has individual angles"):
         scan_from_velodyne_scan(message, "HDL-64E S2")
     message.packets[1].data = message.packets[1].data[:-1]
     refused("151 packets, wanted some, of 1206 bytes each", scan_from_velodyne_scan, message, "VLP-16", error=OgmError)
@@ -186,11 +188,11 @@ def test_what_is_left_at_the_end_is_no_scan(recorded, tmp_path, caplog):
     capture(path, [*packets[:380], b"other", b"\0" * 512])
     scans = list(scans_from_pcap(path))
     assert [scan.stamp for scan in scans] == pytest.approx([1000, 1000.151], abs=0.003)
-    assert "at the end are no whole turn" in caplog.text
+    assert "at the end are no complete turn" in caplog.text
     capture(path, packets[:302])
     assert len(list(scans_from_pcap(path))) == 2
     capture(path, packets[:100])
-    refused("drive.pcap has no whole turn of the sensor, only 23", list, scans_from_pcap(path), error=OgmError)
+    refused("drive.pcap has no complete turn of the sensor, only 23", list, scans_from_pcap(path), error=OgmError)
 
 
 @each("link", [1, 113, 276, 101, 12, 228, 0])  # Ethernet, the "any" device of Linux (two versions), IP alone, loopback
@@ -234,7 +236,7 @@ def test_captures_that_are_none_or_cut(recorded, tmp_path, caplog):
         path.write_bytes(content)
         refused("drive.pcap is no network capture", list, scans_from_pcap(path), error=OgmError)
     capture(path, [])
-    refused("no packets of 1206 bytes, as Velodynes send", list, scans_from_pcap(path), error=OgmError)
+    refused("no packets of 1206 bytes, as sent by a Velodyne", list, scans_from_pcap(path), error=OgmError)
     capture(path, packets_of(recorded("vlp16")[0]))
     whole = path.read_bytes()
     frame = 16 + 14 + 28 + 1206
