@@ -1,7 +1,7 @@
 """Binomial logic on opinions: and, or, conditional deduction, and abduction.
 
-For layers on top of a grid: "occupied and moving", "blocked if either lane is", "drivable, given what the
-surface is". The pair keeps its order: (free, occupied) stands for (disbelief, belief) in the proposition.
+For layers derived from a grid, such as "occupied and moving", "blocked if either lane is blocked" or "drivable, given
+the kind of surface". The pair (free, occupied) is (disbelief, belief) in the proposition.
 `ogm.evidence.multinomial` has deduction and abduction for more states.
 
 Source: Jøsang, *Subjective Logic* (2016), chapters 7, 9 and 10.
@@ -21,8 +21,7 @@ from ogm.evidence.opinion import Conclusion
 def multiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any = 0.5) -> Conclusion:
     """Return the opinion on "x and y" for independent x and y.
 
-    Projected probabilities and base rates multiply. Commutative and associative (in mass and base rate
-    together).
+    Projected probabilities and base rates multiply. Commutative and associative (mass and base rate together).
 
     Parameters
     ----------
@@ -58,10 +57,10 @@ def comultiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: An
 
 @takes_masses("x", "y_if_x", "y_if_not_x", base_rates={"x": "base_rate_x"})
 def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5) -> Conclusion:
-    """Return the opinion on y, given the opinion on x and those on y if x is true, and if it is false.
+    """Return the opinion on y from the opinion on x and the opinions on y if x is true and if x is false.
 
-    The projected probability follows the law of total probability, with the base rate of y taken from the
-    conditionals (0.5 if both are vacuous).
+    The projected probability follows the law of total probability. The base rate of y follows from the conditionals
+    (0.5 if both are vacuous).
 
     Parameters
     ----------
@@ -79,16 +78,16 @@ def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5
 
 @takes_masses("y", "y_if_x", "y_if_not_x")
 def abduction(y: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5) -> Conclusion:
-    """Return the opinion on x, given the opinion on its consequence y: Bayes' theorem on opinions.
+    """Return the opinion on x from the opinion on its consequence y: Bayes' theorem on opinions.
 
-    The conditionals are inverted, then `deduction` goes from y to x.
+    The conditionals are inverted, then `deduction` gives x from y.
 
     Parameters
     ----------
     y : (..., 2) float32 or float64, numpy or torch
-        Mass (disbelief, belief) in the consequence, as in a detection.
+        Mass (disbelief, belief) in the consequence, for example a detection.
     y_if_x, y_if_not_x : (..., 2)
-        Conditional masses (disbelief, belief) in y, as of a detection in occupied and in free cells.
+        Conditional masses (disbelief, belief) in y, for example in a detection in occupied and in free cells.
     base_rate_x : float or (...) array
         Prior probability of x, in [0, 1].
     """
@@ -119,6 +118,6 @@ def _rate(rate: Any, cells: Any, mass: Any) -> Any:
 
 
 def _refuse_zero(scale: Any, message: str) -> None:
-    """Raise if a number, or one of a numpy array, is zero; tensors are not read."""
+    """Raise ValueError if a number, or any number of a numpy array, is zero; tensors are not read."""
     if isinstance(scale, float | np.ndarray | np.generic) and np.any(scale == 0):
         raise ValueError(message)

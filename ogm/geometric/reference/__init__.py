@@ -1,7 +1,7 @@
-"""Slow references: what the kernels compute, in plain Python.
+"""Slow reference implementations of the kernels in plain Python.
 
-They follow the definitions (one ray after the other, one cell after the other, float64) and take none of the
-kernels' short cuts. Tests compare the two, and `benchmarks/speed.py` times one against the other.
+They follow the definitions (ray by ray, cell by cell, in float64) without the optimisations of the kernels. Tests
+compare the results, and `benchmarks/speed.py` compares the times.
 """
 
 from ogm.geometric.reference.breaks import Beam, Break, classify, find_breaks, profiles_of
