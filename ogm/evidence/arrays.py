@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import add
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -77,11 +77,6 @@ def first_index(condition: Any) -> list[int]:
     return [int(i) for i in np.unravel_index(condition.ravel().tolist().index(True), tuple(condition.shape))]
 
 
-def worst_index(badness: Any) -> tuple[int, ...]:
-    """Return the index of the greatest element, or of the first NaN."""
-    return tuple(int(i) for i in np.unravel_index(int(badness.argmax()), tuple(badness.shape)))
-
-
 def refuse(bad: Any, values: Any, name: str, must: str) -> None:
     """Raise ValueError with the first bad number of an array, if any."""
     if bad.any():
@@ -94,7 +89,7 @@ def refuse_worst(outside: Any, tolerance: float, values: Any, name: str, must: s
     inside = outside <= tolerance
     if bool(inside.all()):
         return
-    index = worst_index(outside)
+    index = tuple(map(int, np.unravel_index(int(outside.argmax()), tuple(outside.shape))))  # or of the first NaN
     raise ValueError(
         f"{name} must {must} (tolerance {tolerance:g}); the worst of the {int((~inside).sum())} cells that are not, "
         f"{name}[{', '.join(map(str, (*index, ':')))}], is {values[index].tolist()}{remedy}"
@@ -211,21 +206,11 @@ def _rest(numbers: list[Any]) -> Any:
 
 def sources(masses: Sequence[Any], axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:
     """Return the library, and (free, occupied, unknown) of each mass or of each source along `axis` of a stack."""
-    return open_sources(masses, axis, (2,), split)
-
-
-def open_sources(
-    masses: Sequence[Any],
-    axis: int | None,
-    states: tuple[int, ...] = (2, 3),
-    take_apart: Callable[..., Any] = split_open,
-) -> tuple[Any, list[tuple[Any, ...]]]:
-    """Return the library, and (free, occupied, unknown, conflict) of each source; see `sources`."""
-    return each_source(masses, axis, lambda mass, name: check_form(mass, name, states), take_apart)
+    return each_source(masses, axis, split)
 
 
 def each_source(
-    masses: Sequence[Any], axis: int | None, check: Callable[[Any, str], Any], take_apart: Callable[[Any, str], Any]
+    masses: Sequence[Any], axis: int | None, take_apart: Callable[[Any, str], Any]
 ) -> tuple[Any, list[tuple[Any, ...]]]:
     """Return the library, and the arrays from `take_apart` of each mass or of each source along `axis` of a stack."""
     if len(masses) < 1 + (axis is None) or (len(masses) > 1 and axis is not None):
@@ -233,20 +218,19 @@ def each_source(
             "give two or more masses, rule(a, b), or a stack of sources and its axis, rule(stack, axis=0), "
             f"got {len(masses)} and axis={axis}"
         )
-    stack, names = masses[0], [letter(k) for k in range(len(masses))]
-    xp, *_ = (check(mass, name) for mass, name in zip(masses, names, strict=True))
+    parts = [take_apart(mass, letter(k)) for k, mass in enumerate(masses)]
+    stack, xp = masses[0], namespace(masses[0])
     if axis is None:
-        for mass, name in zip(masses[1:], names[1:], strict=True):
-            check_alike(stack, mass, ("a", name))
-        return xp, [take_apart(mass, name) for mass, name in zip(masses, names, strict=True)]
+        for k, mass in enumerate(masses[1:], start=1):
+            check_alike(stack, mass, ("a", letter(k)))
+        return xp, parts
     if not -stack.ndim <= axis < stack.ndim or axis % stack.ndim == stack.ndim - 1:
         raise ValueError(
             f"axis must be a leading axis, not the last one (the states), got {axis} for shape {tuple(stack.shape)}"
         )
     if stack.shape[axis] == 0:
         raise ValueError(f"a rule needs at least one source, got none along axis {axis} of shape {tuple(stack.shape)}")
-    stacks = [xp.moveaxis(number, axis % stack.ndim, 0) for number in take_apart(stack, "a")]
-    return xp, list(zip(*stacks, strict=True))
+    return xp, list(zip(*(xp.moveaxis(number, axis % stack.ndim, 0) for number in parts[0]), strict=True))
 
 
 def letter(place: int) -> str:
@@ -254,22 +238,25 @@ def letter(place: int) -> str:
     return chr(ord("a") + place % 26)
 
 
-def stack_last(xp: Any, numbers: list[Any], mass: Array) -> Array:
+def stack_last(xp: Any, numbers: Sequence[Any], mass: Array) -> Array:
     """Stack numbers per cell on a new last axis, in the dtype of `mass`."""
-    given: Any = mass
-    if xp is not np:
-        tensor: Array = xp.stack(xp.broadcast_tensors(*numbers), dim=-1).to(given.dtype)
-        return tensor
-    together: Any = np.stack(np.broadcast_arrays(*numbers), axis=-1)
-    array: Array = together.astype(given.dtype, copy=False)
-    return array
+    return per_cell(xp.stack(broadcast(xp, numbers), -1), mass)
+
+
+def broadcast(xp: Any, numbers: Sequence[Any]) -> Any:
+    """Broadcast arrays or tensors against each other."""
+    return xp.broadcast_arrays(*numbers) if xp is np else xp.broadcast_tensors(*numbers)
 
 
 def per_cell(value: Any, mass: Array) -> Array:
-    """Return one number per cell in the dtype of `mass` (numpy 1 would widen a lone float32)."""
-    given: Any = mass
-    cells: Array = value.astype(given.dtype, copy=False) if namespace(mass) is np else value
-    return cells
+    """Return numbers in the dtype of `mass`; numpy 1 would convert a single float32 to float64."""
+    dtype = cast(Any, mass).dtype
+    return cast(Array, value.astype(dtype, copy=False) if namespace(mass) is np else value.to(dtype))
+
+
+def as_double(array: Any) -> Any:
+    """Return an array or tensor in float64."""
+    return array.double() if hasattr(array, "detach") else array.astype(np.float64)
 
 
 def _outside(values: Any) -> Any:
@@ -333,10 +320,8 @@ def renormalize(mass: Array) -> Array:
         If a numpy array holds NaN or infinity.
     """
     xp = check_form(mass, states=(2, 3))
-    given: Any = mass
     if xp is np:
-        refuse(~np.isfinite(given), given, "mass", "be finite to be renormalized")
-    positive = given.clip(0)
+        refuse(~np.isfinite(cast(Any, mass)), mass, "mass", "be finite to be renormalized")
+    positive = cast(Any, mass).clip(0)
     total = positive.sum(-1)[..., None]
-    repaired: Array = positive / xp.where(total > 1, total, xp.ones_like(total))
-    return repaired
+    return cast(Array, positive / xp.where(total > 1, total, xp.ones_like(total)))

@@ -55,8 +55,7 @@ def _weighted_rate(weights: Sequence[Any], rates: Sequence[Any]) -> Any:
     if len(rates) != len(weights):
         raise ValueError(f"give one base rate per source, {len(weights)}, got {len(rates)}")
     for rate in rates:
-        numbers: Any = np.asarray(rate) if not hasattr(rate, "detach") else None
-        if numbers is not None and not ((numbers >= 0) & (numbers <= 1)).all():
+        if not hasattr(rate, "detach") and not ((np.asarray(rate) >= 0) & (np.asarray(rate) <= 1)).all():
             raise ValueError(f"base_rates must lie in [0, 1], got {rate}")
     xp = next((namespace(values) for values in (*weights, *rates) if hasattr(values, "detach")), np)
     total: Any = sum(weights)

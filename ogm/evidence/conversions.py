@@ -11,7 +11,7 @@ derived. The same pair stands for
 Sources: Shafer, *A Mathematical Theory of Evidence* (1976); Jøsang, *Subjective Logic* (2016), chapter 3.
 """
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -56,12 +56,9 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
     u = u.clip(floor)
     dogmatic = u <= rounding(mass)
     safe = xp.where(dogmatic, xp.ones_like(u), u)
-
-    def of(belief: Any) -> Any:
-        infinite = xp.where(belief > 0, xp.inf, 0.0)
-        return xp.where(dogmatic, xp.asarray(infinite, dtype=belief.dtype), prior_weight * belief / safe)
-
-    return stack_last(xp, [of(free), of(occupied)], mass)
+    limits = (xp.asarray(xp.where(belief > 0, xp.inf, 0.0), dtype=u.dtype) for belief in (free, occupied))
+    finite = (prior_weight * belief / safe for belief in (free, occupied))
+    return stack_last(xp, [xp.where(dogmatic, *pair) for pair in zip(limits, finite, strict=True)], mass)
 
 
 def evidence_to_mass(evidence: Array, prior_weight: float = 2.0) -> Array:
@@ -101,9 +98,9 @@ def alpha_to_evidence(alpha: Array, prior_weight: float = 2.0, base_rate: float 
     """
     _check_weight(prior_weight)
     xp = check_form(alpha, "alpha")
-    given: Any = alpha
-    rate = as_like(base_rate, given[..., 0], "base_rate")
-    evidence = stack_last(xp, [given[..., 0] - prior_weight * (1 - rate), given[..., 1] - prior_weight * rate], alpha)
+    free, occupied = (cast(Any, alpha)[..., state] for state in (0, 1))
+    rate = as_like(base_rate, free, "base_rate")
+    evidence = stack_last(xp, [free - prior_weight * (1 - rate), occupied - prior_weight * rate], alpha)
     _check_positive(evidence, "alpha - prior")
     return evidence
 

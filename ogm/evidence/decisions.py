@@ -4,11 +4,11 @@ Sources: Denœux, "Decision-making with belief functions: a review" (2019); Chow
 reject tradeoff" (1970); Schubert, "Conflict management in Dempster-Shafer theory using the degree of falsity" (2011).
 """
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, as_like, namespace, sources, split, stack_last
+from ogm.evidence.arrays import Array, as_like, broadcast, namespace, sources, split, stack_last
 from ogm.evidence.kinds import takes_masses
 from ogm.evidence.measures import conflict
 from ogm.evidence.rules import dempster
@@ -91,8 +91,7 @@ def degree_of_falsity(*masses: Array, axis: int | None = None) -> Array:
         conflict(pair, others[0] if len(others) == 1 else dempster(*others))
         for pair, others in ((pair, pairs[:k] + pairs[k + 1 :]) for k, pair in enumerate(pairs))
     ]
-    falsity: Array = xp.stack(list((np.broadcast_arrays if xp is np else xp.broadcast_tensors)(*conflicts)))
-    return falsity
+    return cast(Array, xp.stack(broadcast(xp, conflicts)))
 
 
 def reconciling_reliability(*masses: Array, axis: int | None = None, remaining_conflict: float = 0.1) -> Array:
@@ -117,5 +116,4 @@ def reconciling_reliability(*masses: Array, axis: int | None = None, remaining_c
     falsity: Any = degree_of_falsity(*masses, axis=axis)
     xp = namespace(falsity)
     low = falsity <= remaining_conflict
-    reliability: Array = xp.where(low, 1 + 0 * falsity, remaining_conflict / (falsity + low))
-    return reliability
+    return cast(Array, xp.where(low, 1 + 0 * falsity, remaining_conflict / (falsity + low)))

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_alike, check_float, dtype_name, maybe_any, refuse
+from ogm.evidence.arrays import Array, as_double, check_alike, check_float, dtype_name, maybe_any, per_cell, refuse
 from ogm.extras import import_extra
 
 _HALF_LOG_2PI = 0.9189385332046727
@@ -55,7 +55,7 @@ def dirichlet_kl(alpha: Array, other: Array) -> Array:
     xp = _check_alpha(alpha, "alpha")
     _check_alpha(other, "other")
     check_alike(alpha, other, ("alpha", "other"))
-    x, y = _double(xp, other), _double(xp, alpha)
+    x, y = as_double(other), as_double(alpha)
     if x.shape[-1] != y.shape[-1]:
         shapes = f"{tuple(y.shape)} and {tuple(x.shape)}"
         raise ValueError(f"alpha and other must have the same number of states on their last axis, got shapes {shapes}")
@@ -80,7 +80,7 @@ def dirichlet_kl(alpha: Array, other: Array) -> Array:
             divergence[near] = _series_of_divergence(xp, d[near], np.broadcast_to(y, d.shape)[near])
         else:
             divergence = xp.where(near, _series_of_divergence(xp, d, y), divergence)
-    return _cast(xp, divergence.clip(0), alpha)
+    return per_cell(divergence.clip(0), alpha)
 
 
 def dirichlet_kl_gradient(alpha: Array, other: Array) -> tuple[Array, Array]:
@@ -165,14 +165,14 @@ def dirichlet_entropy(alpha: Array) -> Array:
     ln B(alpha) + (S - K) digamma(S) - sum (alpha - 1) digamma(alpha), regrouped.
     """
     xp = _check_alpha(alpha, "alpha")
-    x = _double(xp, alpha)
+    x = as_double(alpha)
     total = x.sum(-1)
     k = x.shape[-1]
     logs = 0.5 * xp.log(x).sum(-1) - (k - 0.5) * xp.log(total)
     halves = (0.5 - 0.5 / x).sum(-1) - 0.5 + 0.5 * k / total + (k - 1) * _HALF_LOG_2PI
     remainders = (_remainder(xp, x) - (x - 1) * _remainder_slope(xp, x)).sum(-1)
     whole = _remainder(xp, total) - (total - k) * _remainder_slope(xp, total)
-    return _cast(xp, logs + halves + remainders - whole, alpha)
+    return per_cell(logs + halves + remainders - whole, alpha)
 
 
 def _check_alpha(alpha: Any, name: str) -> Any:
@@ -182,16 +182,6 @@ def _check_alpha(alpha: Any, name: str) -> Any:
     if xp is np:
         refuse(~((alpha > 0) & np.isfinite(alpha)), alpha, name, "be finite and greater than 0")
     return xp
-
-
-def _double(xp: Any, values: Any) -> Any:
-    return values.astype(np.float64) if xp is np else values.double()
-
-
-def _cast(xp: Any, values: Any, alpha: Array) -> Array:
-    given: Any = alpha
-    cast: Array = values.astype(given.dtype) if xp is np else values.to(given.dtype)
-    return cast
 
 
 def _log(xp: Any, ratio: Any, t: Any) -> Any:
@@ -236,9 +226,7 @@ def _remainder_slope(xp: Any, x: Any) -> Any:
 
 def _special(xp: Any) -> Any:
     """Return the module of special functions; scipy is imported on first use, because it doubles the import time."""
-    if xp is not np:
-        return xp.special
-    return import_extra("scipy.special", "evaluate")
+    return import_extra("scipy.special", "evaluate") if xp is np else xp.special
 
 
 def _with_sum(xp: Any, alpha: Any) -> Any:

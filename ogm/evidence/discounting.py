@@ -5,7 +5,7 @@ belief function framework using contextual discounting" (2008); Jøsang, *Subjec
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -33,9 +33,7 @@ def discount(mass: Array, reliability: Any) -> Array:
     free, occupied, _ = split(mass)
     r = as_like(reliability, free, "reliability")
     if isinstance(r, float):  # the same in a single pass
-        given: Any = mass
-        discounted: Array = given * r
-        return discounted
+        return cast(Array, cast(Any, mass) * r)
     return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
 

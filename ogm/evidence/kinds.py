@@ -13,7 +13,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from ogm.evidence.arrays import dtype_name, letter, namespace, refuse_worst, stack_last, tolerance_of
+from ogm.evidence.arrays import as_double, dtype_name, letter, namespace, refuse_worst, stack_last, tolerance_of
 from ogm.evidence.opinion import Conclusion, Opinion
 
 P = ParamSpec("P")
@@ -71,8 +71,9 @@ def takes_masses(
             arguments.update(zip(labels, arrays, strict=True) if names else {"masses": tuple(arrays)})
             opinions = [mass for mass in given if isinstance(mass, Opinion)]
             for name in {*rate_names.values()} - arguments.keys():
-                own = [mass for mass, label in zip(given, labels, strict=True) if rate_names.get(label) == name]
-                if own := [mass for mass in own if isinstance(mass, Opinion)]:
+                pairs = zip(given, labels, strict=True)
+                own = [m for m, label in pairs if rate_names.get(label) == name and isinstance(m, Opinion)]
+                if own:
                     arguments[name] = _common_rate(own, None)
             result = cast(Any, function)(*bound.args, **bound.kwargs)
             if not gives_masses:
@@ -95,30 +96,35 @@ def _is_number(value: Any) -> bool:
 
 def _is_pair(mass: Any) -> bool:
     """Return whether a mass needs no conversion: a floating-point array or tensor (..., 2)."""
-    torch: Any = sys.modules.get("torch")
-    if isinstance(mass, np.ndarray):
-        return bool(mass.shape[-1:] == (2,) and mass.dtype.kind == "f")
-    is_tensor = torch is not None and isinstance(mass, torch.Tensor)
-    return bool(is_tensor and mass.shape[-1:] == (2,) and mass.is_floating_point())
+    return bool(_is_array(mass) and mass.shape[-1:] == (2,) and _is_floating(mass))
+
+
+def _is_array(value: Any) -> bool:
+    """Return whether a value is a numpy array or a torch tensor."""
+    torch = sys.modules.get("torch")
+    return isinstance(value, np.ndarray) or (torch is not None and isinstance(value, torch.Tensor))
+
+
+def _is_floating(array: Any) -> bool:
+    return bool(array.dtype.kind == "f" if isinstance(array, np.ndarray) else array.is_floating_point())
 
 
 def _as_arrays(values: list[Any], labels: list[str]) -> list[Any]:
     """Return arrays or tensors; values without a floating-point dtype take the dtype of the first with one."""
-    torch = sys.modules.get("torch")
-    arrays = [_as_array(value, label, torch) for value, label in zip(values, labels, strict=True)]
-    own = [
-        (isinstance(value, np.ndarray) and value.dtype.kind == "f")
-        or (torch is not None and isinstance(array, torch.Tensor) and array.is_floating_point())
-        for value, array in zip(values, arrays, strict=True)
+    arrays = [_as_array(value, label) for value, label in zip(values, labels, strict=True)]
+    typed = [  # lists of numbers and opinions have no dtype
+        _is_floating(array) and (array is value or not isinstance(array, np.ndarray))
+        for array, value in zip(arrays, values, strict=True)
     ]
-    like = next((array for array, is_own in zip(arrays, own, strict=True) if is_own), None)
-    return [array if is_own else _converted(array, like) for array, is_own in zip(arrays, own, strict=True)]
+    like = next((array for array, is_typed in zip(arrays, typed, strict=True) if is_typed), None)
+    return [array if is_typed else _converted(array, like) for array, is_typed in zip(arrays, typed, strict=True)]
 
 
-def _as_array(value: Any, label: str, torch: Any) -> Any:
-    if isinstance(value, np.ndarray) or (torch is not None and isinstance(value, torch.Tensor)):
+def _as_array(value: Any, label: str) -> Any:
+    if _is_array(value):
         return value
-    if torch is not None and isinstance(value, list | tuple) and any(isinstance(item, torch.Tensor) for item in value):
+    if isinstance(value, list | tuple) and (tensors := [item for item in value if hasattr(item, "detach")]):
+        torch = namespace(tensors[0])
         return torch.stack([torch.as_tensor(item) for item in value])
     try:
         array = np.asarray(value)
@@ -132,7 +138,7 @@ def _as_array(value: Any, label: str, torch: Any) -> Any:
 def _converted(array: Any, like: Any) -> Any:
     """Return an array in the library, dtype and device of another, by default as float64."""
     if like is None:
-        return array.astype(np.float64) if isinstance(array, np.ndarray) else array.double()
+        return as_double(array)
     if isinstance(like, np.ndarray):
         return array.astype(like.dtype) if isinstance(array, np.ndarray) else array
     return namespace(like).as_tensor(array, dtype=like.dtype, device=like.device)

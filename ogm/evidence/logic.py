@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ogm.evidence import multinomial
-from ogm.evidence.arrays import Array, as_like, namespace, per_cell, split_two, stack_last
+from ogm.evidence.arrays import Array, as_like, broadcast, namespace, per_cell, split_two, stack_last
 from ogm.evidence.kinds import takes_masses
 from ogm.evidence.opinion import Conclusion
 
@@ -34,7 +34,7 @@ def multiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any 
     scale = 1 - a * r
     _refuse_zero(scale, "base rates must not both be 1")
     belief = b * c + ((1 - a) * r * b * v + a * (1 - r) * u * c) / scale
-    return Conclusion(stack_last(xp, [d + e - d * e, belief], x), _rate(a * r, u, x))
+    return Conclusion(stack_last(xp, [d + e - d * e, belief], x), per_cell(a * r + 0 * u, x))
 
 
 @takes_masses("x", "y", base_rates={"x": "base_rate_x", "y": "base_rate_y"})
@@ -52,7 +52,7 @@ def comultiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: An
     rate = a + r - a * r
     _refuse_zero(rate, "base rates must not both be 0")
     disbelief = d * e + (a * (1 - r) * d * v + (1 - a) * r * u * e) / rate
-    return Conclusion(stack_last(xp, [disbelief, b + c - b * c], x), _rate(rate, u, x))
+    return Conclusion(stack_last(xp, [disbelief, b + c - b * c], x), per_cell(rate + 0 * u, x))
 
 
 @takes_masses("x", "y_if_x", "y_if_not_x", base_rates={"x": "base_rate_x"})
@@ -100,21 +100,15 @@ def _binary(given: Any, if_x: Any, if_not_x: Any, base_rate: Any, names: tuple[s
     """Return the conditionals (..., 2, 2) and the base rates (..., 2) of two states, false and true."""
     xp, (_, _, u) = namespace(given), split_two(given, if_x, names[:2])[0]
     split_two(given, if_not_x, (names[0], names[2]))
-    pairs = xp.broadcast_arrays(if_not_x, if_x) if xp is np else xp.broadcast_tensors(if_not_x, if_x)
     rate = as_like(base_rate, u, "base_rate_x") + 0 * u
-    return xp.stack(list(pairs), -2), stack_last(xp, [1 - rate, rate], given)
+    return xp.stack(broadcast(xp, (if_not_x, if_x)), -2), stack_last(xp, [1 - rate, rate], given)
 
 
-def _two(
-    x: Any, y: Any, base_rate_x: Any, base_rate_y: Any, names: tuple[str, str] = ("x", "y")
-) -> tuple[Any, tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
-    first, second = split_two(x, y, names)
+def _two(x: Any, y: Any, base_rate_x: Any, base_rate_y: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """Return the library, (disbelief, belief, unknown) of x and of y, and their base rates."""
+    first, second = split_two(x, y, ("x", "y"))
     rates = as_like(base_rate_x, first[0], "base_rate_x"), as_like(base_rate_y, second[0], "base_rate_y")
     return namespace(x), first, second, *rates
-
-
-def _rate(rate: Any, cells: Any, mass: Any) -> Any:
-    return per_cell(rate + 0 * cells, mass)
 
 
 def _refuse_zero(scale: Any, message: str) -> None:

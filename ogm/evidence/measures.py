@@ -94,11 +94,9 @@ def kl_divergence(
     -------
     (...), in [0, inf)
     """
-    alphas = (
-        evidence_to_alpha(mass_to_evidence(mass, prior_weight, min_unknown), prior_weight, base_rate)
-        for mass in _alike(a, b)
-    )
-    return dirichlet_kl(*alphas)
+    split_two(a, b)
+    evidences = (mass_to_evidence(mass, prior_weight, min_unknown) for mass in (a, b))
+    return dirichlet_kl(*(evidence_to_alpha(evidence, prior_weight, base_rate) for evidence in evidences))
 
 
 def vacuity(mass: Array) -> Array:
@@ -164,12 +162,6 @@ def deng_entropy(mass: Array) -> Array:
     xp = namespace(mass)
     logs = _times_log2(xp, free, free) + _times_log2(xp, occupied, occupied)
     return per_cell(-logs - _times_log2(xp, u, u / 3), mass)
-
-
-def _alike(a: Array, b: Array) -> tuple[Array, Array]:
-    """Check two masses and that they match; return both."""
-    split_two(a, b)
-    return a, b
 
 
 def _times_log2(xp: Any, x: Any, y: Any) -> Any:

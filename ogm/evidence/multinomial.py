@@ -16,7 +16,7 @@ book are for inverted conditionals of maximal uncertainty: ``maximize_uncertaint
 """
 
 from functools import reduce
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -36,8 +36,7 @@ def projected_probability(belief: Array, base_rate: Any = None) -> Array:
         Prior probabilities with sum 1; by default equal.
     """
     b, u = _opinion(belief, "belief")
-    probability: Array = b + _base_rate(base_rate, b) * u[..., None]
-    return probability
+    return cast(Array, b + _base_rate(base_rate, b) * u[..., None])
 
 
 def maximize_uncertainty(belief: Array, base_rate: Any = None) -> Array:
@@ -51,8 +50,7 @@ def maximize_uncertainty(belief: Array, base_rate: Any = None) -> Array:
     b, u = _opinion(belief, "belief")
     rate = _base_rate(base_rate, b)
     p = b + rate * u[..., None]
-    greatest: Array = (p - rate * _least_ratio(p, rate)[..., None]).clip(0)
-    return greatest
+    return cast(Array, (p - rate * _least_ratio(p, rate)[..., None]).clip(0))
 
 
 def deduction(x: Any, conditionals: Any, base_rate: Any = None) -> Conclusion:

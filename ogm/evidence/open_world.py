@@ -9,7 +9,7 @@ Sources: Smets and Kennes, "The transferable belief model" (1994); Smets, "Belie
 rule of combination" (1993).
 """
 
-from ogm.evidence.arrays import Array, namespace, open_sources, split_open, stack_last
+from ogm.evidence.arrays import Array, each_source, namespace, split_open, stack_last
 from ogm.evidence.kinds import takes_masses
 from ogm.evidence.rules import OnConflict, agreement, check_policy, normalized, resolve
 
@@ -31,7 +31,7 @@ def conjunctive(*masses: Array, axis: int | None = None) -> Array:
     -------
     (..., 3), triples (free, occupied, unknown); conflict is 1 minus the sum
     """
-    xp, parts = open_sources(masses, axis)
+    xp, parts = each_source(masses, axis, split_open)
     free, occupied, unknown, _ = parts[0]
     for f, o, u, _ in parts[1:]:
         free, occupied, unknown = agreement(free, occupied, unknown, f, o, u)
@@ -56,7 +56,7 @@ def disjunctive(*masses: Array, axis: int | None = None) -> Array:
     -------
     (..., 2) if all sources are pairs, else (..., 3)
     """
-    xp, parts = open_sources(masses, axis)
+    xp, parts = each_source(masses, axis, split_open)
     free, occupied, _, conflict = parts[0]
     for f, o, _, c in parts[1:]:
         free, occupied, conflict = (free * (f + c) + conflict * f, occupied * (o + c) + conflict * o, conflict * c)

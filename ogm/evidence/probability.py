@@ -95,9 +95,9 @@ def log_odds_to_mass(log_odds: Array) -> Array:
         Natural logarithm of the odds of occupied.
     """
     xp = check_float(log_odds, "log_odds")
-    if xp is np and np.isnan(log_odds).any():  # type: ignore[call-overload]
-        raise ValueError("log_odds must not be NaN")
     given: Any = log_odds
+    if xp is np and np.isnan(given).any():
+        raise ValueError("log_odds must not be NaN")
     return stack_last(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
 
 

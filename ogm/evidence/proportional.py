@@ -15,9 +15,7 @@ from itertools import product
 from math import prod
 from typing import Any
 
-import numpy as np
-
-from ogm.evidence.arrays import Array, maybe_any, rounding, sources, stack_last
+from ogm.evidence.arrays import Array, as_double, maybe_any, rounding, sources, stack_last
 from ogm.evidence.kinds import takes_masses
 
 _MAX_SOURCES = 8  # 3^8 products of masses
@@ -42,7 +40,7 @@ def pcr5(*masses: Array, axis: int | None = None) -> Array:
     -------
     (..., 2), the combined mass
     """
-    return _redistribute(masses, axis, _in_proportion_to_products)
+    return _redistribute(masses, axis, _product)
 
 
 @takes_masses()
@@ -56,7 +54,7 @@ def pcr6(*masses: Array, axis: int | None = None) -> Array:
     *masses, axis
         See `pcr5`.
     """
-    return _redistribute(masses, axis, _in_proportion_to_sums)
+    return _redistribute(masses, axis, sum)
 
 
 @takes_masses()
@@ -71,7 +69,7 @@ def pcr6_plus(*masses: Array, axis: int | None = None) -> Array:
     *masses, axis
         See `pcr5`.
     """
-    return _redistribute(masses, axis, _in_proportion_to_sums_of_the_conflicting)
+    return _redistribute(masses, axis, sum, parties=2)
 
 
 @takes_masses()
@@ -128,7 +126,7 @@ def consensus_compromise(*masses: Array, axis: int | None = None) -> Array:
     if len(parts) > 12:
         raise ValueError(f"consensus_compromise takes at most 12 sources, got {len(parts)}")
     # In float64, because the product of twelve unknowns may underflow in float32
-    parts = [tuple(number.astype(np.float64) if xp is np else number.double() for number in part) for part in parts]
+    parts = [tuple(map(as_double, part)) for part in parts]
     # Step 1, consensus: the least belief of all sources
     agreed_free, agreed_occupied = (reduce(xp.minimum, [part[k] for part in parts]) for k in (0, 1))
     rests = [(free - agreed_free, occupied - agreed_occupied) for free, occupied, _ in parts]
@@ -154,8 +152,13 @@ def consensus_compromise(*masses: Array, axis: int | None = None) -> Array:
     return stack_last(xp, [agreed_free + share * free, agreed_occupied + share * occupied], masses[0])
 
 
-def _redistribute(masses: Sequence[Array], axis: int | None, share: Callable[..., list[Any]]) -> Array:
-    """Sum over all choices of a state by each source; `share` distributes conflicting products."""
+def _redistribute(
+    masses: Sequence[Array], axis: int | None, merged: Callable[[list[Any]], Any], parties: int = 3
+) -> Array:
+    """Sum over all choices of a state by each source, and return conflicting products to the states.
+
+    The shares of free, of occupied and, with three parties, of unknown are in proportion to their `merged` masses.
+    """
     xp, parts = sources(masses, axis)
     if len(parts) > _MAX_SOURCES:
         raise ValueError(
@@ -166,7 +169,11 @@ def _redistribute(masses: Sequence[Array], axis: int | None, share: Callable[...
         picked = [part[state] for part, state in zip(parts, states, strict=True)]
         weight = _product(picked)
         if 0 in states and 1 in states:  # conflict
-            shares = share(states, picked)
+            shares = [
+                merged([mass for mass, picked_state in zip(picked, states, strict=True) if picked_state == party])
+                for party in range(parties)
+                if party in states
+            ]
             whole = sum(shares)
             zero = whole == 0
             weight = weight / (whole + zero if maybe_any(xp, zero) else whole)
@@ -175,23 +182,6 @@ def _redistribute(masses: Sequence[Array], axis: int | None, share: Callable[...
             state = 0 if 0 in states else 1
             totals[state] = totals[state] + weight
     return stack_last(xp, totals, masses[0])
-
-
-def _groups(states: tuple[int, ...], picked: list[Any]) -> list[list[Any]]:
-    """Return the chosen masses of free, of occupied and of unknown."""
-    return [[m for s, m in zip(states, picked, strict=True) if s == wanted] for wanted in (0, 1, _UNKNOWN)]
-
-
-def _in_proportion_to_products(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    return [_product(group) if group else 0 * picked[0] for group in _groups(states, picked)]
-
-
-def _in_proportion_to_sums(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    return [sum(group, start=0 * picked[0]) for group in _groups(states, picked)]
-
-
-def _in_proportion_to_sums_of_the_conflicting(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    return _in_proportion_to_sums(states, picked)[:_UNKNOWN]
 
 
 def _product(numbers: list[Any]) -> Any:

@@ -12,16 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import (
-    Array,
-    check_float,
-    dtype_name,
-    each_source,
-    first_index,
-    maybe_any,
-    namespace,
-    tolerance_of,
-)
+from ogm.evidence.arrays import Array, dtype_name, each_source, first_index, maybe_any, namespace, tolerance_of
 from ogm.evidence.powerset.transforms import (
     difference_subsets,
     difference_supersets,
@@ -129,8 +120,13 @@ def cautious(*masses: Array, axis: int | None = None) -> Array:
 def bold(*masses: Array, axis: int | None = None) -> Array:
     """Combine by Denœux's bold disjunctive rule: `cautious` on complements; all sources need conflict > 0."""
     xp, parts = namespace(masses[0]), _each(masses, axis)
-    if xp is np:
-        _refuse_no_conflict([part[0] for part in parts])
+    for number, part in enumerate(parts if xp is np else ()):
+        if not (part[0] > 0).all():
+            none = ~(part[0] > 0)
+            raise ValueError(
+                f"the bold rule needs conflict > 0 in every cell of every source, but in source {number} it is 0 in "
+                f"{int(none.sum())} cells, the first at {first_index(none)}; for such masses use disjunctive"
+            )
     complements = [xp.stack(list(part)[::-1]) for part in parts]
     return stack(list(_cautious(complements, masses[0]))[::-1], masses[0])
 
@@ -173,7 +169,7 @@ def consensus_compromise(a: Array, b: Array) -> Array:
 
 def _each(masses: Sequence[Any], axis: int | None) -> list[Any]:
     """Return the columns of each source, (2**K, ...), of the same shape."""
-    xp, sources = each_source(masses, axis, check_float, masses_of)
+    xp, sources = each_source(masses, axis, masses_of)
     counts = [len(source) for source in sources]
     if len(set(counts)) > 1:
         raise ValueError(
@@ -181,7 +177,7 @@ def _each(masses: Sequence[Any], axis: int | None) -> list[Any]:
         )
     shapes = [tuple(source[0].shape) for source in sources]
     shape = np.broadcast_shapes(*shapes)
-    if all(one == shape for one in shapes):
+    if all(other == shape for other in shapes):
         return [xp.stack(list(source)) for source in sources]
     return [xp.stack([xp.broadcast_to(column, shape) for column in source]) for source in sources]
 
@@ -230,17 +226,6 @@ def _grouped(places: Sequence[int], picked: Sequence[Any]) -> list[tuple[int, An
     for place, mass in zip(places, picked, strict=True):
         groups[place] = groups[place] * mass if place in groups else mass
     return list(groups.items())
-
-
-def _refuse_no_conflict(conflicts: Sequence[Any]) -> None:
-    """Raise ValueError if a source of the bold rule has a cell without conflict."""
-    for number, conflict in enumerate(conflicts):
-        none = ~(np.asarray(conflict) > 0)
-        if none.any():
-            raise ValueError(
-                f"the bold rule needs conflict > 0 in every cell of every source, but in source {number} it is 0 in "
-                f"{int(none.sum())} cells, the first at {first_index(none)}; for such masses use disjunctive"
-            )
 
 
 def _cautious(parts: Sequence[Any], mass: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_float, namespace, refuse_worst, split_open, tolerance_of
+from ogm.evidence.arrays import Array, check_float, namespace, per_cell, refuse_worst, split_open, tolerance_of
 
 __all__ = [
     "belief_to_mass", "check_powerset", "commonality_to_mass", "from_beliefs", "from_pair", "implicability_to_mass",
@@ -156,11 +156,7 @@ def masses_of(mass: Any, name: str = "mass", states: int | None = None) -> Any:
 
 def stack(columns: Iterable[Any], mass: Array) -> Array:
     """Return columns with the power set on the last axis, in the dtype of `mass`."""
-    given: Any = mass
-    xp = namespace(mass)
-    last = xp.stack(list(columns), -1)
-    stacked: Array = last.astype(given.dtype, copy=False) if xp is np else last
-    return stacked
+    return per_cell(namespace(mass).stack(list(columns), -1), mass)
 
 
 def sum_subsets(columns: Any) -> Any:
