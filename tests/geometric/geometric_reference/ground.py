@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.reference.height_band import cell_of
+from ogm.geometric.reference import cell_of
 from ogm.grid import GridSpec
 
 __all__ = ["ground_map", "lower_envelope", "pull_push"]

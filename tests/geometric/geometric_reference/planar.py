@@ -34,11 +34,7 @@ def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
     -------
     (nx, ny, 2) float32
     """
-    beams = sorted(beams_of(scan, ism))
-    turns = [(b.bearing - a.bearing) % (2 * math.pi) for a, b in zip(beams, beams[1:] + beams[:1], strict=True)]
-    step = sorted(turns[:-1])[(len(turns) - 1) // 2]
-    fits = [turn <= min(1.5 * step, math.radians(3)) for turn in turns]
-    limits = [opening_limit(k, beams, turns, fits) for k in range(len(beams))]
+    beams, turns, fits, limits = neighbours(scan, ism)
     spec, (x0, y0, _) = ism.spec, ism.mount.origin  # type: ignore[union-attr]
     xs, ys = (axis.ravel() for axis in spec.cell_centers)
     mass = np.zeros((*spec.shape, 2), np.float32)
@@ -65,6 +61,15 @@ def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
     a, b, c, d = ism.mount.ego_footprint  # type: ignore[union-attr]
     mass[np.ix_((xs > a) & (xs < b), (ys > c) & (ys < d))] = 0
     return mass
+
+
+def neighbours(scan: Scan, ism: PlanarISM) -> tuple[list[_Beam], list[float], list[bool], list[float]]:
+    """Return the sorted beams; for each the turn to the next, whether both are neighbours, and its range limit."""
+    beams = sorted(beams_of(scan, ism))
+    turns = [(b.bearing - a.bearing) % (2 * math.pi) for a, b in zip(beams, beams[1:] + beams[:1], strict=True)]
+    step = sorted(turns[:-1])[(len(turns) - 1) // 2]
+    fits = [turn <= min(1.5 * step, math.radians(3)) for turn in turns]
+    return beams, turns, fits, [opening_limit(k, beams, turns, fits) for k in range(len(beams))]
 
 
 def beams_of(scan: Scan, ism: PlanarISM) -> list[_Beam]:

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometric_reference.planar import neighbours
+from geometric_reference.ray import Ray, no_return_rays, returned_rays
 from ogm.geometric.planar import PlanarISM
 from ogm.geometric.ray import RayISM
-from ogm.geometric.reference.planar import beams_of, opening_limit
-from ogm.geometric.reference.ray import Ray, no_return_rays, returned_rays
 from ogm.scan import Scan
 from ogm.unknown_cause import UnknownCause
 
@@ -110,11 +110,7 @@ def planar_causes(scan: Scan, ism: PlanarISM) -> NDArray[np.uint8]:
         With a mount.
     """
     assert ism.mount is not None
-    beams = sorted(beams_of(scan, ism))
-    turns = [(b.bearing - a.bearing) % (2 * math.pi) for a, b in zip(beams, beams[1:] + beams[:1], strict=True)]
-    step = sorted(turns[:-1])[(len(turns) - 1) // 2]
-    fits = [turn <= min(1.5 * step, math.radians(3)) for turn in turns]
-    limits = [opening_limit(k, beams, turns, fits) for k in range(len(beams))]
+    beams, turns, fits, limits = neighbours(scan, ism)
     causes = np.full(ism.spec.shape, UnknownCause.OUTSIDE_VIEW, np.uint8)
     a, b, c, d = ism.mount.ego_footprint
     for (i, x), (j, y) in itertools.product(*(enumerate(c.ravel().tolist()) for c in ism.spec.cell_centers)):

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import grey_opening, maximum_filter
 
+from geometric_reference.ground import lower_envelope, pull_push
 from ogm.geometric.ground import ground_height
 from ogm.geometric.ray import RayTrace
-from ogm.geometric.reference.ground import lower_envelope, pull_push
 from ogm.grid import GridSpec
 
 __all__ = ["terrain"]
