@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geometric_reference.planar import neighbours
+from geometric_reference.planar import neighbouring_beams
 from geometric_reference.ray import Ray, no_return_rays, returned_rays
 from ogm.geometric.planar import PlanarISM
 from ogm.geometric.ray import RayISM
@@ -110,7 +110,7 @@ def planar_causes(scan: Scan, ism: PlanarISM) -> NDArray[np.uint8]:
         With a mount.
     """
     assert ism.mount is not None
-    beams, turns, fits, limits = neighbours(scan, ism)
+    beams, turns, fits, limits = neighbouring_beams(scan, ism)
     causes = np.full(ism.spec.shape, UnknownCause.OUTSIDE_VIEW, np.uint8)
     a, b, c, d = ism.mount.ego_footprint
     for (i, x), (j, y) in itertools.product(*(enumerate(c.ravel().tolist()) for c in ism.spec.cell_centers)):

@@ -34,7 +34,7 @@ def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
     -------
     (nx, ny, 2) float32
     """
-    beams, turns, fits, limits = neighbours(scan, ism)
+    beams, turns, fits, limits = neighbouring_beams(scan, ism)
     spec, (x0, y0, _) = ism.spec, ism.mount.origin  # type: ignore[union-attr]
     xs, ys = (axis.ravel() for axis in spec.cell_centers)
     mass = np.zeros((*spec.shape, 2), np.float32)
@@ -63,7 +63,7 @@ def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
     return mass
 
 
-def neighbours(scan: Scan, ism: PlanarISM) -> tuple[list[_Beam], list[float], list[bool], list[float]]:
+def neighbouring_beams(scan: Scan, ism: PlanarISM) -> tuple[list[_Beam], list[float], list[bool], list[float]]:
     """Return the sorted beams; for each the turn to the next, whether both are neighbours, and its range limit."""
     beams = sorted(beams_of(scan, ism))
     turns = [(b.bearing - a.bearing) % (2 * math.pi) for a, b in zip(beams, beams[1:] + beams[:1], strict=True)]
