@@ -99,17 +99,14 @@ def refuse_worst(outside: Any, tolerance: float, values: Any, name: str, must: s
 def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
     """Raise an error if two arrays differ in library, dtype or device, or their shapes do not broadcast."""
     first, second = names
-    if namespace(a, first) is not namespace(b, second):
-        raise TypeError(
-            f"{first} and {second} must be from the same library, got {namespace(a).__name__} and "
-            f"{namespace(b).__name__}; convert one: torch.from_numpy(x) or x.numpy()"
-        )
-    if a.dtype != b.dtype:
-        raise TypeError(
-            f"{first} and {second} must have the same dtype, got {dtype_name(a)} and {dtype_name(b)}; cast one of them"
-        )
-    if namespace(a) is not np and a.device != b.device:
-        raise TypeError(f"{first} and {second} must be on the same device, got {a.device} and {b.device}; move one")
+    properties: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
+        ("be from the same library", lambda x: namespace(x).__name__, "convert one: torch.from_numpy(x) or x.numpy()"),
+        ("have the same dtype", dtype_name, "cast one of them"),
+        ("be on the same device", lambda x: getattr(x, "device", None), "move one of them"),
+    )
+    for must, value, remedy in properties:
+        if value(a) != value(b):
+            raise TypeError(f"{first} and {second} must {must}, got {value(a)} and {value(b)}; {remedy}")
     try:
         np.broadcast_shapes(tuple(a.shape[:-1]), tuple(b.shape[:-1]))
     except ValueError:

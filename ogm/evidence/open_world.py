@@ -9,6 +9,8 @@ Sources: Smets and Kennes, "The transferable belief model" (1994); Smets, "Belie
 rule of combination" (1993).
 """
 
+from functools import reduce
+
 from ogm.evidence.arrays import Array, each_source, namespace, split_open, stack_last
 from ogm.evidence.kinds import takes_masses
 from ogm.evidence.rules import OnConflict, agreement, check_policy, normalized, resolve
@@ -32,10 +34,8 @@ def conjunctive(*masses: Array, axis: int | None = None) -> Array:
     (..., 3), triples (free, occupied, unknown); conflict is 1 minus the sum
     """
     xp, parts = each_source(masses, axis, split_open)
-    free, occupied, unknown, _ = parts[0]
-    for f, o, u, _ in parts[1:]:
-        free, occupied, unknown = agreement(free, occupied, unknown, f, o, u)
-    return stack_last(xp, [free, occupied, unknown], masses[0])
+    joint = reduce(lambda joint, part: agreement(*joint, *part), (part[:3] for part in parts))
+    return stack_last(xp, joint, masses[0])
 
 
 @takes_masses(triples=True)

@@ -78,10 +78,7 @@ def yager(*masses: Array, axis: int | None = None) -> Array:
     (..., 2), the combined mass
     """
     xp, parts = sources(masses, axis)
-    free, occupied, unknown = parts[0]
-    for part in parts[1:]:
-        free, occupied, unknown = agreement(free, occupied, unknown, *part)
-    return stack_last(xp, [free, occupied], masses[0])
+    return stack_last(xp, reduce(lambda joint, part: agreement(*joint, *part), parts)[:2], masses[0])
 
 
 @takes_masses()

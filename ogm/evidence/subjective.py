@@ -69,8 +69,7 @@ def cumulative(*masses: Array, axis: int | None = None, dogmatic_weights: Sequen
             free, occupied = xp.where(both, f + g, free), xp.where(both, o + p, occupied)
             total = xp.where(both, 2 + 0 * total, total)
         return stack_last(xp, [free / total, occupied / total], masses[0])
-    fused = fuse_by_evidence(xp, masses[0], parts, sum_of_evidence, dogmatic_weights)
-    return stack_last(xp, fused, masses[0])
+    return stack_last(xp, fuse_by_evidence(xp, masses[0], parts, sum_of_evidence, dogmatic_weights), masses[0])
 
 
 def added_evidence(f: Any, o: Any, u: Any, g: Any, p: Any, v: Any) -> tuple[Any, Any, Any]:
@@ -139,8 +138,7 @@ def averaging(*masses: Array, axis: int | None = None, dogmatic_weights: Sequenc
         See `cumulative`.
     """
     xp, parts = sources(masses, axis)
-    fused = fuse_by_evidence(xp, masses[0], parts, mean_of_evidence, dogmatic_weights)
-    return stack_last(xp, fused, masses[0])
+    return stack_last(xp, fuse_by_evidence(xp, masses[0], parts, mean_of_evidence, dogmatic_weights), masses[0])
 
 
 @takes_masses(rate=confidence_base_rate)
@@ -155,9 +153,8 @@ def weighted(*masses: Array, axis: int | None = None, dogmatic_weights: Sequence
         See `cumulative`.
     """
     xp, parts = sources(masses, axis)
-    return stack_last(
-        xp, fuse_by_evidence(xp, masses[0], parts, confident_mean_of_evidence, dogmatic_weights), masses[0]
-    )
+    fused = fuse_by_evidence(xp, masses[0], parts, confident_mean_of_evidence, dogmatic_weights)
+    return stack_last(xp, fused, masses[0])
 
 
 @takes_masses(rate=confidence_base_rate)
@@ -223,10 +220,8 @@ def mean_of_evidence(parts: Sequence[Any]) -> list[Any]:
 def confident_mean_of_evidence(parts: Sequence[Any]) -> list[Any]:
     """Return the beliefs of the mean evidence of sources, weighted by their confidence 1 - u."""
     confidence = [sum(part[:-1]) for part in parts]
-    columns = zip(
-        *([c * b / part[-1] for b in part[:-1]] for c, part in zip(confidence, parts, strict=True)), strict=True
-    )
-    evidence = [sum(column) for column in columns]
+    scaled = ([c * b / part[-1] for b in part[:-1]] for c, part in zip(confidence, parts, strict=True))
+    evidence = [sum(column) for column in zip(*scaled, strict=True)]
     total = sum(confidence) + sum(evidence)
     total = total + (total == 0)
     return [number / total for number in evidence]

@@ -51,7 +51,7 @@ def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPo
 def local_ground(
     xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint, max_slope: float = MAX_SLOPE
 ) -> NDArray[np.float32]:
-    """Estimate the ground as the highest surface below the points with limited slope.
+    """Estimate the ground as the highest surface below the points within the slope limit.
 
     1. Take the lowest return of each cell. Drop stray returns, which lie too far below the ground around them.
     2. Take the lower envelope of these heights and of the ground point under the slope limit (a cone grown from every

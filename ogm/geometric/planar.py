@@ -68,7 +68,7 @@ class PlanarISM:
         Full width of a beam [rad]; by default `Scan.beam_width`, or 0 if that is None. An end wider than a cell shares
         its mass of occupied over its arc.
     floor_margin : float
-        Height above ground [m], limited to half the sensor height. A lower beam may have met the floor, and neither
+        Height above ground [m], at most half the sensor height. A lower beam may have met the floor, and neither
         clears nor marks.
     clearance : float
         Height above ground [m] from which a rising beam neither clears nor marks.

@@ -97,8 +97,8 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     for function in OF_TWO.values():
         refused(r"broadcast, got \(3, 2\) and \(4, 2\)", function, np.zeros((3, 2)), np.zeros((4, 2)))
         refused("the same dtype, got float64 and float32", function, GOOD, GOOD.astype(np.float32), error=TypeError)
-        refused("one library, got numpy and torch", function, GOOD, tensor, error=TypeError)
-        refused("one library, got torch and numpy", function, tensor, GOOD, error=TypeError)
+        refused("the same library, got numpy and torch", function, GOOD, tensor, error=TypeError)
+        refused("the same library, got torch and numpy", function, tensor, GOOD, error=TypeError)
 
 
 def test_a_rule_needs_two_masses_or_an_axis() -> None:
@@ -166,7 +166,7 @@ def test_numbers_of_the_wrong_library_are_refused() -> None:
 def test_powerset_refuses_what_is_no_mass_function() -> None:
     good, p = powerset.from_pair(GOOD), powerset
     refused("the same dtype", p.conjunctive, good, good.astype(np.float32), error=TypeError)
-    refused("one library", p.conjunctive, good, torch.from_numpy(good), error=TypeError)
+    refused("the same library", p.conjunctive, good, torch.from_numpy(good), error=TypeError)
     refused(r"2\^K numbers", p.conjunctive, np.zeros(3), np.zeros(3))
     refused("at most 6 states are supported, got 7", p.conjunctive, np.zeros(128), np.zeros(128))
     refused("one frame, got 4 and 8", p.conjunctive, good, np.eye(8)[7])
