@@ -105,8 +105,7 @@ def calibrate(
     about = {"name": "frames", "format": "frames in Python", "description": ""}
     data = {key: getattr(dataset, key, default) for key, default in about.items()}
     data |= {key: value for key, value in getattr(dataset, "facts", {}).items() if key in ("split", "plan")}
-    data |= {"frames": len(likelihood.frames), "drives": len(likelihood.drives)}
-    data |= {"base_rate": likelihood.base_rate}
+    data |= {"frames": len(likelihood.frames), "drives": len(likelihood.drives), "base_rate": likelihood.base_rate}
     return Calibration(model.model, fitted, first, errors, before, after, data, search.evaluations, finished)
 
 
