@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.geometric.inputs import in_footprint
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan
 
@@ -193,11 +194,10 @@ def radial_velocities(
         return None if scan.rcs is None else RadialVelocities.empty()
     T = mount.T_vehicle_points
     place = (rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:])[:2].T
-    x0, x1, y0, y1 = mount.ego_footprint
-    (x, y), from_sensor = place.T, place - mount.origin[:2]
+    from_sensor = place - mount.origin[:2]
     distance = np.hypot(*from_sensor.T)
     usable = np.isfinite(scan.points[:, :3]).all(axis=1) & np.isfinite(scan.doppler) & (distance > 1e-3)
-    usable &= ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
+    usable &= ~in_footprint(mount, *place.T)
     place, from_sensor, distance = place[usable], from_sensor[usable], distance[usable]
     found = _over_ground(from_sensor, scan.doppler[usable], doppler_noise, azimuth_noise, scan.doppler_interval)
     speed, deviation = found or (np.zeros(len(place)), np.ones(len(place)))

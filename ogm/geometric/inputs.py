@@ -43,6 +43,12 @@ def check_within(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {value}")
 
 
+def in_footprint(mount: Mount, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return a mask of the points inside the ego footprint; x and y [m] are in the vehicle frame."""
+    x0, x1, y0, y1 = mount.ego_footprint
+    return (x > x0) & (x < x1) & (y > y0) & (y < y1)
+
+
 def usable_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return a mask (N,) of the points that are finite and within 1000 km; log the number of others."""
     usable = np.asarray((np.abs(points[:, :3]) < REACH).all(axis=1))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.geometric.causes import SECTOR, SectorTrace
 from ogm.geometric.doppler import DirectionSectors, direction_sectors, moving_detections, nearest_in_direction
-from ogm.geometric.inputs import REACH, check_sensor_in_grid, check_within, mount_in_grid, usable_points
+from ogm.geometric.inputs import REACH, check_sensor_in_grid, check_within, in_footprint, mount_in_grid, usable_points
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
 from ogm.geometric.ray import polar_grid
 from ogm.grid import EvidentialGrid, GridSpec
@@ -147,13 +147,10 @@ class RadarISM:
         mount = mount_in_grid(scan, self.spec, self.mount)
         scan = scan.select(usable_points(scan.points))
         T = mount.T_vehicle_points
-        vehicle = rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:]
-        x, y, z = vehicle
-        x0, x1, y0, y1 = mount.ego_footprint
-        outside = ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
+        x, y, z = rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:]
         dx, dy = x - mount.origin[0], y - mount.origin[1]
         distance, bearing = np.hypot(dx, dy), np.arctan2(dy, dx)
-        outside &= distance > 1e-3
+        outside = ~in_footprint(mount, x, y) & (distance > 1e-3)
 
         # First detection in each direction
         layout = _layout(self.spec, mount, self.half_width, self.beam)
@@ -204,8 +201,7 @@ def _layout(spec: GridSpec, mount: Mount, half_width: float, beam: float) -> _La
     bearing = np.arctan2(y - mount.origin[1], x - mount.origin[0])
     off = np.abs(np.angle(np.exp(1j * (bearing - _ahead(mount)))))
     sector = sectors.of(bearing).astype(np.int32)
-    x0, x1, y0, y1 = mount.ego_footprint
-    ego = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+    ego = in_footprint(mount, x, y)
     sector[(off > half_width) | ego] = -1
     distance = np.hypot(x - mount.origin[0], y - mount.origin[1]).astype(np.float32)
     metres = int(min(distance.max(), REACH)) + 1
