@@ -51,7 +51,7 @@ def test_whole_numbers_grids_and_open_triples_are_masses() -> None:
 
 def test_what_is_no_mass_is_refused() -> None:
     refused("a must be masses: an array, a tensor, a list", evidence.dempster, "free", [0, 1], error=TypeError)
-    refused("b must be masses.*of one shape", evidence.dempster, [0, 1], [[0, 1], [0]], error=TypeError)
+    refused("b must be masses.*of the same shape", evidence.dempster, [0, 1], [[0, 1], [0]], error=TypeError)
     refused(r"2 states.*got shape \(4,\)", evidence.dempster, [0.1, 0.2, 0.3, 0.4], [0, 1])
     refused("c must be non-negative", evidence.dempster, [0, 1], [0, 1], [0.9, 0.9])
     refused("the same dtype", evidence.dempster, np.zeros(2), [0, 1], np.zeros(2, np.float32), error=TypeError)
