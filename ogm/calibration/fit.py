@@ -70,7 +70,7 @@ def calibrate(
     reading : function
         Wrapper of the iterable of frame numbers during reading, for example a progress bar.
     progress : function
-        Function called after each evaluation with the number of evaluations and the least NLL.
+        Callback after each evaluation, with the number of evaluations and the least NLL.
 
     Raises
     ------
