@@ -117,8 +117,8 @@ def cumulative_unfusion(fused: Array, part: Array) -> Array:
     (f, o, u), (g, p, v) = split_two(fused, part, ("fused", "part"))
     free, occupied = f * v - g * u, o * v - p * u
     if xp is np:
-        lesser, must = np.minimum(free, occupied), "not be negative; part must not have more evidence than fused"
-        refuse(lesser < -tolerance_of(fused), lesser, "the difference", must)
+        lesser, must = np.minimum(free, occupied), "not be negative (part must not have more evidence than fused)"
+        refuse(lesser < -tolerance_of(fused), lesser, "fused - part", must)
     dogmatic = (u <= rounding(fused)) & (v <= rounding(fused))
     free, occupied = (xp.where(dogmatic, 0.0, belief.clip(0)) for belief in (free, occupied))
     total = free + occupied + u * v
