@@ -59,8 +59,8 @@ def test_map_writes_the_grid_and_its_picture(scan: Path, tmp_path: Path, model: 
 
 
 UNKNOWN = {  # change of the points, and what is told
-    (1000, (0, 0, 0)): "in millimetres? Divide them by 1000",
-    (1, (1500, -800, 115)): "in map coordinates, around (1500, -800, 115) m? Give --sensor-position, or points",
+    (1000, (0, 0, 0)): "probably millimetres: divide them by 1000",
+    (1, (1500, -800, 115)): "probably map coordinates, around (1500, -800, 115) m: give --sensor-position, or points",
     (1, (0, 0, 15)): "the ground is expected at z 0.00 m: check --sensor-height and --axes",
     (3, (0, 0, 0)): "",
 }

@@ -1,4 +1,4 @@
-"""Parameters of geometric sensor models, fitted to labelled frames.
+"""Fit of the parameters of geometric sensor models to labelled frames.
 
 >>> from ogm import open_dataset
 >>> from ogm.calibration import calibrate

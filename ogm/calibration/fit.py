@@ -1,11 +1,11 @@
-"""Parameters of a geometric sensor model from labelled frames, by maximum likelihood.
+"""Maximum likelihood fit of the parameters of a geometric sensor model to labelled frames.
 
 >>> from ogm.datasets import open_dataset
 >>> from ogm.calibration import calibrate
 >>> fitted = calibrate(open_dataset("data/", split="train"), "ray")                                # doctest: +SKIP
 >>> fitted.save("ray.json")                                                                        # doctest: +SKIP
 
-``"ray.json"`` is a model's name from now on: ``evaluate({"mine": "ray.json"}, ...)``.
+The file is a model name, as in ``evaluate({"mine": "ray.json"}, ...)``.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,12 +17,12 @@ from ogm.grid import GridSpec
 from ogm.models.fitted import Calibration, default_parameters
 from ogm.scan import Frame
 
-FITTED = {  # by default
+FITTED = {  # default parameters to fit, by model
     "ray": (*("p_miss", "p_false_alarm", "free_reliability_at_hits", "no_return_weight", "obstacle_height"),),
     "height-band": ("z_min", "z_max", "evidence"),
     "planar": ("range_noise", "p_miss", "p_false_alarm", "no_return_weight"),
 }
-BOUNDS = {  # that a parameter is searched in
+BOUNDS = {  # default search bounds of the parameters
     **{"p_miss": (0.01, 0.999), "p_false_alarm": (1e-4, 0.8), "max_mass": (0.5, 0.9999)},
     **{"free_reliability_at_hits": (0.0, 1.0), "no_return_weight": (0.0, 1.0)},
     **{"obstacle_height": (0.03, 0.5), "clearance": (1.0, 3.0), "below_ground": (0.05, 2.0), "range_noise": (0.0, 0.2)},
@@ -47,35 +47,35 @@ def calibrate(
 ) -> Calibration:
     """Fit the parameters of a geometric model to labelled frames (Thrun, Burgard, Fox 2005, Sec. 9.3).
 
-    Minimises the mean over drives of `Likelihood`, the log loss on known cells, by Powell's method within bounds.
-    Nothing is drawn at random. An interrupt (Ctrl-C) ends the search: the best parameters so far are returned.
+    Minimises the mean over drives of `Likelihood`, the log loss on known cells, by Powell's method within bounds. The
+    search is deterministic. An interrupt (Ctrl-C) ends it, and the best parameters so far are returned.
 
     Parameters
     ----------
     dataset : sequence of Frame
-        Frames with truth, as `ogm.datasets.open_dataset` returns them.
+        Frames with truth, for example from `ogm.datasets.open_dataset`.
     model : str or Calibration
-        "ray", "height-band" or "planar", or a calibration or its path, to start from.
+        "ray", "height-band" or "planar", or a calibration or its path to start from.
     spec : GridSpec, optional
-        The cells; by default the 81.92 m x 56.32 m of the paper.
+        Cells; by default the 81.92 m x 56.32 m of the paper.
     fit : dict of str to (low, high), optional
-        The fitted parameters with their bounds; by default those of `FITTED`, within `BOUNDS`. One without effect on
-        these frames keeps its value.
+        Parameters to fit with their bounds; by default `FITTED` within `BOUNDS`. Parameters without effect on these
+        frames keep their values.
     base_rate : float, optional
-        P(occupied) of a cell of which nothing is known; by default the share of the known cells that are occupied:
-        masses then hold what the rays tell beyond it. With 1/2, the metric ``nll`` is minimised: as few cells are
-        occupied, the fit makes up for it by more belief in free.
+        P(occupied) of an unknown cell, in (0, 1); by default the share of occupied cells among the known cells, so that
+        masses hold the information of the rays beyond it. With 1/2, the metric ``nll`` is minimised; since few cells
+        are occupied, the fit then compensates by more belief in free.
     threads : int
-        Frames that are mapped at the same time. The result does not depend on it.
+        Number of frames mapped in parallel. The result does not depend on it.
     reading : function
-        Iterates over the numbers of the frames while they are read, and may draw a progress bar.
+        Wrapper of the iterable of frame numbers during reading, for example a progress bar.
     progress : function
-        Called after each evaluation with their number and the least NLL.
+        Callback after each evaluation, with the number of evaluations and the least NLL.
 
     Raises
     ------
     ValueError
-        If there are no labelled frames, there is no such model or parameter, or bounds do not hold the start.
+        If there are no labelled frames, a model or parameter is unknown, or bounds do not contain the start value.
     """
     if isinstance(model, str):
         model = Calibration.load(model) if model.endswith(".json") else Calibration(model, {})
@@ -89,7 +89,7 @@ def calibrate(
     errors: dict[str, float | None] = dict.fromkeys(chosen)
     finished = False
     try:
-        search.keep_those_without_effect()
+        search.drop_parameters_without_effect()
         search.minimise()
         errors |= search.newton_step()
         finished = True
@@ -105,16 +105,15 @@ def calibrate(
     about = {"name": "frames", "format": "frames in Python", "description": ""}
     data = {key: getattr(dataset, key, default) for key, default in about.items()}
     data |= {key: value for key, value in getattr(dataset, "facts", {}).items() if key in ("split", "plan")}
-    data |= {"frames": len(likelihood.frames), "drives": len(likelihood.drives)}
-    data |= {"base_rate": likelihood.base_rate}
+    data |= {"frames": len(likelihood.frames), "drives": len(likelihood.drives), "base_rate": likelihood.base_rate}
     return Calibration(model.model, fitted, first, errors, before, after, data, search.evaluations, finished)
 
 
 def _check_fit(model: str, chosen: Mapping[str, tuple[float, float]], start: Mapping[str, float]) -> None:
     if not chosen:
-        raise ValueError(f"there is nothing to fit: give parameters of {model}, such as {', '.join(FITTED[model])}")
+        raise ValueError(f"fit must not be empty: give parameters of {model}, such as {', '.join(FITTED[model])}")
     for name, (low, high) in chosen.items():
         if name not in start:
             raise ValueError(f"{model} has no parameter {name!r}; it has {', '.join(start)}")
         if not (-inf < low < high < inf and low <= start[name] <= high):
-            raise ValueError(f"{name} starts at {start[name]:g}; its bounds must hold that, got {low:g} ... {high:g}")
+            raise ValueError(f"bounds of {name} must contain its start value {start[name]:g}, got {low:g} to {high:g}")

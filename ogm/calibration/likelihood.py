@@ -1,4 +1,4 @@
-"""The likelihood of the truth of labelled frames as a function of a geometric model's parameters."""
+"""Likelihood of the true states in labelled frames, as a function of the parameters of a geometric model."""
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +15,7 @@ from ogm.state import CellState
 
 
 class LabelledScan(NamedTuple):
-    """A frame as the likelihood needs it."""
+    """Scan, mount and true states of a frame."""
 
     scan: Scan
     mount: Mount
@@ -25,34 +25,34 @@ class LabelledScan(NamedTuple):
 
 
 class Likelihood:
-    """Negative log likelihood of the true states of known cells, as a function of a model's parameters.
+    """Negative log likelihood of the true states of known cells, as a function of model parameters.
 
-    P(occupied) = occupied + base_rate * unknown. With a base rate of 1/2 it is the metric ``nll`` of `ogm.metrics` of
-    each frame, averaged over the frames of each drive.
+    P(occupied) = occupied + base_rate * unknown. With a base rate of 1/2 it is the metric ``nll`` of `ogm.metrics`,
+    averaged over the frames of each drive.
 
     Parameters
     ----------
     model : {"ray", "height-band", "planar"}
     dataset : iterable of Frame
-        Frames with truth; those without a known cell are left out. Kept in memory, about 2 MB each.
+        Frames with truth. Frames without a known cell are left out. The others stay in memory, about 2 MB each.
     spec : GridSpec, optional
-        The cells; by default the 81.92 m x 56.32 m of the paper.
+        Cells; by default the 81.92 m x 56.32 m of the paper.
     base_rate : float, optional
-        P(occupied) of a cell of which nothing is known, in (0, 1); None for the share of known cells that are occupied.
+        P(occupied) of an unknown cell, in (0, 1); None for the share of occupied cells among the known cells.
     threads : int
-        Frames that are mapped at the same time. The result does not depend on it.
+        Number of frames mapped in parallel. The result does not depend on it.
 
     Attributes
     ----------
     base_rate : float
     frames : list of LabelledScan
     drives : dict of str to int
-        Numbers of the drives by their names. A frame that stands alone is a drive of its own.
+        Numbers of the drives by name. A frame without a sequence is a drive.
 
     Raises
     ------
     ValueError
-        If a frame has no truth, no frame has a known cell, a number is out of its range, or there is no such model.
+        If a frame has no truth, no frame has a known cell, a number is out of its range, or the model is unknown.
     """
 
     def __init__(
@@ -72,55 +72,57 @@ class Likelihood:
         self.drives: dict[str, int] = {}
         for frame in dataset:
             if frame.truth is None:
-                raise ValueError(f"frame {frame.name} has no truth to compare with; give labelled data")
+                raise ValueError(f"frame {frame.name} has no truth; give labelled frames")
             state = frame.truth.crop(self._spec).state
             known = (state == CellState.FREE) | (state == CellState.OCCUPIED)
             if known.any():
                 drive = self.drives.setdefault(frame.sequence or frame.name, len(self.drives))
                 self.frames.append(LabelledScan(frame.scan, frame.mount, state, known, drive))
         if not self.frames:
-            raise ValueError("no frame has a cell that is known to be free or occupied")
+            raise ValueError("no frame has a cell with a true state of free or occupied; give other labelled frames")
         if base_rate is None:
-            shares = [float((one.state[one.known] == CellState.OCCUPIED).mean()) for one in self.frames]
+            shares = [float((frame.state[frame.known] == CellState.OCCUPIED).mean()) for frame in self.frames]
             base_rate = float(self._by_drive(shares).mean())
         if not 0 < base_rate < 1:
-            raise ValueError(f"base_rate must lie between 0 and 1, got {base_rate}; give one if all cells are alike")
+            raise ValueError(
+                f"base_rate must lie between 0 and 1, got {base_rate}; give a value if all states are the same"
+            )
         self.base_rate = base_rate
 
     def __call__(self, parameters: Mapping[str, float]) -> NDArray[np.float64]:
-        """Return the mean of every drive [nats], (drives,); the model may refuse parameters (ValueError)."""
+        """Return the mean NLL of each drive [nats], (drives,); ValueError for parameters out of range."""
 
-        def nll(one: LabelledScan) -> float:
-            # The metric of a grid of one row, the known cells, whose masses are P(free) and P(occupied)
-            free, occupied = self._mass(one, parameters)[one.known].astype(np.float64).T
+        def nll(frame: LabelledScan) -> float:
+            # The metric of a grid with the known cells in a row and the masses P(free) and P(occupied)
+            free, occupied = self._mass(frame, parameters)[frame.known].astype(np.float64).T
             p = occupied + self.base_rate * (1 - free - occupied)
-            return score(accumulate(np.stack([1 - p, p], axis=-1)[None], one.state[one.known][None]))["nll"]
+            return score(accumulate(np.stack([1 - p, p], axis=-1)[None], frame.state[frame.known][None]))["nll"]
 
         return self._by_drive(self._of_frames(nll))
 
     def scores(self, parameters: Mapping[str, float]) -> dict[str, float]:
-        """Return the metrics of `ogm.metrics` that have a value: means over the frames of a drive, then over drives."""
+        """Return the defined metrics of `ogm.metrics`: means over the frames of a drive, then over drives."""
 
-        def scores(one: LabelledScan) -> dict[str, float]:
-            return score(accumulate(self._mass(one, parameters), one.state))
+        def scores(frame: LabelledScan) -> dict[str, float]:
+            return score(accumulate(self._mass(frame, parameters), frame.state))
 
         rows = self._of_frames(scores)
         means = {name: self._by_drive([row[name] for row in rows]) for name in rows[0]}
         return {name: float(values.mean()) for name, values in means.items() if len(values)}
 
-    def _mass(self, one: LabelledScan, parameters: Mapping[str, float]) -> NDArray[np.float32]:
-        mass: NDArray[np.float32] = self._class(self._spec, one.mount, **parameters)(one.scan).mass
+    def _mass(self, frame: LabelledScan, parameters: Mapping[str, float]) -> NDArray[np.float32]:
+        mass: NDArray[np.float32] = self._class(self._spec, frame.mount, **parameters)(frame.scan).mass
         return mass
 
     def _of_frames(self, function: Any) -> list[Any]:
         if self._threads == 1:
-            return [function(one) for one in self.frames]
+            return [function(frame) for frame in self.frames]
         with ThreadPoolExecutor(self._threads) as pool:
             return list(pool.map(function, self.frames))
 
     def _by_drive(self, values: list[float]) -> NDArray[np.float64]:
-        """Return the mean of the frames of every drive; frames and drives without a value are left out."""
+        """Return the mean over the frames of each drive; frames and drives without a value are left out."""
         kept = np.isfinite(values)
-        drive = np.array([one.drive for one in self.frames])[kept]
+        drive = np.array([frame.drive for frame in self.frames])[kept]
         counts = np.bincount(drive)
         return np.bincount(drive, np.array(values)[kept])[counts > 0] / counts[counts > 0]

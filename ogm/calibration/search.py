@@ -1,4 +1,4 @@
-"""The search for the parameters of greatest likelihood, and their standard errors."""
+"""Search for the parameters of greatest likelihood, and their standard errors."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ from ogm.calibration.likelihood import Likelihood
 from ogm.evaluation.statistics import MIN_DRIVES
 from ogm.extras import import_extra
 
-LOGIT = ("p_miss", "p_false_alarm", "max_mass")  # searched by their log odds
-DIGITS = 6  # of a fitted parameter
-XTOL, FTOL = 5e-3, 1e-5  # where the search ends: in shares of the bounds' range, and of the NLL
-STEP = 0.01  # of the differences behind standard errors, as a share of the bounds' range
-IMPOSSIBLE = 1e3  # [nats] where a model refuses its parameters
+LOGIT = ("p_miss", "p_false_alarm", "max_mass")  # searched by log odds
+DIGITS = 6  # significant digits of a fitted parameter
+XTOL, FTOL = 5e-3, 1e-5  # tolerances of the search, as shares of the range of the bounds and of the NLL
+STEP = 0.01  # step of the finite differences for standard errors, as a share of the range of the bounds
+INVALID_NLL = 1e3  # [nats] NLL of parameters that a model does not accept
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A fitted parameter, and its coordinate from 0 to 1 between its bounds."""
+    """Fitted parameter with a coordinate from 0 to 1 between its bounds."""
 
     name: str
     low: float
@@ -32,7 +32,7 @@ class Axis:
         return (at - low) / (high - low)
 
     def value(self, coordinate: float) -> float:
-        """Return the value at a coordinate, with six digits."""
+        """Return the value at a coordinate, rounded to `DIGITS`."""
         low, high = map(self._scaled, (self.low, self.high))
         at = low + min(max(coordinate, 0.0), 1.0) * (high - low)
         value = 1 / (1 + exp(-at)) if self._logit else at
@@ -47,7 +47,7 @@ class Axis:
 
 
 class LikelihoodSearch:
-    """The search for the least NLL: how often it was evaluated, and the best coordinates so far."""
+    """Search for the least NLL, with the number of evaluations and the best coordinates so far."""
 
     best: NDArray[np.float64]
     evaluations: int
@@ -65,25 +65,25 @@ class LikelihoodSearch:
         self.evaluations, self._least = 0, inf
 
     def parameters(self, x: NDArray[np.float64]) -> dict[str, float]:
-        """Return all parameters of the model at some coordinates."""
+        """Return all parameters of the model at the given coordinates."""
         return {**self._start, **{axis.name: axis.value(at) for axis, at in zip(self._axes, x, strict=True)}}
 
     def of_drives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the NLL of every drive, and remember the best."""
+        """Return the NLL of each drive, and store the best coordinates."""
         try:
             values = self._likelihood(self.parameters(x))
-        except ValueError:  # such parameters do not go together
+        except ValueError:  # an invalid combination of parameters
             if not self.evaluations:
                 raise
-            values = np.full(len(self._likelihood.drives), IMPOSSIBLE)
+            values = np.full(len(self._likelihood.drives), INVALID_NLL)
         self.evaluations += 1
         if values.mean() < self._least:
             self._least, self.best = float(values.mean()), np.array(x)
         self._progress(self.evaluations, self._least)
         return values
 
-    def keep_those_without_effect(self) -> None:
-        """Take parameters out of the search that change nothing on these frames, even at their bounds."""
+    def drop_parameters_without_effect(self) -> None:
+        """Remove parameters from the search that do not change the NLL, even at their bounds."""
         start = self.best.copy()
         now = self.of_drives(start)
 
@@ -93,11 +93,12 @@ class LikelihoodSearch:
 
         kept = [k for k in range(len(start)) if matters(k)]
         if not kept:
-            raise ValueError(f"{', '.join(axis.name for axis in self._axes)} change nothing on these frames")
+            names = ", ".join(axis.name for axis in self._axes)
+            raise ValueError(f"{names} have no effect on these frames; give other parameters to fit")
         self._axes, self.best = [self._axes[k] for k in kept], self.best[kept]
 
     def minimise(self) -> None:
-        """Search for the least mean over drives."""
+        """Minimise the mean over drives."""
         minimize = import_extra("scipy.optimize", "evaluate").minimize
 
         minimize(
@@ -109,10 +110,10 @@ class LikelihoodSearch:
         )
 
     def newton_step(self) -> dict[str, float]:
-        """Take a Newton step from the best parameters, and return the standard errors of those within their bounds.
+        """Take a Newton step from the best parameters; return the standard errors of parameters inside their bounds.
 
-        The sandwich H^-1 C H^-1 / n: H is the Hessian of the mean NLL, C the covariance over the n drives of their
-        gradients. Drives are taken for independent; cells and frames of one drive are not.
+        The sandwich estimate H^-1 C H^-1 / n, with the Hessian H of the mean NLL and the covariance C of the gradients
+        of the n drives. It assumes independent drives, but not independent cells or frames of a drive.
         """
         x, drives = self.best.copy(), len(self._likelihood.drives)
         inner = [k for k in range(len(x)) if STEP <= x[k] <= 1 - STEP]
@@ -138,4 +139,4 @@ class LikelihoodSearch:
             (axis.value(at + STEP) - axis.value(at - STEP)) / (2 * STEP)
             for axis, at in zip(axes, x[inner], strict=True)
         ]
-        return {axis.name: float(slope * one) for axis, slope, one in zip(axes, slopes, errors, strict=True)}
+        return {axis.name: float(slope * error) for axis, slope, error in zip(axes, slopes, errors, strict=True)}

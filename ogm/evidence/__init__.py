@@ -1,10 +1,10 @@
 """Evidence algebra on arrays: Dempster-Shafer rules and subjective logic for occupancy grids.
 
-Masses are arrays of pairs ``(free, occupied)`` with any leading shape, in numpy or torch, float32 or float64;
-the rest is unknown. Lists, triples (free, occupied, unknown) and `Opinion` are masses too. Results have the kind, the
-library and the dtype of the masses, and torch gradients flow.
+Masses are arrays of pairs ``(free, occupied)`` with any leading shape, in numpy or torch, float32 or float64; the rest
+is unknown. Lists, triples (free, occupied, unknown) and `Opinion` are masses too. Results have the kind, library and
+dtype of the masses. Torch gradients are supported.
 
-See `docs/evidence.md` for every rule with its formula, properties and edge policy.
+See `docs/evidence.md` for the formula, properties and edge cases of every rule.
 
 >>> import numpy as np
 >>> from ogm import evidence

@@ -1,30 +1,30 @@
-"""Input checks, and the functions that let one source serve numpy and torch.
+"""Input checks, and helpers by which the same code serves numpy and torch.
 
-The two modules agree on the few functions the algebra needs (``where``, ``stack``, ``sqrt``, ``log``, ...).
-Torch is never imported: a tensor can only exist once its library is in ``sys.modules``.
+The two libraries agree on the few functions that the algebra needs (``where``, ``stack``, ``sqrt``, ``log``, ...).
+Torch is never imported: a tensor can exist only if torch is in ``sys.modules``.
 
-Two kinds of checks. *Form* (library, dtype, last axis, shapes) is checked on every call: it costs nothing.
-*Values* (the simplex, NaN) are checked on every call for numpy arrays, where a minimum is cheap, and never
-for tensors, where reading a value would stall the GPU and stop tracing: use `check_mass` where tensors enter.
+Two kinds of checks: *Form* (library, dtype, last axis, shapes) is checked on every call. *Values* (the simplex, NaN)
+are checked on every call for numpy arrays, and never for tensors, because reading a value would stall the GPU and stop
+tracing: use `check_mass` where tensors enter.
 """
 
 import sys
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import add
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-Array = TypeVar("Array")  # a numpy array or a torch tensor: what goes in comes out
+Array = TypeVar("Array")  # a numpy array or a torch tensor; results have the same type
 
 _STATES = {2: "2 states (free, occupied)", 3: "3 numbers (free, occupied, unknown)"}
-_AT_ONCE = 2**20  # numbers that are checked at once: the whole would take twice the memory of the masses
-_TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a mass outside the simplex
+_BLOCK_SIZE = 2**20  # numbers checked at a time; the whole array would take twice the memory of the masses
+_TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # greatest distance of a mass from the simplex by rounding
 
 
 def namespace(array: Any, name: str = "mass") -> Any:
-    """Return the module, numpy or torch, that `array` belongs to; refuse everything else."""
+    """Return the library of an array, numpy or torch; raise TypeError for other types."""
     refuse_masked(array, name)
     if isinstance(array, np.ndarray | np.generic):
         return np
@@ -32,28 +32,28 @@ def namespace(array: Any, name: str = "mass") -> Any:
     if torch is not None and isinstance(array, torch.Tensor):
         return torch
     raise TypeError(
-        f"{name} must be a numpy array or a torch tensor, got {type(array).__name__}; wrap it: np.asarray({name})"
+        f"{name} must be a numpy array or a torch tensor, got {type(array).__name__}; convert it: np.asarray({name})"
     )
 
 
 def refuse_masked(array: Any, name: str) -> None:
-    """Raise TypeError for a masked array: its mask would be dropped, and what it hides used."""
+    """Raise TypeError for a masked array: its mask would be dropped, and the masked values used."""
     if isinstance(array, np.ma.MaskedArray):
-        raise TypeError(f"{name} must not be a masked array, as masks are ignored here; fill it: {name}.filled(0)")
+        raise TypeError(f"{name} must not be a masked array, because masks are ignored; fill it: {name}.filled(0)")
 
 
 def dtype_name(array: Any) -> str:
-    """Return ``"float32"`` for either library's float32, and so on."""
+    """Return the name of the dtype, such as ``"float32"`` for numpy and torch."""
     return str(array.dtype).removeprefix("torch.")
 
 
 def tolerance_of(mass: Any) -> float:
-    """Return how far a mass of this dtype may lie outside the simplex: 1e-6 (float32), 1e-12 (float64)."""
+    """Return the tolerance at the edges of the simplex for the dtype: 1e-6 (float32), 1e-12 (float64)."""
     return _TOLERANCE[dtype_name(mass)]
 
 
 def check_float(array: Any, name: str) -> Any:
-    """Refuse a wrong library or dtype; return the library's module."""
+    """Check library and dtype; return the library."""
     xp = namespace(array, name)
     if dtype_name(array) not in _TOLERANCE:
         raise TypeError(
@@ -64,7 +64,7 @@ def check_float(array: Any, name: str) -> Any:
 
 
 def check_form(array: Any, name: str = "mass", states: tuple[int, ...] = (2,)) -> Any:
-    """Refuse a wrong library, dtype or last axis; return the library's module."""
+    """Check library, dtype and last axis; return the library."""
     xp = check_float(array, name)
     if array.ndim == 0 or array.shape[-1] not in states:
         wanted = " or ".join(_STATES[number] for number in states)
@@ -77,24 +77,19 @@ def first_index(condition: Any) -> list[int]:
     return [int(i) for i in np.unravel_index(condition.ravel().tolist().index(True), tuple(condition.shape))]
 
 
-def worst_index(badness: Any) -> tuple[int, ...]:
-    """Return the index of the greatest element, or of the first NaN."""
-    return tuple(int(i) for i in np.unravel_index(int(badness.argmax()), tuple(badness.shape)))
-
-
 def refuse(bad: Any, values: Any, name: str, must: str) -> None:
-    """Raise if numbers of an array are bad; name the first."""
+    """Raise ValueError with the first bad number of an array, if any."""
     if bad.any():
         index = first_index(bad)
         raise ValueError(f"{name} must {must}, but {name}{index} is {values[tuple(index)]}")
 
 
 def refuse_worst(outside: Any, tolerance: float, values: Any, name: str, must: str, remedy: str = "") -> None:
-    """Raise if a cell lies outside the simplex by more than the tolerance, or is NaN; name the worst."""
+    """Raise ValueError with the worst cell, if any is outside by more than the tolerance or NaN."""
     inside = outside <= tolerance
     if bool(inside.all()):
         return
-    index = worst_index(outside)
+    index = tuple(map(int, np.unravel_index(int(outside.argmax()), tuple(outside.shape))))  # or of the first NaN
     raise ValueError(
         f"{name} must {must} (tolerance {tolerance:g}); the worst of the {int((~inside).sum())} cells that are not, "
         f"{name}[{', '.join(map(str, (*index, ':')))}], is {values[index].tolist()}{remedy}"
@@ -102,19 +97,16 @@ def refuse_worst(outside: Any, tolerance: float, values: Any, name: str, must: s
 
 
 def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
-    """Refuse two arrays of different library, dtype or device, or of shapes that do not broadcast."""
+    """Raise an error if two arrays differ in library, dtype or device, or their shapes do not broadcast."""
     first, second = names
-    if namespace(a, first) is not namespace(b, second):
-        raise TypeError(
-            f"{first} and {second} must come from one library, got {namespace(a).__name__} and "
-            f"{namespace(b).__name__}; convert one: torch.from_numpy(x) or x.numpy()"
-        )
-    if a.dtype != b.dtype:
-        raise TypeError(
-            f"{first} and {second} must have one dtype, got {dtype_name(a)} and {dtype_name(b)}; cast one of them"
-        )
-    if namespace(a) is not np and a.device != b.device:
-        raise TypeError(f"{first} and {second} must be on one device, got {a.device} and {b.device}; move one of them")
+    properties: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
+        ("be from the same library", lambda x: namespace(x).__name__, "convert one: torch.from_numpy(x) or x.numpy()"),
+        ("have the same dtype", dtype_name, "cast one of them"),
+        ("be on the same device", lambda x: getattr(x, "device", None), "move one of them"),
+    )
+    for must, value, remedy in properties:
+        if value(a) != value(b):
+            raise TypeError(f"{first} and {second} must {must}, got {value(a)} and {value(b)}; {remedy}")
     try:
         np.broadcast_shapes(tuple(a.shape[:-1]), tuple(b.shape[:-1]))
     except ValueError:
@@ -124,14 +116,14 @@ def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
 
 
 def rounding(mass: Any) -> float:
-    """Return the unknown that counts as none, as rounding leaves it: 4.8e-7 (float32) or 8.9e-16 (float64)."""
+    """Return the greatest unknown that counts as rounding of 0: 4.8e-7 (float32) or 8.9e-16 (float64)."""
     return float(4 * np.finfo(dtype_name(mass)).eps)
 
 
 def as_like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1.0) -> Any:
-    """Bring a number, or an array of one number per cell, to the library and dtype of `cells`.
+    """Convert a number, or an array of numbers per cell, to the library and dtype of `cells`.
 
-    Numbers and numpy arrays are checked to lie in [low, high], arrays to broadcast with `cells`.
+    Numbers and numpy arrays must lie in [low, high], and arrays must broadcast with `cells`.
     """
     xp = namespace(cells)
     if isinstance(value, int | float | np.generic):
@@ -154,23 +146,23 @@ def as_like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1
 
 
 def maybe_any(xp: Any, condition: Any) -> bool:
-    """Return whether a rare case may occur, so that numpy can skip it. True for tensors, which are not read."""
+    """Return whether a rare case may occur, so that numpy can skip it; always True for tensors, which are not read."""
     return xp is not np or bool(condition.any())
 
 
 def split(mass: Any, name: str = "mass") -> tuple[Any, Any, Any]:
     """Check a pair and return its (free, occupied, unknown), each of the leading shape.
 
-    The derived unknown is 1 - free - occupied. A number below zero, within the tolerance, is read as zero, and
-    in numpy a pair whose sum exceeds one by more than rounding is divided by the sum, as rules that divide small
-    numbers would amplify the error. The caller's array is not changed.
+    Unknown is 1 - free - occupied. Negative numbers within the tolerance are read as zero. In numpy, a pair is divided
+    by its sum if the sum exceeds 1 by more than rounding, because rules that divide small numbers would amplify the
+    error. The array itself is not changed.
     """
     (free, occupied), unknown = _take_apart(mass, name, (2,))
     return free, occupied, unknown
 
 
 def split_two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any, Any]:
-    """Check two pairs that must fit each other; return (free, occupied, unknown) of each."""
+    """Check two pairs and that they match; return (free, occupied, unknown) of each."""
     parts = split(a, names[0]), split(b, names[1])
     check_alike(a, b, names)
     return parts
@@ -183,70 +175,59 @@ def split_open(mass: Any, name: str = "mass", states: tuple[int, ...] = (2, 3)) 
 
 
 def _take_apart(mass: Any, name: str, states: tuple[int, ...]) -> tuple[list[Any], Any]:
-    """Return the numbers per cell and the rest to 1; in numpy check them, and correct what rounding left outside."""
+    """Return the numbers per cell and their rest to 1; in numpy check them and correct rounding."""
     xp = check_form(mass, name, states)
     numbers = [mass[..., place] for place in range(mass.shape[-1])]
     if xp is not np:
         numbers = [number.clip(0) for number in numbers]
         return numbers, _rest(numbers).clip(0)
     unknown = _rest(numbers)
-    given, least = float(mass.min(initial=0)), float(unknown.min(initial=0))
-    if not (given >= -tolerance_of(mass) and least >= -tolerance_of(mass)):
+    min_given, min_unknown = float(mass.min(initial=0)), float(unknown.min(initial=0))
+    if not (min_given >= -tolerance_of(mass) and min_unknown >= -tolerance_of(mass)):
         check_mass(mass, name=name)
-    if given < 0:
+    if min_given < 0:
         numbers = [np.maximum(number, 0) for number in numbers]
         unknown = _rest(numbers)
-        least = float(unknown.min(initial=0))
-    if least < -np.finfo(mass.dtype).eps:  # more than the last bit of a dogmatic mass
+        min_unknown = float(unknown.min(initial=0))
+    if min_unknown < -np.finfo(mass.dtype).eps:  # more than the last bit of a dogmatic mass
         scale = np.maximum(1 - unknown, 1)
         numbers = [number / scale for number in numbers]
-    return numbers, unknown if least >= 0 else np.maximum(unknown, 0)
+    return numbers, unknown if min_unknown >= 0 else np.maximum(unknown, 0)
 
 
 def _rest(numbers: list[Any]) -> Any:
-    """Return 1 - unknown - (free + occupied): in this order free and occupied are treated alike to the last bit."""
+    """Return 1 - unknown - (free + occupied); in this order the result is symmetric in free and occupied."""
     free, occupied, *unknown = numbers
     return 1 - sum(unknown) - (free + occupied)
 
 
 def sources(masses: Sequence[Any], axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:
-    """Return (module, parts) of several masses, or along `axis` of one; a part is (free, occupied, unknown)."""
-    return open_sources(masses, axis, (2,), split)
-
-
-def open_sources(
-    masses: Sequence[Any],
-    axis: int | None,
-    states: tuple[int, ...] = (2, 3),
-    take_apart: Callable[..., Any] = split_open,
-) -> tuple[Any, list[tuple[Any, ...]]]:
-    """Return the same for open-world rules: each part is (free, occupied, unknown, conflict)."""
-    return each_source(masses, axis, lambda mass, name: check_form(mass, name, states), take_apart)
+    """Return the library, and (free, occupied, unknown) of each mass or of each source along `axis` of a stack."""
+    return each_source(masses, axis, split)
 
 
 def each_source(
-    masses: Sequence[Any], axis: int | None, check: Callable[[Any, str], Any], take_apart: Callable[[Any, str], Any]
+    masses: Sequence[Any], axis: int | None, take_apart: Callable[[Any, str], Any]
 ) -> tuple[Any, list[tuple[Any, ...]]]:
-    """Return (module, parts) of several masses, or along `axis` of one, which `take_apart` makes arrays (...) of."""
+    """Return the library, and the arrays from `take_apart` of each mass or of each source along `axis` of a stack."""
     if len(masses) < 1 + (axis is None) or (len(masses) > 1 and axis is not None):
         raise TypeError(
-            "give two or more masses, rule(a, b), or one stack of sources and its axis, rule(stack, axis=0), "
+            "give two or more masses, rule(a, b), or a stack of sources and its axis, rule(stack, axis=0), "
             f"got {len(masses)} and axis={axis}"
         )
-    stack, names = masses[0], [letter(k) for k in range(len(masses))]
-    xp, *_ = (check(mass, name) for mass, name in zip(masses, names, strict=True))
+    parts = [take_apart(mass, letter(k)) for k, mass in enumerate(masses)]
+    stack, xp = masses[0], namespace(masses[0])
     if axis is None:
-        for mass, name in zip(masses[1:], names[1:], strict=True):
-            check_alike(stack, mass, ("a", name))
-        return xp, [take_apart(mass, name) for mass, name in zip(masses, names, strict=True)]
+        for k, mass in enumerate(masses[1:], start=1):
+            check_alike(stack, mass, ("a", letter(k)))
+        return xp, parts
     if not -stack.ndim <= axis < stack.ndim or axis % stack.ndim == stack.ndim - 1:
         raise ValueError(
             f"axis must be a leading axis, not the last one (the states), got {axis} for shape {tuple(stack.shape)}"
         )
     if stack.shape[axis] == 0:
         raise ValueError(f"a rule needs at least one source, got none along axis {axis} of shape {tuple(stack.shape)}")
-    stacks = [xp.moveaxis(number, axis % stack.ndim, 0) for number in take_apart(stack, "a")]
-    return xp, list(zip(*stacks, strict=True))
+    return xp, list(zip(*(xp.moveaxis(number, axis % stack.ndim, 0) for number in parts[0]), strict=True))
 
 
 def letter(place: int) -> str:
@@ -254,26 +235,29 @@ def letter(place: int) -> str:
     return chr(ord("a") + place % 26)
 
 
-def stack_last(xp: Any, numbers: list[Any], mass: Array) -> Array:
+def stack_last(xp: Any, numbers: Sequence[Any], mass: Array) -> Array:
     """Stack numbers per cell on a new last axis, in the dtype of `mass`."""
-    given: Any = mass
-    if xp is not np:
-        tensor: Array = xp.stack(xp.broadcast_tensors(*numbers), dim=-1).to(given.dtype)
-        return tensor
-    together: Any = np.stack(np.broadcast_arrays(*numbers), axis=-1)
-    array: Array = together.astype(given.dtype, copy=False)
-    return array
+    return per_cell(xp.stack(broadcast(xp, numbers), -1), mass)
+
+
+def broadcast(xp: Any, numbers: Sequence[Any]) -> Any:
+    """Broadcast arrays or tensors against each other."""
+    return xp.broadcast_arrays(*numbers) if xp is np else xp.broadcast_tensors(*numbers)
 
 
 def per_cell(value: Any, mass: Array) -> Array:
-    """Return one number per cell in the dtype of `mass` (numpy 1 would widen a lone float32)."""
-    given: Any = mass
-    cells: Array = value.astype(given.dtype, copy=False) if namespace(mass) is np else value
-    return cells
+    """Return numbers in the dtype of `mass`; numpy 1 would convert a single float32 to float64."""
+    dtype = cast(Any, mass).dtype
+    return cast(Array, value.astype(dtype, copy=False) if namespace(mass) is np else value.to(dtype))
+
+
+def as_double(array: Any) -> Any:
+    """Return an array or tensor in float64."""
+    return array.double() if hasattr(array, "detach") else array.astype(np.float64)
 
 
 def _outside(values: Any) -> Any:
-    """Return how far each cell lies outside: below zero, or above one in sum. NaN fails every comparison."""
+    """Return the excess of each cell over the simplex: below zero, or above one in sum; NaN stays NaN."""
     xp = namespace(values)
     states = [values[..., k] for k in range(values.shape[-1])]  # reductions of an axis of two are ten times as slow
     below = -reduce(xp.minimum, states)
@@ -282,32 +266,32 @@ def _outside(values: Any) -> Any:
 
 
 def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") -> None:
-    """Raise unless every cell is a mass: free >= 0, occupied >= 0, free + occupied <= 1.
+    """Raise an error unless every cell is a mass: free >= 0, occupied >= 0, free + occupied <= 1.
 
-    Use it once, where data enters. Nothing is changed; `renormalize` repairs.
+    Use it once, where data enters. Nothing is changed; see `renormalize` for a repair.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-        Pairs (free, occupied); or (..., 3), triples (free, occupied, unknown), whose rest to 1 is conflict.
+        Pairs (free, occupied); or (..., 3), triples (free, occupied, unknown), in which the rest to 1 is conflict.
     tolerance : float, optional
-        How far outside the simplex a cell may lie; by default 1e-6 for float32 and 1e-12 for float64.
+        Greatest excess of a cell over the simplex; by default 1e-6 for float32 and 1e-12 for float64.
     name : str
         Name of the array in error messages.
 
     Raises
     ------
     ValueError
-        If a cell is NaN or lies outside the simplex by more than `tolerance`; the message names the worst
-        cell, its value and the tolerance.
+        If a cell is NaN or outside the simplex by more than `tolerance`; the message has the worst cell, its value
+        and the tolerance.
     TypeError
-        If `mass` is no floating-point array or tensor.
+        If `mass` is not a float32 or float64 array or tensor.
     """
     xp = check_form(mass, name, states=(2, 3))
     tolerance = tolerance_of(mass) if tolerance is None else tolerance
     values = mass if xp is np else mass.detach()
-    if xp is np and values.ndim > 1 and values.size > _AT_ONCE:
-        step = max(_AT_ONCE * len(values) // values.size, 1)
+    if xp is np and values.ndim > 1 and values.size > _BLOCK_SIZE:
+        step = max(_BLOCK_SIZE * len(values) // values.size, 1)
         parts = (values[k : k + step] for k in range(0, len(values), step))
         if all((_outside(part) <= tolerance).all() for part in parts):
             return
@@ -318,26 +302,23 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
 
 
 def renormalize(mass: Array) -> Array:
-    """Return the mass with negative numbers set to 0 and sums above 1 divided by the sum.
+    """Set negative numbers to 0, and divide masses with a sum above 1 by the sum.
 
-    An explicit repair, for external data with rounding or resampling errors; no function of this package does it
-    implicitly.
+    For external data with rounding or resampling errors. No function of this package repairs data implicitly.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-        Finite numbers, meant to be pairs (free, occupied); (..., 3) triples are also taken.
+        Finite numbers (free, occupied), or (..., 3) triples.
 
     Raises
     ------
     ValueError
-        If a numpy array holds NaN or infinity: there is nothing to repair them with.
+        If a numpy array holds NaN or infinity.
     """
     xp = check_form(mass, states=(2, 3))
-    given: Any = mass
     if xp is np:
-        refuse(~np.isfinite(given), given, "mass", "be finite to be renormalized")
-    positive = given.clip(0)
+        refuse(~np.isfinite(cast(Any, mass)), mass, "mass", "be finite to be renormalized")
+    positive = cast(Any, mass).clip(0)
     total = positive.sum(-1)[..., None]
-    repaired: Array = positive / xp.where(total > 1, total, xp.ones_like(total))
-    return repaired
+    return cast(Array, positive / xp.where(total > 1, total, xp.ones_like(total)))

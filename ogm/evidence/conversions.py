@@ -1,7 +1,7 @@
-"""The readings of a pair: mass, subjective opinion, Dirichlet evidence.
+"""Conversions between masses, subjective opinions, Dirichlet evidence and Dirichlet parameters.
 
-A cell holds ``mass = (free, occupied)``, the belief masses of a binary frame; ``unknown = 1 - free -
-occupied`` is derived. The same pair is, in other words,
+A cell holds ``mass = (free, occupied)``, the belief masses of a binary frame; ``unknown = 1 - free - occupied`` is
+derived. The same pair stands for
 
 * a subjective opinion (belief = occupied, disbelief = free, uncertainty = unknown, base rate a of occupied),
 * evidence ``e = W b / u`` with prior weight W,
@@ -11,7 +11,7 @@ occupied`` is derived. The same pair is, in other words,
 Sources: Shafer, *A Mathematical Theory of Evidence* (1976); Jøsang, *Subjective Logic* (2016), chapter 3.
 """
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from ogm.evidence.kinds import takes_masses
 def unknown(mass: Array) -> Array:
     """Return the mass of unknown, 1 - free - occupied, never below zero.
 
-    In float32 it is exact to 6e-8: below an unknown of 1e-5 its relative error exceeds 0.6 %.
+    In float32 the error is up to 6e-8: below an unknown of 1e-5 the relative error exceeds 0.6 %.
     """
     return per_cell(split(mass)[2], mass)
 
@@ -38,8 +38,8 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
     prior_weight : float
         W > 0, the prior weight; 2 makes the vacuous opinion the uniform density.
     min_unknown : float
-        Floor of u in [0, 1). At 0 a dogmatic cell has infinite evidence for what it believes; a floor of 2e-5
-        caps evidence at 1e5, the most that float32 masses can carry with an error below one percent.
+        Lower bound of u, in [0, 1). With 0, a dogmatic cell has infinite evidence. With 2e-5, evidence is at most 1e5,
+        the greatest evidence that float32 masses represent with an error below one percent.
 
     Returns
     -------
@@ -56,12 +56,9 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
     u = u.clip(floor)
     dogmatic = u <= rounding(mass)
     safe = xp.where(dogmatic, xp.ones_like(u), u)
-
-    def of(belief: Any) -> Any:
-        infinite = xp.where(belief > 0, xp.inf, 0.0)
-        return xp.where(dogmatic, xp.asarray(infinite, dtype=belief.dtype), prior_weight * belief / safe)
-
-    return stack_last(xp, [of(free), of(occupied)], mass)
+    limits = (xp.asarray(xp.where(belief > 0, xp.inf, 0.0), dtype=u.dtype) for belief in (free, occupied))
+    finite = (prior_weight * belief / safe for belief in (free, occupied))
+    return stack_last(xp, [xp.where(dogmatic, *pair) for pair in zip(limits, finite, strict=True)], mass)
 
 
 def evidence_to_mass(evidence: Array, prior_weight: float = 2.0) -> Array:
@@ -77,7 +74,7 @@ def evidence_to_mass(evidence: Array, prior_weight: float = 2.0) -> Array:
     Raises
     ------
     ValueError
-        If a numpy array holds negative, infinite or NaN evidence; the message names the first.
+        If a numpy array holds negative, infinite or NaN evidence; the message has the first.
     """
     xp, free, occupied = _split_evidence(evidence, prior_weight)
     strength = prior_weight + free + occupied
@@ -97,19 +94,19 @@ def alpha_to_evidence(alpha: Array, prior_weight: float = 2.0, base_rate: float 
     Raises
     ------
     ValueError
-        If a numpy array holds an alpha below its prior: that would be negative evidence.
+        If a numpy array holds an alpha below the prior, which means negative evidence.
     """
     _check_weight(prior_weight)
     xp = check_form(alpha, "alpha")
-    given: Any = alpha
-    rate = as_like(base_rate, given[..., 0], "base_rate")
-    evidence = stack_last(xp, [given[..., 0] - prior_weight * (1 - rate), given[..., 1] - prior_weight * rate], alpha)
+    free, occupied = (cast(Any, alpha)[..., state] for state in (0, 1))
+    rate = as_like(base_rate, free, "base_rate")
+    evidence = stack_last(xp, [free - prior_weight * (1 - rate), occupied - prior_weight * rate], alpha)
     _check_positive(evidence, "alpha - prior")
     return evidence
 
 
 def _split_evidence(evidence: Any, prior_weight: float) -> tuple[Any, Any, Any]:
-    """Check evidence; return (module, free, occupied)."""
+    """Check evidence; return library, free and occupied."""
     _check_weight(prior_weight)
     xp = check_form(evidence, "evidence")
     _check_positive(evidence, "evidence")
@@ -122,6 +119,6 @@ def _check_weight(prior_weight: float) -> None:
 
 
 def _check_positive(values: Any, name: str) -> None:
-    """Refuse negative, infinite and NaN numbers of a numpy array, naming the first."""
+    """Raise ValueError for negative, infinite or NaN numbers of a numpy array, with the first."""
     if namespace(values) is np and not (values.min(initial=0) >= 0 and np.isfinite(values.max(initial=0))):
         refuse(~(np.isfinite(values) & (values >= 0)), values, name, "be finite and not negative")

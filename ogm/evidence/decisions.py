@@ -1,14 +1,14 @@
-"""Decisions by expected cost, and which of several sources contradicts the others.
+"""Decisions by expected cost, and the contradiction of each source to the others.
 
 Sources: Denœux, "Decision-making with belief functions: a review" (2019); Chow, "On optimum recognition error and
 reject tradeoff" (1970); Schubert, "Conflict management in Dempster-Shafer theory using the degree of falsity" (2011).
 """
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, as_like, namespace, sources, split, stack_last
+from ogm.evidence.arrays import Array, as_like, broadcast, namespace, sources, split, stack_last
 from ogm.evidence.kinds import takes_masses
 from ogm.evidence.measures import conflict
 from ogm.evidence.rules import dempster
@@ -27,26 +27,26 @@ def decide(
     cost_abstention: float = 0.5,
     base_rate: Any = 0.5,
 ) -> Any:
-    """Return the decision of least expected cost for each cell: free, occupied, or none.
+    """Return the decision of least expected cost for each cell: free, occupied, or abstention.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
     criterion : {"belief", "pignistic", "plausibility"}
-        Probability that a state is the true one: its belief, the cautious choice, which bounds the cost from above;
-        the projected probability; or its plausibility, which bounds the cost from below.
+        Probability of a state in the expected cost: belief (cautious, an upper bound of the cost), projected
+        probability, or plausibility (a lower bound of the cost).
     cost_false_free, cost_false_occupied : float
         Cost of deciding for free where the cell is occupied, and the reverse, at least 0.
     cost_abstention : float
-        Cost of no decision. With the other costs 1, a state is chosen whose probability exceeds 1 - cost_abstention;
-        infinity always decides.
+        Cost of no decision, at least 0. With the other costs 1, a state is chosen if its probability exceeds
+        1 - cost_abstention; infinity always decides.
     base_rate : float or (...) array
         Prior probability of occupied, in [0, 1], for the projected probability.
 
     Returns
     -------
     (...) uint8
-        Values of `ogm.CellState`: 1 free, 2 occupied, 0 for abstention. Of equal costs, abstention wins, then occupied.
+        Values of `ogm.CellState`: 1 free, 2 occupied, 0 abstention. For equal costs, abstention wins, then occupied.
     """
     if criterion not in get_args(Criterion):
         raise ValueError(f"criterion must be one of {', '.join(get_args(Criterion))}, got {criterion!r}")
@@ -67,15 +67,15 @@ def decide(
 
 @takes_masses(gives_masses=False)
 def degree_of_falsity(*masses: Array, axis: int | None = None) -> Array:
-    """Return how much each source contradicts the others, in [0, 1]: the greatest is to blame.
+    """Return the conflict of each source with the combination of all others by Dempster's rule, in [0, 1].
 
-    The conflict of a source with the combination of all others by Dempster's rule. Equal to Schubert's
-    (C - C_i) / (1 - C_i), with the conflict C of all sources and C_i of all but this one.
+    The source with the greatest degree is the most likely error. Equal to Schubert's (C - C_i) / (1 - C_i), with the
+    conflict C of all sources, and C_i of all sources without source i.
 
     Parameters
     ----------
     *masses : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied) of two or more sources, or one stack of sources along `axis`.
+        Masses (free, occupied) of two or more sources, or a stack of sources along `axis`.
     axis : int, optional
         Leading axis of the stack that counts the sources.
 
@@ -85,21 +85,20 @@ def degree_of_falsity(*masses: Array, axis: int | None = None) -> Array:
     """
     xp, parts = sources(masses, axis)
     if len(parts) < 2:
-        raise ValueError(f"sources contradict each other, so give at least two, got {len(parts)}")
+        raise ValueError(f"degree_of_falsity compares sources: give at least two, got {len(parts)}")
     pairs = [stack_last(xp, [free, occupied], masses[0]) for free, occupied, _ in parts]
-    found: list[Any] = [
+    conflicts: list[Any] = [
         conflict(pair, others[0] if len(others) == 1 else dempster(*others))
         for pair, others in ((pair, pairs[:k] + pairs[k + 1 :]) for k, pair in enumerate(pairs))
     ]
-    falsity: Array = xp.stack(list((np.broadcast_arrays if xp is np else xp.broadcast_tensors)(*found)))
-    return falsity
+    return cast(Array, xp.stack(broadcast(xp, conflicts)))
 
 
 def reconciling_reliability(*masses: Array, axis: int | None = None, remaining_conflict: float = 0.1) -> Array:
-    """Return the greatest reliability of each source by which it no longer contradicts the others.
+    """Return the greatest reliability of each source that removes its contradiction to the others.
 
-    `discount` of one source by it leaves a conflict of at most `remaining_conflict` with the combination of the
-    others: conflict is proportional to reliability.
+    Conflict is proportional to reliability: after `discount` of the source, its conflict with the combination of the
+    others is at most `remaining_conflict`.
 
     Parameters
     ----------
@@ -117,5 +116,4 @@ def reconciling_reliability(*masses: Array, axis: int | None = None, remaining_c
     falsity: Any = degree_of_falsity(*masses, axis=axis)
     xp = namespace(falsity)
     low = falsity <= remaining_conflict
-    reliability: Array = xp.where(low, 1 + 0 * falsity, remaining_conflict / (falsity + low))
-    return reliability
+    return cast(Array, xp.where(low, 1 + 0 * falsity, remaining_conflict / (falsity + low)))

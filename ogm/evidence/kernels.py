@@ -1,11 +1,11 @@
-"""The combination rules of one cell, compiled by numba, and the table of all rules that have both forms.
+"""Combination rules of a single cell, compiled by numba, and a table of the rules on arrays and cells.
 
-Kernels of grids are built from them: `RULES` holds, by name, the rule on arrays and the same rule on one cell. The
-formulas are those of the array rules; where both are the same sums of products, they are the same function, compiled.
+Kernels of grids use the cell functions. `RULES` has, by name, a rule on arrays and the same rule on a cell. Both use
+the same formula; simple sums of products are the same function, compiled.
 
-A cell function takes `Constants` of the dtype to compute in and the masses (free, occupied) of two sources, and
-returns (free, occupied, whole): masses times `whole`, so that the caller divides once, limits included. Where `whole`
-is 0 the conflict is total. Values are not checked, and NaN stays NaN.
+A cell function takes the `Constants` of a dtype and the masses (free, occupied) of two sources. It returns
+(free, occupied, whole), masses times `whole`, so that the caller divides once. In total conflict `whole` is 0. Values
+are not checked, and NaN stays NaN.
 
 Importing this module loads numba; `ogm.evidence` does not import it.
 """
@@ -20,15 +20,15 @@ from ogm.jit import inline
 
 
 class Constants(NamedTuple):
-    """Numbers of one dtype: a literal 1 would make float32 sums float64."""
+    """Numbers of a dtype, because a literal 1 would convert float32 sums to float64."""
 
     one: Any
-    dogmatic: Any  # an unknown that counts as none: 4 units of rounding
-    least_unknown: Any  # of the cautious rule
+    dogmatic: Any  # greatest unknown of a dogmatic mass: 4 units of rounding
+    least_unknown: Any  # lower bound of unknown in the cautious rule
 
 
 class Rule(NamedTuple):
-    """A rule on arrays, ``arrays(a, b)``, and on one cell, ``cell(constants, f, o, g, p)``."""
+    """A rule on arrays, ``arrays(a, b)``, and on a cell, ``cell(constants, f, o, g, p)``."""
 
     arrays: Callable[..., Any]
     cell: Callable[..., Any]
@@ -89,8 +89,8 @@ def _cautious(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
 @inline
 def _revise(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
     zero, half = c.one - c.one, c.one / (c.one + c.one)
-    most = c.one - half * half
-    occupied = max(o * (c.one - most * max(g - f, zero)), p * (c.one - half * max(f - g, zero)))
+    old_loss = c.one - half * half
+    occupied = max(o * (c.one - old_loss * max(g - f, zero)), p * (c.one - half * max(f - g, zero)))
     free = max(f * (c.one - max(p - o, zero)), g * (c.one - max(o - p, zero)))
     return min(free, c.one - occupied), occupied, c.one
 
@@ -113,5 +113,5 @@ RULES = {
     "cumulative": Rule(subjective.cumulative, _cumulative),
     "cautious": Rule(rules.cautious, _cautious),
 }
-# Not symmetric: not for two sources, but for a map and a scan
+# Not symmetric: for a map and a scan
 REVISE, SMOOTH = Rule(rules.revise, _revise), Rule(rules.smooth, _smooth)

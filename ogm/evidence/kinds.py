@@ -1,4 +1,4 @@
-"""Kinds of masses that functions take: arrays, tensors, lists, triples and opinions; the result has the same kind.
+"""Kinds of masses in calls: arrays, tensors, lists, triples and opinions; the result has the same kind.
 
 >>> from ogm.evidence import Opinion, dempster
 >>> dempster([0.5, 0.2], [0.1, 0.6]).round(3), dempster(Opinion(0.5, 0.2), Opinion(0.1, 0.6))
@@ -13,12 +13,12 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from ogm.evidence.arrays import dtype_name, letter, namespace, refuse_worst, stack_last, tolerance_of
+from ogm.evidence.arrays import as_double, dtype_name, letter, namespace, refuse_worst, stack_last, tolerance_of
 from ogm.evidence.opinion import Conclusion, Opinion
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Rate = Callable[[Sequence[float], Sequence[float]], float]  # base rate of a result, by the sources' unknown and rates
+Rate = Callable[[Sequence[float], Sequence[float]], float]  # of unknown masses and base rates
 
 
 def takes_masses(
@@ -29,25 +29,25 @@ def takes_masses(
     base_rates: Mapping[str, str] | None = None,
     numbers: str = "",
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator of a function of pairs, which then takes masses of every kind.
+    """Return a decorator by which a function of pairs takes masses of every kind.
 
-    Lists and whole numbers become arrays of the library and dtype of the other masses, by default float64. Triples
-    (free, occupied, unknown) become pairs, and the result a triple, if all masses are; so do opinions.
+    Lists and integers become arrays in the library and dtype of the other masses, by default float64. Triples (free,
+    occupied, unknown) and opinions become pairs. If all masses are triples, or all are opinions, so is the result.
 
     Parameters
     ----------
     names : str
-        Parameters that are masses; by default all positional arguments.
+        Names of the parameters that are masses; by default all positional arguments.
     gives_masses : bool
-        Whether the result is a mass, or a `Conclusion`.
+        Whether the result is a mass or a `Conclusion`.
     triples : bool
-        Whether the function itself takes triples, whose sum may be below 1.
+        Whether the function itself takes triples, with a sum that may be below 1.
     rate : function, optional
-        Base rate of the result of opinions whose base rates differ; without it they are refused.
+        Base rate of the result for opinions with different base rates; without it, these raise ValueError.
     base_rates : mapping of str to str, optional
-        For each of some masses, the parameter that takes the base rate of an opinion where it is not given.
+        Parameter that takes the base rate of an opinion by default, for each parameter of a mass.
     numbers : str, optional
-        Parameter that may also be a number.
+        Name of a parameter that may also be a number.
     """
     rate_names = dict(base_rates or {})
 
@@ -69,10 +69,11 @@ def takes_masses(
             if not triples:
                 arrays = [_pair(array, label) for array, label in zip(arrays, labels, strict=True)]
             arguments.update(zip(labels, arrays, strict=True) if names else {"masses": tuple(arrays)})
-            opinions = [one for one in given if isinstance(one, Opinion)]
+            opinions = [mass for mass in given if isinstance(mass, Opinion)]
             for name in {*rate_names.values()} - arguments.keys():
-                own = [one for one, label in zip(given, labels, strict=True) if rate_names.get(label) == name]
-                if own := [one for one in own if isinstance(one, Opinion)]:
+                pairs = zip(given, labels, strict=True)
+                own = [m for m, label in pairs if rate_names.get(label) == name and isinstance(m, Opinion)]
+                if own:
                     arguments[name] = _common_rate(own, None)
             result = cast(Any, function)(*bound.args, **bound.kwargs)
             if not gives_masses:
@@ -94,52 +95,57 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_pair(mass: Any) -> bool:
-    """Return whether a mass needs no conversion: an array or a tensor of numbers that are not whole, (..., 2)."""
-    torch: Any = sys.modules.get("torch")
-    if isinstance(mass, np.ndarray):
-        return bool(mass.shape[-1:] == (2,) and mass.dtype.kind == "f")
-    is_tensor = torch is not None and isinstance(mass, torch.Tensor)
-    return bool(is_tensor and mass.shape[-1:] == (2,) and mass.is_floating_point())
+    """Return whether a mass needs no conversion: a floating-point array or tensor (..., 2)."""
+    return bool(_is_array(mass) and mass.shape[-1:] == (2,) and _is_floating(mass))
+
+
+def _is_array(value: Any) -> bool:
+    """Return whether a value is a numpy array or a torch tensor."""
+    torch = sys.modules.get("torch")
+    return isinstance(value, np.ndarray) or (torch is not None and isinstance(value, torch.Tensor))
+
+
+def _is_floating(array: Any) -> bool:
+    return bool(array.dtype.kind == "f" if isinstance(array, np.ndarray) else array.is_floating_point())
 
 
 def _as_arrays(values: list[Any], labels: list[str]) -> list[Any]:
-    """Return arrays or tensors; what is not of an own floating-point dtype takes that of the others."""
-    torch = sys.modules.get("torch")
-    arrays = [_as_array(value, label, torch) for value, label in zip(values, labels, strict=True)]
-    own = [
-        (isinstance(value, np.ndarray) and value.dtype.kind == "f")
-        or (torch is not None and isinstance(array, torch.Tensor) and array.is_floating_point())
-        for value, array in zip(values, arrays, strict=True)
+    """Return arrays or tensors; values without a floating-point dtype take the dtype of the first with one."""
+    arrays = [_as_array(value, label) for value, label in zip(values, labels, strict=True)]
+    typed = [  # lists of numbers and opinions have no dtype
+        _is_floating(array) and (array is value or not isinstance(array, np.ndarray))
+        for array, value in zip(arrays, values, strict=True)
     ]
-    like = next((array for array, is_own in zip(arrays, own, strict=True) if is_own), None)
-    return [array if is_own else _converted(array, like) for array, is_own in zip(arrays, own, strict=True)]
+    like = next((array for array, is_typed in zip(arrays, typed, strict=True) if is_typed), None)
+    return [array if is_typed else _converted(array, like) for array, is_typed in zip(arrays, typed, strict=True)]
 
 
-def _as_array(value: Any, label: str, torch: Any) -> Any:
-    if isinstance(value, np.ndarray) or (torch is not None and isinstance(value, torch.Tensor)):
+def _as_array(value: Any, label: str) -> Any:
+    if _is_array(value):
         return value
-    if torch is not None and isinstance(value, list | tuple) and any(isinstance(one, torch.Tensor) for one in value):
-        return torch.stack([torch.as_tensor(one) for one in value])
+    if isinstance(value, list | tuple) and (tensors := [item for item in value if hasattr(item, "detach")]):
+        torch = namespace(tensors[0])
+        return torch.stack([torch.as_tensor(item) for item in value])
     try:
         array = np.asarray(value)
     except ValueError as error:  # a ragged list
-        raise TypeError(f"{label} must be masses (free, occupied) of one shape, got {value!r}") from error
+        raise TypeError(f"{label} must be masses (free, occupied) of the same shape, got {value!r}") from error
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{label} must be masses: an array, a tensor, a list or an Opinion, got {type(value).__name__}")
     return array
 
 
 def _converted(array: Any, like: Any) -> Any:
-    """Return numbers in the library, dtype and device of an array, by default as float64."""
+    """Return an array in the library, dtype and device of another, by default as float64."""
     if like is None:
-        return array.astype(np.float64) if isinstance(array, np.ndarray) else array.double()
+        return as_double(array)
     if isinstance(like, np.ndarray):
         return array.astype(like.dtype) if isinstance(array, np.ndarray) else array
     return namespace(like).as_tensor(array, dtype=like.dtype, device=like.device)
 
 
 def _pair(mass: Any, name: str) -> Any:
-    """Return the pair of a triple (free, occupied, unknown); in numpy, refuse one with conflict."""
+    """Return the pair of a triple (free, occupied, unknown); in numpy, raise ValueError if it has conflict."""
     if mass.shape[-1:] != (3,):
         return mass
     if isinstance(mass, np.ndarray) and dtype_name(mass) in ("float32", "float64"):
@@ -155,12 +161,12 @@ def _triple(mass: Any) -> Any:
 
 
 def _common_rate(opinions: Sequence[Opinion], rate: Rate | None) -> float:
-    rates = [one.base_rate for one in opinions]
+    rates = [opinion.base_rate for opinion in opinions]
     if len(set(rates)) == 1:
         return rates[0]
     if rate is None:
         raise ValueError(
-            f"the opinions must have one base rate, got {', '.join(f'{one:g}' for one in rates)}: no formula combines "
-            "them here; give the masses, and the base rate of the result to Opinion.from_mass"
+            f"the opinions must have the same base rate, got {', '.join(f'{value:g}' for value in rates)}: this "
+            "function has no rule for the base rate of the result; give masses, and the base rate to Opinion.from_mass"
         )
-    return float(rate([one.unknown for one in opinions], rates))
+    return float(rate([opinion.unknown for opinion in opinions], rates))

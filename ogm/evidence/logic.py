@@ -1,7 +1,7 @@
 """Binomial logic on opinions: and, or, conditional deduction, and abduction.
 
-For layers on top of a grid: "occupied and moving", "blocked if either lane is", "drivable, given what the
-surface is". The pair keeps its order: (free, occupied) stands for (disbelief, belief) in the proposition.
+For layers derived from a grid, such as "occupied and moving", "blocked if either lane is blocked" or "drivable, given
+the kind of surface". The pair (free, occupied) is (disbelief, belief) in the proposition.
 `ogm.evidence.multinomial` has deduction and abduction for more states.
 
 Source: Jøsang, *Subjective Logic* (2016), chapters 7, 9 and 10.
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ogm.evidence import multinomial
-from ogm.evidence.arrays import Array, as_like, namespace, per_cell, split_two, stack_last
+from ogm.evidence.arrays import Array, as_like, broadcast, namespace, per_cell, split_two, stack_last
 from ogm.evidence.kinds import takes_masses
 from ogm.evidence.opinion import Conclusion
 
@@ -21,8 +21,7 @@ from ogm.evidence.opinion import Conclusion
 def multiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any = 0.5) -> Conclusion:
     """Return the opinion on "x and y" for independent x and y.
 
-    Projected probabilities and base rates multiply. Commutative and associative (in mass and base rate
-    together).
+    Projected probabilities and base rates multiply. Commutative and associative (mass and base rate together).
 
     Parameters
     ----------
@@ -35,7 +34,7 @@ def multiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any 
     scale = 1 - a * r
     _refuse_zero(scale, "base rates must not both be 1")
     belief = b * c + ((1 - a) * r * b * v + a * (1 - r) * u * c) / scale
-    return Conclusion(stack_last(xp, [d + e - d * e, belief], x), _rate(a * r, u, x))
+    return Conclusion(stack_last(xp, [d + e - d * e, belief], x), per_cell(a * r + 0 * u, x))
 
 
 @takes_masses("x", "y", base_rates={"x": "base_rate_x", "y": "base_rate_y"})
@@ -53,15 +52,15 @@ def comultiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: An
     rate = a + r - a * r
     _refuse_zero(rate, "base rates must not both be 0")
     disbelief = d * e + (a * (1 - r) * d * v + (1 - a) * r * u * e) / rate
-    return Conclusion(stack_last(xp, [disbelief, b + c - b * c], x), _rate(rate, u, x))
+    return Conclusion(stack_last(xp, [disbelief, b + c - b * c], x), per_cell(rate + 0 * u, x))
 
 
 @takes_masses("x", "y_if_x", "y_if_not_x", base_rates={"x": "base_rate_x"})
 def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5) -> Conclusion:
-    """Return the opinion on y, given the opinion on x and those on y if x is true, and if it is false.
+    """Return the opinion on y from the opinion on x and the opinions on y if x is true and if x is false.
 
-    The projected probability follows the law of total probability, with the base rate of y taken from the
-    conditionals (0.5 if both are vacuous).
+    The projected probability follows the law of total probability. The base rate of y follows from the conditionals
+    (0.5 if both are vacuous).
 
     Parameters
     ----------
@@ -79,16 +78,16 @@ def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5
 
 @takes_masses("y", "y_if_x", "y_if_not_x")
 def abduction(y: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5) -> Conclusion:
-    """Return the opinion on x, given the opinion on its consequence y: Bayes' theorem on opinions.
+    """Return the opinion on x from the opinion on its consequence y: Bayes' theorem on opinions.
 
-    The conditionals are inverted, then `deduction` goes from y to x.
+    The conditionals are inverted, then `deduction` gives x from y.
 
     Parameters
     ----------
     y : (..., 2) float32 or float64, numpy or torch
-        Mass (disbelief, belief) in the consequence, as in a detection.
+        Mass (disbelief, belief) in the consequence, for example a detection.
     y_if_x, y_if_not_x : (..., 2)
-        Conditional masses (disbelief, belief) in y, as of a detection in occupied and in free cells.
+        Conditional masses (disbelief, belief) in y, for example in a detection in occupied and in free cells.
     base_rate_x : float or (...) array
         Prior probability of x, in [0, 1].
     """
@@ -101,24 +100,18 @@ def _binary(given: Any, if_x: Any, if_not_x: Any, base_rate: Any, names: tuple[s
     """Return the conditionals (..., 2, 2) and the base rates (..., 2) of two states, false and true."""
     xp, (_, _, u) = namespace(given), split_two(given, if_x, names[:2])[0]
     split_two(given, if_not_x, (names[0], names[2]))
-    pairs = xp.broadcast_arrays(if_not_x, if_x) if xp is np else xp.broadcast_tensors(if_not_x, if_x)
     rate = as_like(base_rate, u, "base_rate_x") + 0 * u
-    return xp.stack(list(pairs), -2), stack_last(xp, [1 - rate, rate], given)
+    return xp.stack(broadcast(xp, (if_not_x, if_x)), -2), stack_last(xp, [1 - rate, rate], given)
 
 
-def _two(
-    x: Any, y: Any, base_rate_x: Any, base_rate_y: Any, names: tuple[str, str] = ("x", "y")
-) -> tuple[Any, tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
-    first, second = split_two(x, y, names)
+def _two(x: Any, y: Any, base_rate_x: Any, base_rate_y: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """Return the library, (disbelief, belief, unknown) of x and of y, and their base rates."""
+    first, second = split_two(x, y, ("x", "y"))
     rates = as_like(base_rate_x, first[0], "base_rate_x"), as_like(base_rate_y, second[0], "base_rate_y")
     return namespace(x), first, second, *rates
 
 
-def _rate(rate: Any, cells: Any, mass: Any) -> Any:
-    return per_cell(rate + 0 * cells, mass)
-
-
 def _refuse_zero(scale: Any, message: str) -> None:
-    """Raise if a number, or one of a numpy array, is zero; tensors are not read."""
+    """Raise ValueError if a number, or any number of a numpy array, is zero; tensors are not read."""
     if isinstance(scale, float | np.ndarray | np.generic) and np.any(scale == 0):
         raise ValueError(message)

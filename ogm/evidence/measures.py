@@ -1,6 +1,6 @@
-"""Measures of conflict between masses, and of the uncertainty of one mass.
+"""Measures of the conflict between masses, and of the uncertainty of a mass.
 
-Entropies are in bits. Sources are named with each measure.
+Entropies are in bits.
 """
 
 from typing import Any
@@ -14,9 +14,9 @@ from ogm.evidence.probability import mass_to_probability, plausibility_transform
 
 @takes_masses("a", "b", gives_masses=False)
 def conflict(a: Array, b: Array) -> Array:
-    """Return the mass that two sources put on the empty set before normalising, in [0, 1].
+    """Return the conflict of two sources, free_a occupied_b + occupied_a free_b, in [0, 1].
 
-    free_a occupied_b + occupied_a free_b (Shafer, 1976).
+    The mass of the empty set before normalisation (Shafer, 1976).
 
     Parameters
     ----------
@@ -28,19 +28,19 @@ def conflict(a: Array, b: Array) -> Array:
 
 @takes_masses("before", "now", gives_masses=False)
 def conflict_direction(before: Array, now: Array) -> Array:
-    """Return the conflict split by its direction: (free -> occupied, occupied -> free).
+    """Return the conflict by direction: (free -> occupied, occupied -> free).
 
-    The first is large where an object appeared, the second where one disappeared: the usual sign of moving objects
-    in a map (Moras, Cherfaoui and Bonnifait, "Credibilist occupancy grids for vehicle perception", 2011).
+    The first is large where an object appeared, the second where an object disappeared. Both are signs of moving
+    objects in a map (Moras, Cherfaoui and Bonnifait, "Credibilist occupancy grids for vehicle perception", 2011).
 
     Parameters
     ----------
     before, now : (..., 2) float32 or float64, numpy or torch
-        For example the map and the new measurement grid.
+        For example the map and a new measurement grid.
 
     Returns
     -------
-    (..., 2): free_before occupied_now, and occupied_before free_now; they sum to `conflict`
+    (..., 2): free_before occupied_now, and occupied_before free_now; the sum is `conflict`
     """
     (f, o, _), (g, p, _) = split_two(before, now, ("before", "now"))
     return stack_last(namespace(before), [f * p, o * g], before)
@@ -78,37 +78,35 @@ def kl_divergence(
 ) -> Array:
     """Return the Kullback-Leibler divergence KL[a || b] of the Beta densities of two masses [nats], never negative.
 
-    The other direction is ``kl_divergence(b, a)``; the two differ much: see `dirichlet_kl`.
+    The opposite direction, ``kl_divergence(b, a)``, differs much: see `dirichlet_kl`.
 
     Parameters
     ----------
     a, b : (..., 2) float32 or float64, numpy or torch
-    base_rate : float or array of one value per cell
+    base_rate : float or (...) array
         Prior probability of occupied, in (0, 1).
     prior_weight : float
         W > 0, the prior weight; 2 makes the vacuous opinion the uniform density.
     min_unknown : float
-        Floor of unknown, which caps evidence, by default at 1e5: a dogmatic mass has no density.
+        Lower bound of unknown, because a dogmatic mass has no density; by default evidence is at most 1e5.
 
     Returns
     -------
     (...), in [0, inf)
     """
-    alphas = (
-        evidence_to_alpha(mass_to_evidence(mass, prior_weight, min_unknown), prior_weight, base_rate)
-        for mass in _alike(a, b)
-    )
-    return dirichlet_kl(*alphas)
+    split_two(a, b)
+    evidences = (mass_to_evidence(mass, prior_weight, min_unknown) for mass in (a, b))
+    return dirichlet_kl(*(evidence_to_alpha(evidence, prior_weight, base_rate) for evidence in evidences))
 
 
 def vacuity(mass: Array) -> Array:
-    """Return the unknown u: the uncertainty that comes from lack of evidence (Jøsang, Cho and Chen, 2018)."""
+    """Return unknown, the uncertainty from lack of evidence (Jøsang, Cho and Chen, 2018)."""
     return unknown(mass)
 
 
 @takes_masses("mass", gives_masses=False)
 def dissonance(mass: Array) -> Array:
-    """Return the uncertainty that comes from contradicting evidence, 2 min(free, occupied), in [0, 1].
+    """Return the uncertainty from contradicting evidence, 2 min(free, occupied), in [0, 1].
 
     The binary case of sum_i b_i Bal_i with Bal = 1 - |b_i - b_j| / (b_i + b_j) (Jøsang, Cho and Chen, 2018).
     """
@@ -117,7 +115,7 @@ def dissonance(mass: Array) -> Array:
 
 
 def nonspecificity(mass: Array) -> Array:
-    """Return the generalised Hartley measure, sum m(A) log2 |A|; with two states it is the unknown."""
+    """Return the generalised Hartley measure, sum m(A) log2 |A|; for two states it is unknown."""
     return unknown(mass)
 
 
@@ -130,10 +128,10 @@ def specificity(mass: Array) -> Array:
 
 @takes_masses("mass", gives_masses=False)
 def yager_entropy(mass: Array) -> Array:
-    """Return Yager's entropy (dissonance in his words), -sum m(A) log2 Pl(A), in [0, 1] bit (Yager, 1983)."""
+    """Return Yager's entropy, -sum m(A) log2 Pl(A), in [0, 1] bit (Yager, 1983, as dissonance)."""
     free, occupied, u = split(mass)
     xp = namespace(mass)
-    # Plausibility as belief + unknown: 1 - the other belief may round to less than the belief, even to zero.
+    # Plausibility as belief + unknown: 1 - other belief may round to less than the belief, even to zero
     logs = _times_log2(xp, free, (free + u).clip(None, 1))
     return per_cell(-logs - _times_log2(xp, occupied, (occupied + u).clip(None, 1)), mass)
 
@@ -157,19 +155,13 @@ def jirousek_shenoy_entropy(mass: Array) -> Array:
 def deng_entropy(mass: Array) -> Array:
     """Return Deng's entropy, -sum m(A) log2(m(A) / (2^|A| - 1)), in bit (Deng, 2016).
 
-    Largest, log2(5), at free = occupied = 1/5 and not at the vacuous mass (log2(3)): do not use it as a
-    measure of the unknown.
+    The maximum, log2(5), is at free = occupied = 1/5 and not at the vacuous mass (log2(3)): do not use it as a
+    measure of unknown.
     """
     free, occupied, u = split(mass)
     xp = namespace(mass)
     logs = _times_log2(xp, free, free) + _times_log2(xp, occupied, occupied)
     return per_cell(-logs - _times_log2(xp, u, u / 3), mass)
-
-
-def _alike(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return two masses that fit each other."""
-    split_two(a, b)
-    return a, b
 
 
 def _times_log2(xp: Any, x: Any, y: Any) -> Any:

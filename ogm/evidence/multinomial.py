@@ -5,18 +5,18 @@ probabilities ``(K,)`` or ``(..., K)``, by default equal. Conditionals are opini
 states of x, ``(..., K, L)``. To fuse opinions of at most 6 states, see `ogm.evidence.powerset.from_beliefs`.
 
 >>> from ogm.evidence import multinomial
->>> kind = [0.0, 0.43, 0.0]  # belief in each of three kinds of movements that are seen
->>> seen_if = [[0.5, 0.25, 0.25], [0.0, 0.5, 0.5], [0.0, 0.25, 0.75]]  # for each of three plans
+>>> kind = [0.0, 0.43, 0.0]  # belief in three kinds of observed movements
+>>> seen_if = [[0.5, 0.25, 0.25], [0.0, 0.5, 0.5], [0.0, 0.25, 0.75]]  # conditional on each of three plans
 >>> plan = multinomial.abduction(kind, seen_if, base_rate=[0.7, 0.2, 0.1])
 >>> multinomial.projected_probability(plan.mass, plan.base_rate).round(2)
 array([0.65, 0.26, 0.09])
 
-Source: Jøsang, *Subjective Logic* (2016), chapters 3, 9 and 10; the example is from section 10.8, whose beliefs are of
-inverted conditionals of maximal uncertainty: ``maximize_uncertainty(inversion(...).mass, base_rate)``.
+Source: Jøsang, *Subjective Logic* (2016), chapters 3, 9 and 10. The example is from section 10.8; the beliefs in the
+book are for inverted conditionals of maximal uncertainty: ``maximize_uncertainty(inversion(...).mass, base_rate)``.
 """
 
 from functools import reduce
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -33,15 +33,14 @@ def projected_probability(belief: Array, base_rate: Any = None) -> Array:
     ----------
     belief : (..., K) float32 or float64, numpy or torch
     base_rate : (K,) or (..., K), optional
-        Prior probabilities, with sum 1; by default equal ones.
+        Prior probabilities with sum 1; by default equal.
     """
     b, u = _opinion(belief, "belief")
-    probability: Array = b + _base_rate(base_rate, b) * u[..., None]
-    return probability
+    return cast(Array, b + _base_rate(base_rate, b) * u[..., None])
 
 
 def maximize_uncertainty(belief: Array, base_rate: Any = None) -> Array:
-    """Return the beliefs of the same projected probability with the greatest unknown, min P / base_rate.
+    """Return the beliefs of the same projected probability and the greatest unknown, min P / base_rate.
 
     Parameters
     ----------
@@ -51,15 +50,14 @@ def maximize_uncertainty(belief: Array, base_rate: Any = None) -> Array:
     b, u = _opinion(belief, "belief")
     rate = _base_rate(base_rate, b)
     p = b + rate * u[..., None]
-    greatest: Array = (p - rate * _least_ratio(p, rate)[..., None]).clip(0)
-    return greatest
+    return cast(Array, (p - rate * _least_ratio(p, rate)[..., None]).clip(0))
 
 
 def deduction(x: Any, conditionals: Any, base_rate: Any = None) -> Conclusion:
-    """Return the opinion on y, given the opinion on x and conditional opinions.
+    """Return the opinion on y from the opinion on x and conditional opinions.
 
-    The projected probability follows the law of total probability, with the base rates of y taken from the
-    conditionals (equal ones where all are vacuous).
+    The projected probability follows the law of total probability. The base rates of y follow from the conditionals
+    (equal if all are vacuous).
 
     Parameters
     ----------
@@ -84,7 +82,7 @@ def deduction(x: Any, conditionals: Any, base_rate: Any = None) -> Conclusion:
 
 
 def inversion(conditionals: Any, base_rate: Any = None) -> Conclusion:
-    """Return the opinions on x for each state of y, by those on y for each state of x: Bayes' theorem on opinions.
+    """Return opinions on x for each state of y from opinions on y for each state of x, by Bayes' theorem.
 
     Parameters
     ----------
@@ -96,13 +94,13 @@ def inversion(conditionals: Any, base_rate: Any = None) -> Conclusion:
     Returns
     -------
     Conclusion
-        Beliefs (..., L, K) in the states of x for each state of y, and the base rates (..., L) of y. A state of y
-        that no state of x allows leaves x vacuous.
+        Beliefs (..., L, K) in the states of x for each state of y, and the base rates (..., L) of y. For a state of y
+        with probability 0 in all states of x, x is vacuous.
 
     Notes
     -----
-    Jøsang (2016), section 10.6. The unknown is the greatest that the inverted probability allows, times
-    r + i - r i, with the unknown r of the conditionals relative to its greatest, and the irrelevance i of y for x.
+    Jøsang (2016), section 10.6. Unknown is the greatest value that the inverted probability allows, times
+    r + i - r i, with the unknown r of the conditionals relative to its maximum, and the irrelevance i of y for x.
     """
     of_y = _checked(conditionals, "conditionals")
     rate = _base_rate(base_rate, of_y[..., 0])
@@ -139,11 +137,11 @@ def _deduced(x: Any, conditionals: Any, rate_of_x: Any, rate_of_y: Any) -> Concl
     p_if = conditionals + rate_of_y[..., None, :] * u_if[..., None]
     # Law of total probability
     p = ((x + rate_of_x * u[..., None])[..., None] * p_if).sum(-2)
-    # Greatest unknown that a vacuous x could leave: the apex of the simplex of conditionals
-    least = _over_states(xp.minimum, conditionals, -2)
-    apex = _least_ratio((rate_of_x[..., None] * p_if).sum(-2) - least, rate_of_y).clip(0, 1)
+    # Greatest unknown of y for a vacuous x: the apex of the simplex of conditionals
+    lowest = _over_states(xp.minimum, conditionals, -2)
+    apex = _least_ratio((rate_of_x[..., None] * p_if).sum(-2) - lowest, rate_of_y).clip(0, 1)
     unknown = u * apex + (x * u_if).sum(-1)
-    belief = (p - rate_of_y * unknown[..., None]).clip(0)  # rounding may leave it below zero
+    belief = (p - rate_of_y * unknown[..., None]).clip(0)  # rounding may give negative beliefs
     return Conclusion(belief, rate_of_y + 0 * belief)
 
 
@@ -157,10 +155,10 @@ def _inverted(conditionals: Any, rate: Any) -> Conclusion:
     never = p_y <= 0
     likelihood_ratio = xp.where(never[..., None, :], 1 + 0 * p_if, p_if / (p_y + never)[..., None, :])
     p_x = rate[..., None] * likelihood_ratio
-    # Greatest unknown of x, times the relative unknown of the conditionals or the irrelevance of y
+    # Greatest unknown of x, times the relative unknown of the conditionals combined with the irrelevance of y
     greatest = _over_states(xp.minimum, likelihood_ratio, -2).clip(0, 1)
-    most, least = _over_states(xp.maximum, p_if, -2), _over_states(xp.minimum, p_if, -2)
-    irrelevance = xp.where(never, 1 + 0 * p_y, 1 - (most - least))
+    highest, lowest = _over_states(xp.maximum, p_if, -2), _over_states(xp.minimum, p_if, -2)
+    irrelevance = xp.where(never, 1 + 0 * p_y, 1 - (highest - lowest))
     weights = u_if.sum(-1)
     weights = u_if / (weights + (weights == 0))[..., None]
     bound = _least_ratio(p_if, rate_of_y[..., None, :])
@@ -171,22 +169,22 @@ def _inverted(conditionals: Any, rate: Any) -> Conclusion:
 
 
 def _marginal_base_rate(conditionals: Any, rate: Any) -> Any:
-    """Return the base rates of y that are consistent with themselves; equal ones where all conditionals are vacuous."""
+    """Return the marginal base rates of y, equal where all conditionals are vacuous."""
     xp = namespace(conditionals)
     beliefs = (rate[..., None] * conditionals).sum(-2)
     known = beliefs.sum(-1)[..., None]
-    nothing = known <= 0
-    return xp.where(nothing, 1 / beliefs.shape[-1] + 0 * beliefs, beliefs / (known + nothing))
+    vacuous = known <= 0
+    return xp.where(vacuous, 1 / beliefs.shape[-1] + 0 * beliefs, beliefs / (known + vacuous))
 
 
 def _opinion(belief: Any, name: str) -> tuple[Any, Any]:
-    """Return checked beliefs (..., K) and the unknown (...)."""
+    """Check beliefs (..., K); return them and unknown (...)."""
     b = _checked(belief, name)
     return b, (1 - b.sum(-1)).clip(0)
 
 
 def _checked(belief: Any, name: str) -> Any:
-    """Return beliefs as an array or tensor of which, in numpy, every opinion is checked."""
+    """Return beliefs as an array or tensor; in numpy check every opinion."""
     b = belief if hasattr(belief, "dtype") else np.asarray(belief, np.float64)
     xp = check_float(b, name)
     if b.ndim == 0 or b.shape[-1] < 2:
@@ -214,13 +212,13 @@ def _base_rate(base_rate: Any, like: Any) -> Any:
 
 
 def _over_states(choose: Any, values: Any, axis: int) -> Any:
-    """Return the least or the greatest along an axis, by numpy's or torch's function of two arrays."""
+    """Reduce an axis by a function of two arrays, such as ``minimum`` or ``maximum``."""
     moved = namespace(values).moveaxis(values, axis, 0)
     return reduce(choose, [moved[k] for k in range(moved.shape[0])])
 
 
 def _least_ratio(above: Any, below: Any) -> Any:
-    """Return the least quotient over the last axis; where a divisor is zero it does not bind, and counts as 1."""
+    """Return the least quotient over the last axis; a quotient with divisor 0 counts as 1."""
     xp = namespace(above)
     zero = below <= 0
     quotient = xp.where(zero, 1 + 0 * above, above / (below + zero))

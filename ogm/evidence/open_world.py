@@ -1,15 +1,17 @@
-"""Rules of the open world, in which conflict stays as mass on the empty set.
+"""Open-world rules, which keep conflict as mass of the empty set.
 
-A triple (free, occupied, unknown) whose sum is below 1 has the rest as conflict. `conjunctive` is the one rule that
-makes triples of pairs, as its result has conflict: the pair alone would be numerically Yager's, and the unknown
-derived from it would include the conflict. `close_world` returns pairs. Both rules are associative. The cautious and
-the bold rule of the open world are in `ogm.evidence.powerset`.
+In a triple (free, occupied, unknown), the rest to 1 is conflict. `conjunctive` returns triples also for pairs, because
+its result has conflict; the pair alone would be the result of Yager's rule, with conflict as part of unknown.
+`close_world` returns pairs. Both rules are associative. The open-world cautious and bold rules are in
+`ogm.evidence.powerset`.
 
 Sources: Smets and Kennes, "The transferable belief model" (1994); Smets, "Belief functions: the disjunctive
 rule of combination" (1993).
 """
 
-from ogm.evidence.arrays import Array, namespace, open_sources, split_open, stack_last
+from functools import reduce
+
+from ogm.evidence.arrays import Array, each_source, namespace, split_open, stack_last
 from ogm.evidence.kinds import takes_masses
 from ogm.evidence.rules import OnConflict, agreement, check_policy, normalized, resolve
 
@@ -18,37 +20,35 @@ from ogm.evidence.rules import OnConflict, agreement, check_policy, normalized, 
 def conjunctive(*masses: Array, axis: int | None = None) -> Array:
     """Combine by the unnormalised conjunctive rule of the transferable belief model.
 
-    Commutative and associative; the vacuous mass is neutral. Conflict is kept as mass on the empty set.
+    Commutative and associative; the vacuous mass is neutral. Conflict is the mass of the empty set.
 
     Parameters
     ----------
     *masses : (..., 2) or (..., 3) float32 or float64, numpy or torch
-        Pairs (free, occupied) or triples (free, occupied, unknown) of two or more sources, or one stack along `axis`.
+        Pairs (free, occupied) or triples (free, occupied, unknown) of two or more sources, or a stack along `axis`.
     axis : int, optional
         Leading axis of the stack that counts the sources.
 
     Returns
     -------
-    (..., 3), (free, occupied, unknown); conflict is 1 minus their sum
+    (..., 3), triples (free, occupied, unknown); conflict is 1 minus the sum
     """
-    xp, parts = open_sources(masses, axis)
-    free, occupied, unknown, _ = parts[0]
-    for f, o, u, _ in parts[1:]:
-        free, occupied, unknown = agreement(free, occupied, unknown, f, o, u)
-    return stack_last(xp, [free, occupied, unknown], masses[0])
+    xp, parts = each_source(masses, axis, split_open)
+    joint = reduce(lambda joint, part: agreement(*joint, *part), (part[:3] for part in parts))
+    return stack_last(xp, joint, masses[0])
 
 
 @takes_masses(triples=True)
 def disjunctive(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by the disjunctive rule: at least one source is reliable, it is not known which.
+    """Combine by the disjunctive rule: at least one source, not known which, is reliable.
 
-    Commutative and associative; vacuous is absorbing, and total conflict (all mass on the empty set) is
-    neutral. Never produces conflict.
+    Commutative and associative. The vacuous mass is absorbing, and total conflict (all mass on the empty set) is
+    neutral. The rule creates no conflict.
 
     Parameters
     ----------
     *masses : (..., 2) or (..., 3) float32 or float64, numpy or torch
-        Pairs (free, occupied) or triples (free, occupied, unknown) of two or more sources, or one stack along `axis`.
+        Pairs (free, occupied) or triples (free, occupied, unknown) of two or more sources, or a stack along `axis`.
     axis : int, optional
         Leading axis of the stack that counts the sources.
 
@@ -56,7 +56,7 @@ def disjunctive(*masses: Array, axis: int | None = None) -> Array:
     -------
     (..., 2) if all sources are pairs, else (..., 3)
     """
-    xp, parts = open_sources(masses, axis)
+    xp, parts = each_source(masses, axis, split_open)
     free, occupied, _, conflict = parts[0]
     for f, o, _, c in parts[1:]:
         free, occupied, conflict = (free * (f + c) + conflict * f, occupied * (o + c) + conflict * o, conflict * c)
@@ -74,8 +74,8 @@ def close_world(open_mass: Array, *, on_conflict: OnConflict = "average") -> Arr
     open_mass : (..., 3) float32 or float64, numpy or torch
         Triples (free, occupied, unknown).
     on_conflict : {"average", "vacuous", "nan", "raise"}
-        What to return where conflict is 1. The sources are not known here: "average" is (0.5, 0.5), the limit
-        of two equally strong ones.
+        Result where conflict is 1. The sources are not known: "average" is (0.5, 0.5), the limit for two equally
+        strong sources.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The opinion about one cell as a value, with operators.
+"""Opinion about a cell as a value with operators.
 
 >>> from ogm.evidence import Opinion
 >>> lidar, radar = Opinion(free=0.1, occupied=0.6), Opinion(free=0.0, occupied=0.4)
@@ -20,7 +20,7 @@ from ogm.evidence.arrays import split
 
 
 class Conclusion(NamedTuple):
-    """Result of a logical operator: masses (..., 2), and the base rate of the new proposition."""
+    """Result of a logical operator: mass (..., 2), and base rate of the new proposition."""
 
     mass: Any
     base_rate: Any
@@ -28,9 +28,9 @@ class Conclusion(NamedTuple):
 
 @dataclass(frozen=True, slots=True, init=False, repr=False)
 class Opinion:
-    """The opinion about one cell, or another proposition; computations on many cells use arrays.
+    """Opinion about a cell or another proposition; computations on many cells use arrays.
 
-    Rules take opinions and return one, ``dempster(a, b, c)``. Operators: ``a + b`` and ``a - b`` add and subtract
+    Rules of opinions return an opinion, as ``dempster(a, b, c)``. Operators: ``a + b`` and ``a - b`` add and subtract
     evidence (`cumulative`, `cumulative_unfusion`), ``0.8 * a`` is `discount`, ``a & b`` and ``a | b`` are
     `multiplication` and `comultiplication` with occupied as true, ``~a`` exchanges free and occupied.
 
@@ -39,14 +39,14 @@ class Opinion:
     free, occupied : float
         Belief masses in [0, 1].
     unknown : float, optional
-        The rest to one, derived by default; where given, the three must sum to one (within 1e-6).
+        Rest to 1 by default; if given, the three masses must sum to 1 (within 1e-6).
     base_rate : float
-        Prior probability of occupied, in [0, 1]; 0.5 prefers neither state.
+        Prior probability of occupied, in [0, 1].
 
     Raises
     ------
     ValueError
-        If a number is NaN or outside [0, 1], or if the masses do not sum to one.
+        If a number is NaN or outside [0, 1], or the masses do not sum to 1.
     """
 
     free: float
@@ -54,7 +54,7 @@ class Opinion:
     unknown: float
     base_rate: float
 
-    __array_ufunc__: ClassVar[None] = None  # a number of numpy times an opinion is an opinion
+    __array_ufunc__: ClassVar[None] = None  # so that a numpy number times an opinion is an opinion
 
     def __init__(self, free: float, occupied: float, unknown: float | None = None, base_rate: float = 0.5) -> None:
         if unknown is None:
@@ -67,21 +67,21 @@ class Opinion:
             object.__setattr__(self, name, float(number))
         total = free + occupied + unknown
         if not abs(total - 1) <= 1e-6:
-            raise ValueError(f"free + occupied + unknown must be 1, got {total}; leave unknown out to have it derived")
+            raise ValueError(f"free + occupied + unknown must be 1, got {total}; omit unknown to derive it")
 
     @classmethod
     def from_mass(cls, mass: Any, base_rate: float = 0.5) -> "Opinion":
-        """Return the opinion of one pair (free, occupied): a list, an array or a tensor of shape (2,)."""
+        """Return the opinion of a pair (free, occupied): a list, an array or a tensor of shape (2,)."""
         mass = mass if hasattr(mass, "dtype") else np.asarray(mass)
         mass = mass.astype(np.float64) if isinstance(mass, np.ndarray) and mass.dtype.kind in "iub" else mass
         free, occupied, u = split(mass)
         if free.ndim:
-            raise ValueError(f"an opinion is one cell, mass of shape (2,); got shape {tuple(mass.shape)}")
+            raise ValueError(f"mass must have shape (2,), got {tuple(mass.shape)}; use arrays for many cells")
         return cls(float(free), float(occupied), float(u), base_rate)
 
     @property
     def mass(self) -> NDArray[np.float64]:
-        """The pair (free, occupied) as a (2,) float64 array."""
+        """Mass (free, occupied) as a (2,) float64 array."""
         return np.array([self.free, self.occupied])
 
     @property
@@ -90,17 +90,17 @@ class Opinion:
         return self.occupied + self.base_rate * self.unknown
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """Give numpy the pair (free, occupied)."""
+        """Return the pair (free, occupied) for numpy."""
         return np.asarray(self.mass, dtype)
 
     def __add__(self, other: "Opinion") -> "Opinion":
-        """Return the cumulative fusion of both: evidence adds."""
+        """Return the cumulative fusion of both opinions: evidence adds."""
         from ogm.evidence.subjective import cumulative
 
         return cumulative(self, other) if isinstance(other, Opinion) else NotImplemented
 
     def __sub__(self, other: "Opinion") -> "Opinion":
-        """Return what was fused with `other` to give this opinion: evidence subtracts."""
+        """Return the opinion that gives this opinion by fusion with `other`: evidence subtracts."""
         from ogm.evidence.subjective import cumulative_unfusion
 
         return cumulative_unfusion(self, other) if isinstance(other, Opinion) else NotImplemented
@@ -126,7 +126,7 @@ class Opinion:
         return cast(Opinion, comultiplication(self, other)) if isinstance(other, Opinion) else NotImplemented
 
     def __invert__(self) -> "Opinion":
-        """Return the opinion on the contrary."""
+        """Return the opinion on the negated proposition."""
         return Opinion(self.occupied, self.free, self.unknown, 1 - self.base_rate)
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""From masses to the probability of being occupied, and from probabilities, log-odds and counts to masses.
+"""Conversions between masses and the probability of occupied, log-odds and counts.
 
 Sources: Smets and Kennes, "The transferable belief model" (1994); Jøsang, *Subjective Logic* (2016), chapter
 3; Cobb and Shenoy, "On the plausibility transformation method for translating belief function models to
@@ -17,13 +17,12 @@ from ogm.evidence.kinds import takes_masses
 def mass_to_probability(mass: Array, base_rate: Any = 0.5) -> Array:
     """Return the projected probability of occupied, P = occupied + a * unknown.
 
-    It is the mean alpha_occupied / sum(alpha) of the Dirichlet density, and with a = 0.5 the pignistic
-    probability.
+    It is the mean alpha_occupied / sum(alpha) of the Dirichlet density, and for a = 0.5 the pignistic probability.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-    base_rate : float or array of one value per cell
+    base_rate : float or (...) array
         Prior probability a of occupied, in [0, 1].
 
     Returns
@@ -37,13 +36,13 @@ def mass_to_probability(mass: Array, base_rate: Any = 0.5) -> Array:
 def probability_to_mass(probability: Any, unknown: Any, base_rate: Any = 0.5) -> Any:
     """Return the mass with a given projected probability of occupied and a given unknown.
 
-    The inverse of `mass_to_probability`: occupied = P - a u, free = 1 - P - (1 - a) u. With ``unknown = 0``
-    it is the dogmatic (Bayesian) mass.
+    The inverse of `mass_to_probability`: occupied = P - a u, free = 1 - P - (1 - a) u. With ``unknown = 0`` the result
+    is the dogmatic (Bayesian) mass.
 
     Raises
     ------
     ValueError
-        If `unknown` is too large for `probability`: the largest possible is that of `maximize_uncertainty`.
+        If `unknown` is too large for `probability`; `maximize_uncertainty` gives the greatest possible unknown.
     """
     xp = check_float(probability, "probability")
     u = as_like(unknown, probability, "unknown")
@@ -66,7 +65,7 @@ def pignistic(mass: Array) -> Array:
 def plausibility_transform(mass: Array) -> Array:
     """Return the plausibility transform, Pl(O) / (Pl(F) + Pl(O)) (Cobb and Shenoy, 2006).
 
-    Dempster's rule multiplies plausibilities, so the log-odds of this probability simply add under it.
+    Dempster's rule multiplies plausibilities, so it adds the log-odds of this probability.
     """
     free, occupied, u = split(mass)
     return per_cell((occupied + u) / ((free + u) + (occupied + u)), mass)
@@ -76,8 +75,7 @@ def plausibility_transform(mass: Array) -> Array:
 def mass_to_log_odds(mass: Array) -> Array:
     """Return the log-odds of occupied of the plausibility transform, ln(Pl(O) / Pl(F)).
 
-    The log-odds of a Bayesian grid: under Dempster's rule these numbers add. A cell that is
-    dogmatically occupied (free) has +inf (-inf).
+    The log-odds of a Bayesian grid: Dempster's rule adds them. A dogmatically occupied (free) cell has +inf (-inf).
     """
     free, occupied, _ = split(mass)
     xp = namespace(mass)
@@ -86,10 +84,10 @@ def mass_to_log_odds(mass: Array) -> Array:
 
 
 def log_odds_to_mass(log_odds: Array) -> Array:
-    """Return the least committed mass with these log-odds: all belief on one state.
+    """Return the least committed mass with the given log-odds, with belief in a single state.
 
-    l > 0 gives occupied = 1 - exp(-l), l < 0 gives free = 1 - exp(l), the rest is unknown. Combining such
-    masses by Dempster's rule is adding log-odds (`mass_to_log_odds` inverts this).
+    l > 0 gives occupied = 1 - exp(-l), l < 0 gives free = 1 - exp(l), and the rest is unknown. Dempster's rule on these
+    masses adds log-odds. The inverse is `mass_to_log_odds`.
 
     Parameters
     ----------
@@ -97,9 +95,9 @@ def log_odds_to_mass(log_odds: Array) -> Array:
         Natural logarithm of the odds of occupied.
     """
     xp = check_float(log_odds, "log_odds")
-    if xp is np and np.isnan(log_odds).any():  # type: ignore[call-overload]
-        raise ValueError("log_odds must not be NaN")
     given: Any = log_odds
+    if xp is np and np.isnan(given).any():
+        raise ValueError("log_odds must not be NaN")
     return stack_last(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
 
 
@@ -107,12 +105,12 @@ def log_odds_to_mass(log_odds: Array) -> Array:
 def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
     """Return the mass of the same projected probability with the greatest unknown.
 
-    u = min(P / a, (1 - P) / (1 - a)): one of the two beliefs becomes zero (Jøsang 2016, section 3.5.6).
+    u = min(P / a, (1 - P) / (1 - a)); one of the beliefs becomes zero (Jøsang 2016, section 3.5.6).
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-    base_rate : float or array of one value per cell
+    base_rate : float or (...) array
         Prior probability a of occupied, in [0, 1].
     """
     free, occupied, u = split(mass)
@@ -120,7 +118,7 @@ def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
     rate = as_like(base_rate, occupied, "base_rate")
     probability = occupied + rate * u
     opposite = free + (1 - rate) * u
-    # Cross-multiplied, and no bound where a base rate is 0 or 1: nothing is divided by zero.
+    # Cross-multiplied, without a bound for base rates of 0 and 1, to avoid division by zero
     occupied_wins = (probability * (1 - rate) >= opposite * rate) & (rate < 1)
     zero = 0 * u
     as_occupied = probability - rate * opposite / xp.where(occupied_wins, 1 - rate, 1.0 + zero).clip(1e-30)
@@ -131,15 +129,15 @@ def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
 def counts_to_mass(hits: Array, passes: Array, p_miss: float = 0.8, p_false_alarm: float = 0.05) -> Array:
     """Return the mass of a cell in which `hits` rays ended and through which `passes` rays went.
 
-    Each hit is a simple mass 1 - p_false_alarm on occupied, each pass a simple mass 1 - p_miss on free; all of
-    them are combined by Yager's rule at once:
+    Each hit is a simple mass 1 - p_false_alarm on occupied, and each pass a simple mass 1 - p_miss on free. All are
+    combined at once by Yager's rule:
 
     occupied = p_miss^passes (1 - p_false_alarm^hits),   free = p_false_alarm^hits (1 - p_miss^passes).
 
     Parameters
     ----------
     hits, passes : (...) float32 or float64, numpy or torch
-        Numbers of rays, not negative; whole numbers or weights.
+        Numbers of rays or their weights, at least 0.
     p_miss : float
         Probability in [0, 1] that a ray passes through an occupied cell.
     p_false_alarm : float

@@ -1,7 +1,7 @@
-"""Rules that redistribute conflict among its parties: PCR5, PCR6, PCR6+, Murphy's average, consensus & compromise.
+"""Rules that redistribute conflict: PCR5, PCR6, PCR6+, Murphy's average, consensus & compromise.
 
-For two sources PCR5, PCR6 and PCR6+ are one and the same rule. None of the rules here is associative: all
-sources are combined at once, and a chain of pairs is not the rule and depends on the order.
+For two sources PCR5, PCR6 and PCR6+ are the same rule. The rules are not associative: all sources are combined at once,
+and a chain of pairs gives a different result, which depends on the order.
 
 Sources: Smarandache and Dezert, *Advances and Applications of DSmT*, vol. 2 (2006), PCR5; Martin and Osswald,
 same volume, PCR6; Dezert, Dezert and Smarandache, "Improvement of proportional conflict redistribution rules
@@ -15,74 +15,73 @@ from itertools import product
 from math import prod
 from typing import Any
 
-import numpy as np
-
-from ogm.evidence.arrays import Array, maybe_any, rounding, sources, stack_last
+from ogm.evidence.arrays import Array, as_double, maybe_any, rounding, sources, stack_last
 from ogm.evidence.kinds import takes_masses
 
 _MAX_SOURCES = 8  # 3^8 products of masses
-_UNKNOWN = 2  # place of the unknown in (free, occupied, unknown)
+_UNKNOWN = 2  # index of unknown in (free, occupied, unknown)
 
 
 @takes_masses()
 def pcr5(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by PCR5: each conflicting product goes back to its states, in proportion to their products.
+    """Combine by PCR5: each conflicting product returns to its states, in proportion to their products.
 
-    Commutative, not associative; vacuous is neutral for two sources, not for more.
+    Commutative, not associative; the vacuous mass is neutral for two sources only.
 
     Parameters
     ----------
-    a, b : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied). Without `b`, `a` is a stack of sources along `axis`.
+    *masses : (..., 2) float32 or float64, numpy or torch
+        Masses (free, occupied) of two to eight sources, or a stack of sources along `axis`. The time grows as
+        3^sources.
     axis : int, optional
-        The leading axis of `a` that counts the sources, at most 8: the work grows as 3^sources.
+        Leading axis of the stack that counts the sources.
 
     Returns
     -------
     (..., 2), the combined mass
     """
-    return _redistribute(masses, axis, _in_proportion_to_products)
+    return _redistribute(masses, axis, _product)
 
 
 @takes_masses()
 def pcr6(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by PCR6: each conflicting product goes back to its sources, in proportion to their masses.
+    """Combine by PCR6: each conflicting product returns to its sources, in proportion to their masses.
 
-    Commutative, not associative; vacuous is neutral for two sources, not for more.
+    Commutative, not associative; the vacuous mass is neutral for two sources only.
 
     Parameters
     ----------
     *masses, axis
         See `pcr5`.
     """
-    return _redistribute(masses, axis, _in_proportion_to_sums)
+    return _redistribute(masses, axis, sum)
 
 
 @takes_masses()
 def pcr6_plus(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by PCR6+: as PCR6, but only to sources that take part in the conflict.
+    """Combine by PCR6+: like PCR6, restricted to the sources in conflict.
 
-    A source whose part in a product is unknown has no share in its conflict, so the vacuous mass is neutral for
-    any number of sources. Commutative, not associative.
+    Sources that contribute unknown to a product have no share in its conflict, so the vacuous mass is neutral for any
+    number of sources. Commutative, not associative.
 
     Parameters
     ----------
     *masses, axis
         See `pcr5`.
     """
-    return _redistribute(masses, axis, _in_proportion_to_sums_of_the_conflicting)
+    return _redistribute(masses, axis, sum, parties=2)
 
 
 @takes_masses()
 def murphy(*masses: Array, axis: int | None = None) -> Array:
     """Combine by Murphy's rule: Dempster's rule on n copies of the mean of the n masses.
 
-    Commutative, not associative, vacuous is not neutral. Total conflict cannot happen.
+    Commutative, not associative; the vacuous mass is not neutral. Total conflict cannot occur.
 
     Parameters
     ----------
     *masses : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied) of two or more sources, or one stack of sources along `axis`.
+        Masses (free, occupied) of two or more sources, or a stack of sources along `axis`.
     axis : int, optional
         Leading axis of the stack that counts the sources.
 
@@ -93,7 +92,7 @@ def murphy(*masses: Array, axis: int | None = None) -> Array:
     xp, parts = sources(masses, axis)
     n = len(parts)
     free, occupied, unknown = (sum(numbers) / n for numbers in zip(*parts, strict=True))
-    # Commonalities multiply; scaled by the greater one, n of them neither overflow nor vanish.
+    # Commonalities multiply; scaled by the greater, n factors neither overflow nor underflow
     greater = xp.maximum(free, occupied) + unknown
     q_free, q_occupied = ((free + unknown) / greater) ** n, ((occupied + unknown) / greater) ** n
     q_whole = (unknown / greater) ** n
@@ -103,36 +102,36 @@ def murphy(*masses: Array, axis: int | None = None) -> Array:
 
 @takes_masses()
 def consensus_compromise(*masses: Array, axis: int | None = None) -> Array:
-    """Fuse by consensus & compromise: keep what all agree on, redistribute the rest, turn conflict to unknown.
+    """Fuse by consensus & compromise: keep common belief, redistribute the rest, turn conflict to unknown.
 
-    Commutative and idempotent, vacuous is neutral for two sources; not associative. Discontinuous at
-    agreement: two equal masses give themselves, two almost equal ones a result far from it. Not for grids by
-    default.
+    Commutative and idempotent; the vacuous mass is neutral for two sources; not associative. Discontinuous at
+    agreement: the result for two equal masses is the same mass; for two almost equal masses it is far from both.
+    Not recommended for grids.
 
     Parameters
     ----------
     *masses, axis
-        See `cumulative`; at most 12 sources, as the work doubles with each.
+        See `cumulative`; at most 12 sources, because the time doubles with each.
 
     Notes
     -----
     Jøsang (2016), section 12.6; van der Heijden, Kopp and Kargl (2018). The published formula divides zero by zero
 
-    * where all sources are equal: their common mass is returned, as no residue remains;
-    * where two or more are dogmatic (unknown of at most 4 units of rounding) and another has no residue, such as
-      (1, 0), (1, 0) and a vacuous one: the mean of the dogmatic masses is returned. It is the limit of dogmatic
-      sources whose residues give the same small share to the unknown.
+    * where all sources are equal, so that no residue remains: the result is the common mass;
+    * where two or more sources are dogmatic (unknown of at most 4 units of rounding) and another has no residue, such
+      as (1, 0), (1, 0) and the vacuous mass: the result is the mean of the dogmatic masses. It is the limit if the
+      dogmatic sources move the same small share of their residues to unknown.
     """
     xp, parts = sources(masses, axis)
     if len(parts) > 12:
         raise ValueError(f"consensus_compromise takes at most 12 sources, got {len(parts)}")
-    # In float64, as the product of twelve unknowns of float32 may be too small for it.
-    parts = [tuple(number.astype(np.float64) if xp is np else number.double() for number in part) for part in parts]
-    # Step 1, consensus: the belief that every source has at least.
+    # In float64, because the product of twelve unknowns may underflow in float32
+    parts = [tuple(map(as_double, part)) for part in parts]
+    # Step 1, consensus: the least belief of all sources
     agreed_free, agreed_occupied = (reduce(xp.minimum, [part[k] for part in parts]) for k in (0, 1))
     rests = [(free - agreed_free, occupied - agreed_occupied) for free, occupied, _ in parts]
     unknowns = [unknown * (unknown > rounding(masses[0])) for _, _, unknown in parts]
-    # Step 2, compromise: a residue meets the unknown of all others, or their residues of the other state.
+    # Step 2, compromise: products of a residue with the unknown of all others, or with residues of the other state
     free, occupied = (
         sum(_product([rest[k], *unknowns[:i], *unknowns[i + 1 :]]) for i, rest in enumerate(rests)) for k in (0, 1)
     )
@@ -140,57 +139,49 @@ def consensus_compromise(*masses: Array, axis: int | None = None) -> Array:
     for states in product((0, 1), repeat=len(rests)):
         if 0 in states and 1 in states:
             both = both + _product([rest[state] for rest, state in zip(rests, states, strict=True)])
-    none = free + occupied + both == 0
-    if maybe_any(xp, none):  # the limit: the residues of the dogmatic sources, if any
+    no_residue = free + occupied + both == 0
+    if maybe_any(xp, no_residue):  # the limit: the residues of the dogmatic sources, if any
         free, occupied = (
-            value + none * sum(rest[k] * (unknown == 0) for rest, unknown in zip(rests, unknowns, strict=True))
+            value + no_residue * sum(rest[k] * (unknown == 0) for rest, unknown in zip(rests, unknowns, strict=True))
             for k, value in enumerate((free, occupied))
         )
-    # Step 3, normalise: the mass that is neither agreed nor unknown to all sources is distributed in proportion.
+    # Step 3, normalisation: distribute the mass that is neither common belief nor common unknown, in proportion
     left = (1 - agreed_free - agreed_occupied - _product(unknowns)).clip(0)
     shared = free + occupied + both
     share = left / (shared + (shared == 0))
     return stack_last(xp, [agreed_free + share * free, agreed_occupied + share * occupied], masses[0])
 
 
-def _redistribute(masses: Sequence[Array], axis: int | None, share: Callable[..., list[Any]]) -> Array:
-    """Sum over all ways in which every source picks a state; conflicting ones are distributed by `share`."""
+def _redistribute(
+    masses: Sequence[Array], axis: int | None, merged: Callable[[list[Any]], Any], parties: int = 3
+) -> Array:
+    """Sum over all choices of a state by each source, and return conflicting products to the states.
+
+    The shares of free, of occupied and, with three parties, of unknown are in proportion to their `merged` masses.
+    """
     xp, parts = sources(masses, axis)
     if len(parts) > _MAX_SOURCES:
         raise ValueError(
-            f"PCR takes at most {_MAX_SOURCES} sources, got {len(parts)}; combine in groups, or use an associative rule"
+            f"PCR takes at most {_MAX_SOURCES} sources, got {len(parts)}; combine groups, or use an associative rule"
         )
     totals: list[Any] = [0 * parts[0][0], 0 * parts[0][0]]
     for states in product((0, 1, _UNKNOWN), repeat=len(parts)):
         picked = [part[state] for part, state in zip(parts, states, strict=True)]
         weight = _product(picked)
         if 0 in states and 1 in states:  # conflict
-            shares = share(states, picked)
+            shares = [
+                merged([mass for mass, picked_state in zip(picked, states, strict=True) if picked_state == party])
+                for party in range(parties)
+                if party in states
+            ]
             whole = sum(shares)
-            none = whole == 0
-            weight = weight / (whole + none if maybe_any(xp, none) else whole)
+            zero = whole == 0
+            weight = weight / (whole + zero if maybe_any(xp, zero) else whole)
             totals = [total + weight * part for total, part in zip(totals, shares, strict=False)]
         elif 0 in states or 1 in states:  # agreement
             state = 0 if 0 in states else 1
             totals[state] = totals[state] + weight
     return stack_last(xp, totals, masses[0])
-
-
-def _groups(states: tuple[int, ...], picked: list[Any]) -> list[list[Any]]:
-    """Return the masses of the sources that picked free, those of occupied, those of unknown."""
-    return [[m for s, m in zip(states, picked, strict=True) if s == wanted] for wanted in (0, 1, _UNKNOWN)]
-
-
-def _in_proportion_to_products(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    return [_product(group) if group else 0 * picked[0] for group in _groups(states, picked)]
-
-
-def _in_proportion_to_sums(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    return [sum(group, start=0 * picked[0]) for group in _groups(states, picked)]
-
-
-def _in_proportion_to_sums_of_the_conflicting(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    return _in_proportion_to_sums(states, picked)[:_UNKNOWN]
 
 
 def _product(numbers: list[Any]) -> Any:

@@ -1,16 +1,15 @@
 """Fusion operators of subjective logic for binomial opinions.
 
-They act on the same pairs as the Dempster-Shafer rules, in terms of evidence ``e = W b / u``: cumulative
-fusion adds it, averaging fusion takes its mean, weighted fusion its mean weighted by confidence ``1 - u``. A
-mass with u = 0 (up to 4 units of rounding) has infinite evidence: it overrules all others, and several of them
-are averaged.
+They act on pairs like the Dempster-Shafer rules, in terms of evidence ``e = W b / u``: cumulative fusion adds evidence,
+averaging fusion takes the mean, and weighted fusion the mean weighted by confidence ``1 - u``. A mass with u = 0 (up to
+4 units of rounding) is dogmatic: its evidence is infinite. Dogmatic masses overrule all others and are averaged.
 
-Every operator takes n masses, or a stack and its axis. A chain of pairs agrees for cumulative fusion alone, and
-there only in cells with at most two dogmatic sources, as it loses the number of sources of a mean.
+Every operator takes several masses, or a stack and its axis. A chain of pairs is equivalent only for cumulative fusion,
+in cells with at most two dogmatic sources, because a mean of dogmatic masses loses the number of sources.
 `consensus_compromise` is in `ogm.evidence.proportional`.
 
-Base rates are not part of a pair. Where all sources share one, so does the result; where they differ, use
-`cumulative_base_rate`, `confidence_base_rate` or `averaging_base_rate`, as the operators do for opinions.
+Base rates are not part of a pair. If all sources have the same base rate, so does the result. For different base rates
+use `cumulative_base_rate`, `confidence_base_rate` or `averaging_base_rate`, as the operators do for opinions.
 
 Sources: Jøsang, *Subjective Logic* (2016), chapter 12; Jøsang, Wang and Zhang, "Multi-source fusion in
 subjective logic" (Fusion 2017); van der Heijden, Kopp and Kargl, "Multi-source fusion operations in
@@ -46,12 +45,12 @@ def cumulative(*masses: Array, axis: int | None = None, dogmatic_weights: Sequen
     """Fuse independent observations by (aleatory) cumulative fusion: evidence adds.
 
     ``b = (b1 u2 + b2 u1) / (u1 + u2 - u1 u2)``. Commutative, and associative except where three or more sources are
-    dogmatic; vacuous is neutral.
+    dogmatic; the vacuous mass is neutral.
 
     Parameters
     ----------
     *masses : (..., 2) float32 or float64, numpy or torch
-        Masses (free, occupied) of two or more sources, or one stack of sources along `axis`.
+        Masses (free, occupied) of two or more sources, or a stack of sources along `axis`.
     axis : int, optional
         Leading axis of the stack that counts the sources.
     dogmatic_weights : one number per source, optional
@@ -70,14 +69,13 @@ def cumulative(*masses: Array, axis: int | None = None, dogmatic_weights: Sequen
             free, occupied = xp.where(both, f + g, free), xp.where(both, o + p, occupied)
             total = xp.where(both, 2 + 0 * total, total)
         return stack_last(xp, [free / total, occupied / total], masses[0])
-    fused = fuse_by_evidence(xp, masses[0], parts, sum_of_evidence, dogmatic_weights)
-    return stack_last(xp, fused, masses[0])
+    return stack_last(xp, fuse_by_evidence(xp, masses[0], parts, sum_of_evidence, dogmatic_weights), masses[0])
 
 
 def added_evidence(f: Any, o: Any, u: Any, g: Any, p: Any, v: Any) -> tuple[Any, Any, Any]:
     """Return (free, occupied) of the cumulative fusion of (f, o, u) and (g, p, v), times a divisor, and the divisor.
 
-    The divisor is u + v - u v. `ogm.evidence.kernels` compiles this same function.
+    The divisor is u + v - u v. `ogm.evidence.kernels` compiles this function.
     """
     return f * v + g * u, o * v + p * u, u + v * (f + o)
 
@@ -85,14 +83,14 @@ def added_evidence(f: Any, o: Any, u: Any, g: Any, p: Any, v: Any) -> tuple[Any,
 def cumulative_epistemic(*masses: Array, axis: int | None = None, base_rate: Any = None) -> Array:
     """Fuse opinions about one fixed fact: cumulative fusion, then maximal uncertainty.
 
-    Not associative, and the vacuous mass is not neutral, as every result is uncertainty-maximised.
+    Not associative, and the vacuous mass is not neutral, because the uncertainty of every result is maximised.
 
     Parameters
     ----------
     *masses, axis
         See `cumulative`.
     base_rate : float or (...) array, optional
-        Prior probability of occupied, in [0, 1]; by default that of the fused opinions, for masses 1/2.
+        Prior probability of occupied, in [0, 1]; by default the base rate of the opinions, or 1/2 for masses.
     """
     fused = cumulative(*masses, axis=axis)
     return maximize_uncertainty(fused) if base_rate is None else maximize_uncertainty(fused, base_rate)
@@ -100,27 +98,27 @@ def cumulative_epistemic(*masses: Array, axis: int | None = None, base_rate: Any
 
 @takes_masses("fused", "part")
 def cumulative_unfusion(fused: Array, part: Array) -> Array:
-    """Return what was fused with `part` to give `fused`: evidence subtracts.
+    """Subtract the evidence of `part` from `fused`, the inverse of `cumulative`.
 
-    ``cumulative(part, cumulative_unfusion(fused, part))`` is `fused` again.
+    ``cumulative(part, cumulative_unfusion(fused, part))`` is `fused`.
 
     Parameters
     ----------
     fused, part : (..., 2) float32 or float64, numpy or torch
-        `part` must not hold more evidence than `fused`. Where both are dogmatic the rest is undetermined, and the
-        vacuous mass is returned.
+        `part` must not have more evidence than `fused`. Where both are dogmatic, the difference is undetermined, and
+        the result is the vacuous mass.
 
     Raises
     ------
     ValueError
-        If a numpy `part` holds more evidence than `fused`, beyond rounding.
+        If a numpy `part` has more evidence than `fused`, beyond rounding.
     """
     xp = namespace(fused)
     (f, o, u), (g, p, v) = split_two(fused, part, ("fused", "part"))
     free, occupied = f * v - g * u, o * v - p * u
     if xp is np:
-        least, must = np.minimum(free, occupied), "not be negative, as part must not hold more evidence than fused"
-        refuse(least < -tolerance_of(fused), least, "what remains", must)
+        lesser, must = np.minimum(free, occupied), "not be negative (part must not have more evidence than fused)"
+        refuse(lesser < -tolerance_of(fused), lesser, "fused - part", must)
     dogmatic = (u <= rounding(fused)) & (v <= rounding(fused))
     free, occupied = (xp.where(dogmatic, 0.0, belief.clip(0)) for belief in (free, occupied))
     total = free + occupied + u * v
@@ -132,7 +130,7 @@ def cumulative_unfusion(fused: Array, part: Array) -> Array:
 def averaging(*masses: Array, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None) -> Array:
     """Fuse dependent observations by averaging fusion: the mean of the evidence.
 
-    Commutative and idempotent, not associative (a stack is averaged in one go); vacuous is not neutral.
+    Commutative and idempotent, not associative; the vacuous mass is not neutral.
 
     Parameters
     ----------
@@ -140,15 +138,14 @@ def averaging(*masses: Array, axis: int | None = None, dogmatic_weights: Sequenc
         See `cumulative`.
     """
     xp, parts = sources(masses, axis)
-    fused = fuse_by_evidence(xp, masses[0], parts, mean_of_evidence, dogmatic_weights)
-    return stack_last(xp, fused, masses[0])
+    return stack_last(xp, fuse_by_evidence(xp, masses[0], parts, mean_of_evidence, dogmatic_weights), masses[0])
 
 
 @takes_masses(rate=confidence_base_rate)
 def weighted(*masses: Array, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None) -> Array:
     """Fuse by weighted belief fusion: the mean of the evidence, weighted by confidence 1 - u.
 
-    Commutative and idempotent, vacuous is neutral; not associative (a stack is fused in one go).
+    Commutative and idempotent, not associative; the vacuous mass is neutral.
 
     Parameters
     ----------
@@ -156,19 +153,18 @@ def weighted(*masses: Array, axis: int | None = None, dogmatic_weights: Sequence
         See `cumulative`.
     """
     xp, parts = sources(masses, axis)
-    return stack_last(
-        xp, fuse_by_evidence(xp, masses[0], parts, confident_mean_of_evidence, dogmatic_weights), masses[0]
-    )
+    fused = fuse_by_evidence(xp, masses[0], parts, confident_mean_of_evidence, dogmatic_weights)
+    return stack_last(xp, fused, masses[0])
 
 
 @takes_masses(rate=confidence_base_rate)
 def belief_constraint(*masses: Array, axis: int | None = None, on_conflict: OnConflict = "average") -> Array:
-    """Fuse by belief constraint fusion: Dempster's rule under its name in subjective logic.
+    """Fuse by belief constraint fusion, the name of Dempster's rule in subjective logic.
 
     Parameters
     ----------
     *masses, axis, on_conflict
-        See `dempster`. The base rate of the result is `confidence_base_rate`.
+        See `dempster`. The base rate of the result is from `confidence_base_rate`.
     """
     return dempster(*masses, axis=axis, on_conflict=on_conflict)
 
@@ -176,18 +172,18 @@ def belief_constraint(*masses: Array, axis: int | None = None, on_conflict: OnCo
 def fuse_by_evidence(
     xp: Any, mass: Any, parts: Sequence[Any], combine: Combine, dogmatic_weights: Sequence[float] | None = None
 ) -> list[Any]:
-    """Return the beliefs of n fused sources in terms of b / u, evidence over prior weight.
+    """Return the fused beliefs of several sources from b / u, evidence over prior weight.
 
     Parameters
     ----------
     xp : module
-        Of numpy or torch.
+        numpy or torch.
     mass : array
-        Of the dtype that decides which unknown counts as none.
+        Array of the dtype of the sources, which sets the greatest unknown of a dogmatic mass.
     parts : sequence of (belief, ..., unknown)
         Columns of each source.
     combine : function
-        Takes parts to beliefs: `sum_of_evidence`, `mean_of_evidence` or `confident_mean_of_evidence`.
+        Function of parts that returns beliefs: `sum_of_evidence`, `mean_of_evidence` or `confident_mean_of_evidence`.
     dogmatic_weights : one number per source, optional
         Relative weights for cells in which several sources are dogmatic; equal by default.
     """
@@ -197,23 +193,23 @@ def fuse_by_evidence(
     dogmatic = [part[-1] <= rounding(mass) for part in parts]
     if not any(maybe_any(xp, here) for here in dogmatic):
         return combine(parts)
-    # Where some are dogmatic, their weighted mean; elsewhere the rule, with 1 in place of u = 0.
+    # The weighted mean of dogmatic sources, if any; in other cells the rule, with 1 in place of u = 0
     share = [weight * (here + 0 * part[-1]) for weight, here, part in zip(weights, dogmatic, parts, strict=True)]
     total: Any = sum(share)
-    some = total > 0
-    total = total + ~some
+    is_dogmatic = total > 0
+    total = total + ~is_dogmatic
     fused = combine([(*part[:-1], part[-1] + here) for here, part in zip(dogmatic, parts, strict=True)])
     beliefs = zip(*(part[:-1] for part in parts), strict=True)
     means = [sum(s * b for s, b in zip(share, column, strict=True)) / total for column in beliefs]
-    return [xp.where(some, *pair) for pair in zip(means, fused, strict=True)]
+    return [xp.where(is_dogmatic, *pair) for pair in zip(means, fused, strict=True)]
 
 
 def sum_of_evidence(parts: Sequence[Any], divisor: int = 1) -> list[Any]:
-    """Return the beliefs of the summed evidence of sources, over a divisor."""
+    """Return the beliefs of the sum of the evidence of sources, over a divisor."""
     columns = zip(*([b / part[-1] for b in part[:-1]] for part in parts), strict=True)
     evidence = [sum(column) / divisor for column in columns]
     total = 1 + sum(evidence)
-    return [one / total for one in evidence]
+    return [number / total for number in evidence]
 
 
 def mean_of_evidence(parts: Sequence[Any]) -> list[Any]:
@@ -224,10 +220,8 @@ def mean_of_evidence(parts: Sequence[Any]) -> list[Any]:
 def confident_mean_of_evidence(parts: Sequence[Any]) -> list[Any]:
     """Return the beliefs of the mean evidence of sources, weighted by their confidence 1 - u."""
     confidence = [sum(part[:-1]) for part in parts]
-    columns = zip(
-        *([c * b / part[-1] for b in part[:-1]] for c, part in zip(confidence, parts, strict=True)), strict=True
-    )
-    evidence = [sum(column) for column in columns]
+    scaled = ([c * b / part[-1] for b in part[:-1]] for c, part in zip(confidence, parts, strict=True))
+    evidence = [sum(column) for column in zip(*scaled, strict=True)]
     total = sum(confidence) + sum(evidence)
     total = total + (total == 0)
-    return [one / total for one in evidence]
+    return [number / total for number in evidence]

@@ -1,4 +1,4 @@
-"""Geometric inverse sensor models: one lidar scan to one evidential grid, by ray casting.
+"""Geometric inverse sensor models of lidar and radar: one scan to one evidential grid.
 
 The kernels are compiled by numba at their first call in a new environment and cached on disk after that.
 

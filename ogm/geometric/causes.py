@@ -1,4 +1,4 @@
-"""Why cells of one scan are unknown: what `RayISM`, `PlanarISM` and `RadarISM` know of their beams, cell by cell."""
+"""Causes of the unknown cells of a scan, from the beams of `RayISM`, `PlanarISM` and `RadarISM`."""
 
 import math
 from typing import NamedTuple
@@ -15,26 +15,26 @@ from ogm.scan import Mount
 __all__ = ["SECTOR", "SectorTrace", "unknown_causes"]
 
 SECTOR = 2 * math.pi / 1024  # [rad] width of the sectors of a `SectorTrace`
-WEAKEST = 0.25  # mass of occupied of an echo that counts half, as others contradict it, and is no known cell
+CONTRADICTED_MASS = 0.25  # least mass of occupied of a cell that is unknown because other beams contradict its echo
 
 
 class SectorTrace(NamedTuple):
-    """The masses of a scan, and why each sector around the sensor ends where it does.
+    """Masses of a scan, and the causes of unknown cells by sector around the sensor.
 
     Attributes
     ----------
     grid : EvidentialGrid
     mount : Mount
     mass : (nx, ny, 2) float32
-        Masses of the model alone; `grid` may hold several models combined.
+        Masses of this model; `grid` may hold several models combined.
     polar : PolarGrid
         S sectors.
     ends : (S, 2) float
-        Ranges at which the first of three parts of a sector ends, and the second [m].
+        A sector has three parts. Ranges at which the first and the second part end [m].
     causes : (S, 3) uint8
-        Why cells of these parts are unknown, `UnknownCause`.
-    weakest : float
-        Mass of occupied from which an unknown cell is so by contradiction.
+        Cause of the unknown cells of each part, `UnknownCause`.
+    contradicted_mass : float
+        Least mass of occupied of an unknown cell with contradiction as its cause; infinity for no such cells.
     """
 
     grid: EvidentialGrid
@@ -43,22 +43,22 @@ class SectorTrace(NamedTuple):
     polar: PolarGrid
     ends: NDArray[np.float64]
     causes: NDArray[np.uint8]
-    weakest: float = WEAKEST
+    contradicted_mass: float = CONTRADICTED_MASS
 
 
 def unknown_causes(trace: RayTrace | SectorTrace) -> NDArray[np.uint8]:
-    """Return why each cell of a scan is unknown.
+    """Return the cause of each unknown cell of a scan.
 
     Parameters
     ----------
     trace : RayTrace or SectorTrace
-        Result of `RayISM.trace`, `PlanarISM.trace` or `RadarISM.trace`. Where `trace.grid` holds the masses of several
-        models, these decide which cells are unknown, and the rays why.
+        Result of `RayISM.trace`, `PlanarISM.trace` or `RadarISM.trace`. If `trace.grid` holds several models combined,
+        its masses decide which cells are unknown, and the rays of the trace give the cause.
 
     Returns
     -------
     (nx, ny) uint8
-        `ogm.UnknownCause`.
+        Values of `ogm.UnknownCause`.
     """
     if isinstance(trace, RayTrace):
         causes = polar_causes(trace.rays, trace.limits, trace.polar, trace.numbers, _view(trace))
@@ -67,12 +67,12 @@ def unknown_causes(trace: RayTrace | SectorTrace) -> NDArray[np.uint8]:
         ends = np.searchsorted((np.arange(bins) + 0.5) * trace.polar.step, trace.ends)  # the first bin beyond
         counts = np.diff(ends, prepend=0, append=bins, axis=1)
         causes = np.repeat(trace.causes.ravel(), counts.ravel()).reshape(-1, bins)
-    weakest = WEAKEST if isinstance(trace, RayTrace) else trace.weakest
-    return cell_causes(trace.grid.mass, trace.mass, causes, trace.polar, weakest)
+    contradicted = CONTRADICTED_MASS if isinstance(trace, RayTrace) else trace.contradicted_mass
+    return cell_causes(trace.grid.mass, trace.mass, causes, trace.polar, contradicted)
 
 
 def _view(trace: RayTrace) -> NDArray[np.float32]:
-    """Return the slopes of the lowest and of the highest ray around each sector, (sectors, 2)."""
+    """Return the slopes of the lowest and the highest ray around each sector, (sectors, 2)."""
     starts, sectors = trace.rays.starts, trace.polar.sectors
     seen = np.flatnonzero(np.diff(starts))
     wedge = np.arange(sectors) * WEDGES // sectors

@@ -1,4 +1,4 @@
-"""Motion from the Doppler of a scan: of the sensor itself, of what moves, and radial velocities as measurements.
+"""Sensor velocity, moving detections and radial velocities from the Doppler of a scan.
 
 >>> import numpy as np
 >>> from ogm import Scan
@@ -6,7 +6,7 @@
 >>> azimuth = np.linspace(-1, 1, 50)
 >>> directions = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
 >>> scan = Scan(20 * directions.astype(np.float32), doppler=-8.0 * np.cos(azimuth))
->>> sensor_velocity(scan).round(3)     # [m/s]: ahead, past what stands still
+>>> sensor_velocity(scan).round(3)     # [m/s]: forward, past static objects
 array([8., 0.])
 """
 
@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.geometric.inputs import in_footprint
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan
 
@@ -24,32 +25,32 @@ __all__ = [
     "radial_velocities", "sensor_velocity", "unfolded",
 ]  # fmt: skip
 
-PAIRS = 128  # of detections that a velocity is guessed from
-LEAST = 5  # detections that a velocity is estimated from
-TOP_SPEED = 60.0  # [m/s] up to which velocities are sought where Doppler folds
-GUESSED_FROM = 1000  # detections that suffice to guess from where Doppler folds
-FOLDED_GUESSES = 8  # velocities that are refined where Doppler folds
-GATE = 3  # standard deviations from a standing world beyond which a detection moves
+PAIRS = 128  # pairs of detections that give first guesses of the velocity
+MIN_DETECTIONS = 5  # for an estimate of the velocity
+MAX_SPEED = 60.0  # [m/s] greatest velocity tried with folded Doppler
+MAX_GUESS_DETECTIONS = 1000  # detections used for first guesses with folded Doppler
+FOLDED_GUESSES = 8  # guesses refined with folded Doppler
+GATE = 3  # a detection moves if its speed over ground exceeds this number of standard deviations
 
 
 class RadialVelocities(NamedTuple):
-    """Radial velocities of places that move, for `ogm.fusion.DynamicMapper.update`.
+    """Radial velocities of moving points, for `ogm.fusion.DynamicMapper.update`.
 
     Attributes
     ----------
     xy : (N, 2) float64
-        Places in the frame of the measurement grid [m].
+        Positions in the frame of the measurement grid [m].
     direction : (N, 2) float64
-        Unit vectors from the sensor to them.
+        Unit vectors from the sensor to the positions.
     speed : (N,) float64
         Velocity over ground along the direction, positive away from the sensor [m/s].
     deviation : (N,) float64
         Standard deviation of the speed, above 0 [m/s].
     extent : (N, 2) float64
-        Standard deviations of the place along and across the direction, above 0 [m].
+        Standard deviations of the position along and across the direction, above 0 [m].
     dense : bool
-        Whether the grid shows shapes, as that of a lidar with Doppler does: only then are its groups of cells matched
-        with earlier scans, and those of later scans with it. Change it by ``_replace(dense=True)``.
+        Whether the measurement grid shows the shapes of objects, as a lidar with Doppler does. Only groups of cells of
+        dense scans are matched from scan to scan. Change it by ``_replace(dense=True)``.
     """
 
     xy: NDArray[np.float64]
@@ -61,11 +62,11 @@ class RadialVelocities(NamedTuple):
 
     @classmethod
     def empty(cls) -> "RadialVelocities":
-        """Return none, of a sparse scan."""
+        """Return an instance without rows, of a sparse scan."""
         return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
 
     def checked(self) -> "RadialVelocities":
-        """Return the columns as float64 arrays.
+        """Check the columns, and return them as float64 arrays.
 
         Raises
         ------
@@ -73,15 +74,15 @@ class RadialVelocities(NamedTuple):
             If a column has another shape, a number is not finite, a deviation or extent is not above 0, or a direction
             is no unit vector.
         """
-        one = (np.size(self.speed),)
-        two = (*one, 2)
+        scalars = (np.size(self.speed),)
+        vectors = (*scalars, 2)
         columns = []
-        for name, shape in zip(self._fields, (two, two, one, one, two), strict=False):
+        for name, shape in zip(self._fields, (vectors, vectors, scalars, scalars, vectors), strict=False):
             column = np.asarray(getattr(self, name), np.float64)
             if column.shape != shape:
                 raise ValueError(f"{name} of radial velocities must have shape {shape}, got {column.shape}")
             if not np.isfinite(column).all():
-                raise ValueError(f"{name} of radial velocities must be finite; leave other detections out")
+                raise ValueError(f"{name} of radial velocities must be finite; leave out the other detections")
             if name in ("deviation", "extent") and not (column > 0).all():
                 raise ValueError(f"{name} of radial velocities must be above 0, got {column.min()}")
             columns.append(column)
@@ -91,33 +92,35 @@ class RadialVelocities(NamedTuple):
         return RadialVelocities(xy, direction, speed, deviation, extent, bool(self.dense))
 
     def moved(self, T: NDArray[np.float64]) -> "RadialVelocities":
-        """Return them in another frame, projected along its vertical; `T` (4, 4) takes this frame to it."""
+        """Transform to another frame and project along its vertical axis; `T` (4, 4) takes this frame to the other."""
         direction = self.direction @ T[:2, :2].T
         direction /= np.hypot(*direction.T)[:, None]
         return self._replace(xy=self.xy @ T[:2, :2].T + T[:2, 3], direction=direction)
 
 
 def sensor_velocity(scan: Scan, *, doppler_noise: float = 0.1) -> NDArray[np.float64] | None:
-    """Estimate how a radar moves from the Doppler of what stands still.
+    """Estimate the velocity of a sensor from the Doppler of static objects.
 
-    Of a standing world, doppler = -v . u for the direction u of each detection. The velocity that most detections
-    agree with, of those that pairs of them give, is refined by least squares (Kellner et al., "Instantaneous
-    ego-motion estimation using Doppler radar", 2013). The pairs are the same every time. Where Doppler folds
-    (`Scan.doppler_interval`), all velocities up to 60 m/s are compared by the sum of ``exp(2 pi i r / interval)`` over
-    the residuals r, to which folds are equal, and the best are refined on residuals folded alike.
+    A static object in direction u has doppler = -v . u. Random pairs of detections, the same for every scan, give
+    guesses of the velocity v. The guess that agrees with most detections is refined by least squares (Kellner et al.,
+    "Instantaneous ego-motion estimation using Doppler radar", 2013).
+
+    If Doppler folds (`Scan.doppler_interval`), the guesses are a grid of velocities up to 60 m/s, ranked by the sum of
+    ``exp(2 pi i r / interval)`` over the residuals r, which is the same for all folds. The best are refined on folded
+    residuals.
 
     Parameters
     ----------
     scan : Scan
-        In the sensor's frame, with `Scan.doppler` against the sensor.
+        In the sensor frame, with `Scan.doppler` relative to the sensor.
     doppler_noise : float
         Standard deviation of the Doppler [m/s].
 
     Returns
     -------
     (2,) float64 or None
-        Velocity over ground along the sensor's x and y axes [m/s]; None with fewer than 5 detections, without Doppler,
-        where less than half of them agree, or where they agree with velocities that differ by folds.
+        Velocity over ground along the sensor's x and y axes [m/s]. None without Doppler, with fewer than 5 detections,
+        if less than half of the detections agree, or if several velocities that differ by folds fit equally.
     """
     if scan.doppler is None:
         return None
@@ -125,23 +128,23 @@ def sensor_velocity(scan: Scan, *, doppler_noise: float = 0.1) -> NDArray[np.flo
 
 
 def unfolded(speed: NDArray[np.float64], interval: float | None) -> NDArray[np.float64]:
-    """Return speeds [m/s] as those within half of an interval that equal them up to folds; as they are without one."""
+    """Wrap speeds [m/s] to half of the Doppler interval on either side of 0; without an interval return them as is."""
     return speed if interval is None else (speed + interval / 2) % interval - interval / 2
 
 
 def moving_detections(
     scan: Scan, doppler_noise: float = 0.1, azimuth_noise: float = 0.01, *, origin: NDArray[np.float64] | None = None
 ) -> NDArray[np.bool_]:
-    """Return which detections move: their Doppler differs by over 3 standard deviations from that of a standing world.
+    """Return a mask of the moving detections: speed over ground above 3 standard deviations.
 
     Parameters
     ----------
     scan : Scan
-        Without Doppler, or where `sensor_velocity` finds none, nothing is said to move.
+        Without Doppler, or if `sensor_velocity` finds no velocity, no detection moves.
     doppler_noise, azimuth_noise : float
         Standard deviations [m/s, rad].
     origin : (3,) array, optional
-        Where the sensor is in the frame of the points; by default in its origin.
+        Position of the sensor in the frame of the points [m]; by default the origin.
     """
     if scan.doppler is None:
         return np.zeros(len(scan), np.bool_)
@@ -160,42 +163,41 @@ def radial_velocities(
     beam: float = math.radians(1.8),
     margin: float = 2.5,
 ) -> RadialVelocities | None:
-    """Return the radial velocities over ground of the detections that move, in the levelled vehicle frame.
+    """Return the radial velocities over ground of moving detections, in the levelled vehicle frame.
 
-    The sensor's own velocity is estimated from the scan (`sensor_velocity`), so Doppler may also be compensated for it.
-    Left out are detections that stand still, those in the ego footprint, and those behind another in the same
-    direction: these are often ghosts, by way of mirrors. The elevation of a detection is neglected.
+    The sensor velocity is estimated from the scan (`sensor_velocity`), so Doppler may also be compensated for it.
+    Static detections and detections in the ego footprint are left out. So are detections behind another in the same
+    direction, which are often ghosts by reflection. The elevation of a detection is neglected.
 
     Parameters
     ----------
     scan : Scan
-        With `Scan.doppler` against the sensor or over ground. If it has a `Scan.doppler_interval`, speeds over ground
-        are less than half of it. If not, Doppler is taken as it is: **a folded one is wrong by its width**,
-        and so is the speed, as of a car that comes at 13 m/s towards a vehicle of 13 m/s whose radar folds at 23 m/s.
+        With `Scan.doppler` relative to the sensor or over ground. With `Scan.doppler_interval`, speeds over ground are
+        below half the interval. Without it, **folded Doppler gives speeds that are wrong by the interval**: for
+        example an oncoming car at 13 m/s, seen from a vehicle at 13 m/s by a radar that folds at 23 m/s.
     mount : Mount
-        Of the sensor.
+        Mount of the sensor.
     doppler_noise, azimuth_noise, range_noise : float
         Standard deviations [m/s, rad, m].
     beam : float
-        Directions are the same within this angle [rad].
+        Detections within this angle have the same direction [rad].
     margin : float
-        Behind is what is this much further away, and `range_noise` twice [m].
+        A detection is behind another if it is further by this distance plus twice `range_noise` [m].
 
     Returns
     -------
     RadialVelocities or None
-        None for scans without Doppler that are no radar's: without `Scan.rcs`. Without rows where nothing moves, or
-        where no velocity of the sensor is found.
+        None for scans with neither Doppler nor `Scan.rcs`, which are not from a radar. No rows if nothing moves or no
+        sensor velocity is found.
     """
     if scan.doppler is None:
         return None if scan.rcs is None else RadialVelocities.empty()
     T = mount.T_vehicle_points
     place = (rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:])[:2].T
-    x0, x1, y0, y1 = mount.ego_footprint
-    (x, y), from_sensor = place.T, place - mount.origin[:2]
+    from_sensor = place - mount.origin[:2]
     distance = np.hypot(*from_sensor.T)
     usable = np.isfinite(scan.points[:, :3]).all(axis=1) & np.isfinite(scan.doppler) & (distance > 1e-3)
-    usable &= ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
+    usable &= ~in_footprint(mount, *place.T)
     place, from_sensor, distance = place[usable], from_sensor[usable], distance[usable]
     found = _over_ground(from_sensor, scan.doppler[usable], doppler_noise, azimuth_noise, scan.doppler_interval)
     speed, deviation = found or (np.zeros(len(place)), np.ones(len(place)))
@@ -216,9 +218,9 @@ def _over_ground(
     azimuth_noise: float,
     interval: float | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return radial velocities over ground and their standard deviations; None if no velocity of the sensor is found.
+    """Return radial velocities over ground and their standard deviations, None without a sensor velocity.
 
-    `xy` (N, 2) are places around the sensor [m].
+    `xy` (N, 2) are positions relative to the sensor [m].
     """
     velocity = _velocity(xy, doppler, doppler_noise, interval)
     if velocity is None:
@@ -229,25 +231,25 @@ def _over_ground(
 
 
 class DirectionSectors(NamedTuple):
-    """Equal sectors of a turn, from the angle -pi on; about two are half a beam wide.
+    """Equal sectors of the full circle, counted from the angle -pi, each about half the beam angle wide.
 
     Attributes
     ----------
     number : int
     width : int
-        Sectors to either side that are the same direction.
+        Sectors on either side that count as the same direction.
     """
 
     number: int
     width: int
 
     def of(self, bearing: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the sectors of angles [rad]."""
+        """Return the sector of each angle [rad]."""
         return ((bearing + math.pi) / (2 * math.pi / self.number)).astype(np.int64) % self.number
 
 
 def direction_sectors(beam: float) -> DirectionSectors:
-    """Return sectors for which directions are the same within an angle [rad]."""
+    """Return the sectors for a beam of the given angle [rad]."""
     count = 4 * math.ceil(math.pi / beam)
     return DirectionSectors(count, math.ceil(beam * count / (2 * math.pi) - 1e-9))
 
@@ -255,12 +257,12 @@ def direction_sectors(beam: float) -> DirectionSectors:
 def nearest_in_direction(
     bearing: NDArray[np.float64], distance: NDArray[np.float64], sectors: DirectionSectors
 ) -> NDArray[np.float64]:
-    """Return the distance of the nearest detection in the direction of each sector, inf where there is none.
+    """Return the distance of the nearest detection in the direction of each sector, inf without a detection.
 
     Parameters
     ----------
     bearing, distance : (N,) float64
-        [rad, m]
+        Bearing and distance of each detection [rad, m].
     sectors : DirectionSectors
     """
     nearest, middle = np.full(sectors.number, np.inf), sectors.of(bearing)
@@ -275,7 +277,7 @@ def _velocity(
     usable = np.isfinite(doppler) & (np.hypot(*xy.T) > 1e-3)
     unit = xy[usable] / np.hypot(*xy[usable].T)[:, None]
     rate = doppler[usable].astype(np.float64)
-    if len(rate) < LEAST:
+    if len(rate) < MIN_DETECTIONS:
         return None
     if interval is None:
         guess = _guess_of_pairs(unit, rate, noise)
@@ -290,7 +292,7 @@ def _velocity(
 
 
 def _guess_of_pairs(unit: NDArray[np.float64], rate: NDArray[np.float64], noise: float) -> NDArray[np.float64]:
-    """Return the velocity that most detections agree with, of those of random pairs of detections, and of none."""
+    """Return the velocity with most agreeing detections, from random pairs of detections and zero."""
     first, second = np.random.default_rng(0).integers(len(rate), size=(2, PAIRS))
     A = np.stack([unit[first], unit[second]], axis=1)
     firm = np.abs(np.linalg.det(A)) > 0.05
@@ -301,10 +303,10 @@ def _guess_of_pairs(unit: NDArray[np.float64], rate: NDArray[np.float64], noise:
 
 
 def _folded_guesses(unit: NDArray[np.float64], rate: NDArray[np.float64], interval: float) -> list[NDArray[np.float64]]:
-    """Return the velocities of a grid with the greatest sums of ``exp(2 pi i r / interval)`` over the residuals r."""
-    thinned = slice(None, None, 1 + len(rate) // GUESSED_FROM)
+    """Return the grid velocities with the greatest sums of ``exp(2 pi i r / interval)`` over the residuals r."""
+    thinned = slice(None, None, 1 + len(rate) // MAX_GUESS_DETECTIONS)
     unit, rate = unit[thinned], rate[thinned]
-    axis = np.arange(-math.ceil(4 * TOP_SPEED / interval), math.ceil(4 * TOP_SPEED / interval) + 1) * (interval / 4)
+    axis = np.arange(-math.ceil(4 * MAX_SPEED / interval), math.ceil(4 * MAX_SPEED / interval) + 1) * (interval / 4)
     turn = 2j * math.pi / interval
     along_x = np.exp(turn * (unit[:, :1] * axis + rate[:, None]))
     score = np.abs(along_x.T @ np.exp(turn * unit[:, 1:] * axis))
@@ -320,9 +322,9 @@ def _refined(
     noises: tuple[float, ...],
     interval: float | None,
 ) -> tuple[NDArray[np.float64] | None, int]:
-    """Return a velocity refined by least squares, once for each standard deviation, and the detections that agree.
+    """Refine a velocity by least squares; also return the number of agreeing detections.
 
-    None and 0 if less than half of the detections agree at a step.
+    Returns None and 0 if less than half of the detections agree within one of the standard deviations.
     """
     agreeing = 0
     for noise in noises:
@@ -330,7 +332,7 @@ def _refined(
         residual = unfolded(rate - expected, interval)
         agree = np.abs(residual) < 4 * noise
         agreeing = int(agree.sum())
-        if agreeing < max(LEAST, len(rate) / 2):
+        if agreeing < max(MIN_DETECTIONS, len(rate) / 2):
             return None, 0
         velocity = np.asarray(np.linalg.lstsq(unit[agree], -(expected + residual)[agree], rcond=1e-3)[0], np.float64)
     return velocity, agreeing

@@ -1,8 +1,8 @@
-"""Where the ground is: from one scan to a map of ground heights.
+"""Ground estimates: the height of the ground in each cell of a coarse grid, from one scan.
 
-A ground estimate is a function ``(xyz, spec, ground_point) -> height``: points in the vehicle frame, the coarse
-grid to fill and the ground under the sensor go in, one height per cell comes out. `RayISM` takes any;
-`flat_ground`, `local_ground` and `patchwork_ground` are the ones at hand.
+A ground estimate is a function ``(xyz, spec, ground_point) -> height`` of points in the vehicle frame, the grid to fill
+and the ground under the sensor. `RayISM` takes any; this module has `flat_ground`, `local_ground` and
+`patchwork_ground`.
 """
 
 from collections.abc import Callable
@@ -21,15 +21,15 @@ from ogm.scan import Mount, Scan
 GroundPoint = tuple[float, float, float]
 GroundEstimate = Callable[[NDArray[np.float32], GridSpec, GroundPoint], NDArray[np.float32]]
 
-MAX_SLOPE = 0.25  # rise over run that still counts as ground; public roads reach 0.15, ramps and banks more
-MAX_DESCENT = 0.15  # average descent from the vehicle below which returns are taken for multipath
-LOW_TOLERANCE = 0.4  # [m] what a cell may lie below its surroundings beyond that descent
+MAX_SLOPE = 0.25  # greatest rise over run of ground; public roads reach 0.15, ramps and banks more
+MAX_DESCENT = 0.15  # greatest mean descent from the vehicle; lower returns are taken for multipath
+LOW_TOLERANCE = 0.4  # [m] greatest depth of a cell below its surroundings, in addition to that descent
 BAND = 0.25  # [m] thickness of the layer of returns that is averaged into a cell's ground height
-SENSOR_HEIGHT = 1.8  # [m] of the sensor in the frame that Patchwork++ is given
+SENSOR_HEIGHT = 1.8  # [m] sensor height in the frame of the points passed to Patchwork++
 
 
 def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint) -> NDArray[np.float32]:
-    """Take the ground to be the plane under the sensor, whatever the points are.
+    """Return the horizontal plane under the sensor; the points are not used.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPo
     Returns
     -------
     (nx, ny) float32
-        Height of the ground at each cell's middle [m].
+        Height of the ground at each cell centre [m].
     """
     return np.full(spec.shape, ground_point[2], np.float32)
 
@@ -51,17 +51,17 @@ def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPo
 def local_ground(
     xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint, max_slope: float = MAX_SLOPE
 ) -> NDArray[np.float32]:
-    """Estimate the ground as the highest surface below the points that nowhere climbs faster than a road can.
+    """Estimate the ground as the highest surface below the points within the slope limit.
 
-    1. the lowest return of each cell; what lies too far below the ground around it is stray and dropped;
-    2. the lower envelope of these heights, and of the ground point, under the slope limit (a cone grown from every
-       cell): walls, cars and crowns stand above it, ramps and hills do not;
-    3. cells whose lowest return touches the envelope are ground; the mean of their lowest layer of returns is the
-       height, or of the layer above it, where that is thin and holds ten times the returns (the lowest are
-       stray);
-    4. cells without ground take a smooth surface through the known ones (pull-push, Gortler et al. 1996).
+    1. Take the lowest return of each cell. Drop stray returns, which lie too far below the ground around them.
+    2. Take the lower envelope of these heights and of the ground point under the slope limit (a cone grown from every
+       cell). Walls, cars and crowns stand above the envelope, ramps and hills do not.
+    3. A cell is ground if its lowest return touches the envelope. Its height is the mean of its lowest layer of
+       returns. If the next layer is thin and holds ten times as many returns, the lowest returns are stray and that
+       layer counts instead.
+    4. Fill the other cells by a smooth surface through the ground cells (pull-push, Gortler et al. 1996).
 
-    Parameters and result are those of `flat_ground`; `max_slope` is the steepest rise over run that is ground.
+    For parameters and result see `flat_ground`; `max_slope` is the greatest rise over run of ground.
 
     Raises
     ------
@@ -84,12 +84,12 @@ def local_ground(
 def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint) -> NDArray[np.float32]:
     """Estimate the ground with Patchwork++ (Lee et al. 2022), if ``pypatchworkpp`` is installed.
 
-    Parameters, returns : see `flat_ground`
+    For parameters and result see `flat_ground`.
 
     Raises
     ------
     ImportError
-        If the package is absent; the message holds the pip command that adds it.
+        If the package is not installed; the message has the pip command.
     """
     try:
         import pypatchworkpp
@@ -100,7 +100,7 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Gro
     parameters.sensor_height = SENSOR_HEIGHT
     estimator = pypatchworkpp.patchworkpp(parameters)
     x, y, z = ground_point
-    shift = np.array([x, y, z + SENSOR_HEIGHT], np.float32)  # it wants the sensor at (0, 0, 0)
+    shift = np.array([x, y, z + SENSOR_HEIGHT], np.float32)  # Patchwork++ expects the sensor at (0, 0, 0)
     estimator.estimateGround(np.pad(xyz - shift, ((0, 0), (0, 1))))  # intensity 0 for all
     ground = xyz[np.asarray(estimator.getGroundIndices(), np.int64)]
     total, count = np.zeros(spec.shape), np.zeros(spec.shape)
@@ -115,21 +115,21 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Gro
 
 
 def shows_ground(scan: Scan, mount: Mount) -> bool:
-    """Return whether a scan as a whole shows the ground, see `ground_evidence`; True without points."""
+    """Return whether a scan shows the ground, see `kernels.evidence.ground_evidence`; True without points."""
     xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
     return not len(ground_evidence(Points(*xyz.T), mount.origin.astype(np.float32), mount.sensor_height))
 
 
 def ground_height(height: NDArray[np.float32], spec: GridSpec, xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the ground's height under each point, bilinear between the cells' middles.
+    """Return the ground height under each point, bilinear between cell centres.
 
     Parameters
     ----------
     height : (nx, ny) float32
-        What a ground estimate returned for `spec` [m].
+        Result of a ground estimate for `spec` [m].
     spec : GridSpec
     xyz : (N, 3 or more) float32
-        Points in the frame of `spec` [m]. Beyond the outermost middles the edge's height holds.
+        Points in the frame of `spec` [m]. Beyond the outermost cell centres the height is constant.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def ground_height(height: NDArray[np.float32], spec: GridSpec, xyz: NDArray[np.f
 
 
 def surface_of(height: NDArray[np.float32], spec: GridSpec) -> Surface:
-    """Return heights on the cells of a grid as kernels take them: at least 2 x 2."""
+    """Return the heights of grid cells as input of the kernels, padded to at least 2 x 2 cells."""
     if 1 in height.shape:
         height = np.pad(height, [(0, int(n == 1)) for n in height.shape], mode="edge")
     x0, y0 = spec.origin

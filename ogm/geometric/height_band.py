@@ -21,28 +21,27 @@ NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)
 class HeightBandISM:
     """The paper's geometric baseline: a height band on flat ground.
 
-    Cells with returns between `z_min` and `z_max` above ground are occupied, cells between the sensor and
-    these are free, the rest is unknown (van Kempen et al. 2021, Sec. VI-A). Ground returns and returns above the
-    band are ignored, so that a ray without an obstacle clears nothing: that is the paper's text, and what
-    `RayISM` does better.
+    Cells with returns between `z_min` and `z_max` above ground are occupied, cells between them and the sensor are
+    free, and the rest is unknown (van Kempen et al. 2021, Sec. VI-A). Ground returns and returns above the band are
+    ignored, as in the paper, so a ray without an obstacle clears nothing. `RayISM` uses them.
 
     Parameters
     ----------
     spec : GridSpec
         The grid to fill, in the vehicle frame; must hold the sensor.
     mount : Mount, optional
-        Where the sensor is mounted; by default each scan's own, `Scan.mount`.
+        Mount of the sensor; by default the mount of each scan, `Scan.mount`.
     z_min, z_max : float
-        The band [m above ground], 0.5 and 2.0 in the paper.
+        Ends of the band above ground [m]; 0.5 and 2.0 in the paper.
     evidence : float
-        Dirichlet evidence e of an observed cell; its mass is e / (e + 2). The paper gives no number; 10 gives
-        0.83. Its code has 1, which gives 1/3: see `as_released`.
+        Dirichlet evidence e of an observed cell, greater than 0; its mass is e / (e + 2), by default 0.83. The paper
+        gives no number. Its released code has e = 1, a mass of 1/3: see `as_released`.
     min_range : float
-        Returns nearer than this are ignored [m, 3D].
+        Returns at a smaller distance (in 3D) are ignored [m].
     drop_ego_returns : bool
-        Ignore returns from the mount's ego footprint; the paper does not.
+        Whether to ignore returns from the ego footprint of the mount; the paper does not.
     supersampling : int
-        The state is drawn on cells this many times smaller, and their evidence averaged.
+        Number of smaller cells per cell and axis on which states are drawn; their evidence is averaged.
 
     Raises
     ------
@@ -69,11 +68,11 @@ class HeightBandISM:
 
     @classmethod
     def as_released(cls, spec: GridSpec) -> Self:
-        """Reproduce what the paper's released code does, for a sensor-centred grid of its *output* cells.
+        """Return the model of the paper's released code, for a sensor-centred grid of its *output* cells.
 
-        That is (EviLOG, ``naive_geometric_ISM``): a mount 1.61 m above flat ground, so that the band is -1.11
-        to 0.39 m in the sensor's frame; returns nearer than 3 m ignored; evidence 1, hence no mass above
-        1/3; drawn on cells of half the size and resized, hence quarter steps. For the paper's set-up give
+        Settings of ``naive_geometric_ISM`` in EviLOG: a mount 1.61 m above flat ground, so the band is -1.11 to 0.39 m
+        in the sensor frame; returns nearer than 3 m ignored; evidence 1, so no mass exceeds 1/3; states drawn on cells
+        of half the size and averaged, so masses have quarter steps. The paper's grid is
         ``GridSpec.centered(81.92, 56.32, 0.32)``.
         """
         return cls(spec, Mount(sensor_height=1.61), evidence=1.0, min_range=3.0, supersampling=2)
@@ -89,7 +88,7 @@ class HeightBandISM:
         Returns
         -------
         EvidentialGrid
-            Vacuous if no point is in the band.
+            Vacuous if no return is in the band.
         """
         log_compilation(height_band_states)
         scan, fine = as_scan(scan), self.spec.refined(self.supersampling)
@@ -100,7 +99,7 @@ class HeightBandISM:
         footprint = mount.ego_footprint if self.drop_ego_returns else NO_FOOTPRINT
         points = Points(*to_vehicle_frame(scan.points, mount, footprint).T)
 
-        # Returns in the band mark their cells, lines from the sensor clear those before
+        # Returns in the band mark their cells; lines from the sensor clear the cells before
         i, j = fine.index(x, y, unbounded=True)
         start = min(int(i), fine.shape[0] - 1), min(int(j), fine.shape[1] - 1)
         cells = Cells(*fine.origin, fine.resolution)

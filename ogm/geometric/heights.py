@@ -1,10 +1,10 @@
-"""Heights of one scan: ground, slope, steps, roughness, obstacles, what hangs above, and where a vehicle may drive.
+"""Layers of heights from a scan (ground, slope, steps, roughness, obstacles, overhangs), and traversability.
 
 >>> import numpy as np
 >>> from ogm import GridSpec, Mount, Scan
 >>> from ogm.geometric import RayISM, height_layers, traversability
 >>> x, y = np.mgrid[3:12:0.05, -4:4:0.05].reshape(2, -1)
->>> scan = Scan(np.column_stack([x, y, 0.1 * x - 1.8]).astype(np.float32))   # a road that climbs by 10 %
+>>> scan = Scan(np.column_stack([x, y, 0.1 * x - 1.8]).astype(np.float32))   # a road with 10 % slope
 >>> trace = RayISM(GridSpec.centered(24.0, 16.0, 0.5), Mount(sensor_height=1.8)).trace(scan)
 >>> layers, at = height_layers(trace), trace.grid.spec.index(8.0, 1.0)
 >>> layers["ground_height"][at].round(1), np.degrees(layers["slope"][at]).round()
@@ -31,19 +31,19 @@ HEIGHT_LAYERS = (
     "ground_height", "ground_variance", "slope", "step", "roughness", "highest_obstacle", "clearance",
 )  # fmt: skip
 """Names of the layers of `height_layers`."""
-KEPT = 2**22  # floats; glibc keeps twice the memory of a piece of 16 MiB for the next scan: fresh pages cost more time
+MIN_FLOATS = 2**22  # 16 MiB: glibc keeps an allocation of this size for the next scan, and fresh pages cost time
 
 
 @dataclass(frozen=True)
 class VehicleLimits:
-    """Ground that a vehicle can drive on.
+    """Limits of the ground that a vehicle can drive on.
 
     Parameters
     ----------
     max_slope : float
-        Inclination of the ground, above 0 and at most pi / 2 [rad].
+        Greatest inclination of the ground, above 0 and at most pi / 2 [rad].
     max_step : float
-        Height of a step [m].
+        Greatest height of a step [m].
     height : float
         Height of the vehicle [m].
 
@@ -64,33 +64,35 @@ class VehicleLimits:
 
 
 def height_layers(trace: RayTrace) -> LayeredGrid:
-    """Return the layers of heights of one scan.
+    """Return the layers of heights of a scan.
 
-    Returns up to `RayISM.obstacle_height` above the surface of `RayISM` are ground, except in cells with obstacles and
-    the cells around them. The surface is filled there, and corrected by the mean of the ground's returns in blocks of
-    0.64 m and in each cell. Cells without returns of the ground take the block's height. What bulges by more than
-    0.25 m within 11 m is unknown: it may be the roof of a car that hides the ground.
+    Returns up to `RayISM.obstacle_height` above the ground map of `RayISM` are ground, except in cells with obstacles
+    and the cells around them. The ground map is interpolated there, then corrected by the mean of the ground returns
+    in blocks of 0.64 m and in each cell. Cells without ground returns take the height of the block. The ground is
+    unknown on bulges of more than 0.25 m within 11 m, which may be roofs of cars that hide the ground.
 
     Parameters
     ----------
     trace : RayTrace
-        From `RayISM.trace`.
+        Result of `RayISM.trace`.
 
     Returns
     -------
     LayeredGrid
-        Layers (nx, ny), NaN where the ground is unknown: more than half a metre from its returns without mass of free,
-        more than 3 m from them, and where most returns are below the surface.
+        Layers (nx, ny), NaN where the ground is unknown. It is unknown more than half a metre from ground returns
+        in cells without mass of free, more than 3 m from ground returns, and where most returns are below the surface.
 
-        - ``ground_height``: ground at the cell's centre, in the vehicle frame [m];
-        - ``ground_variance``: its variance [m2]; it grows in gaps, and includes noise of ranges but not of the pose;
+        - ``ground_height``: ground at the cell centre, in the vehicle frame [m];
+        - ``ground_variance``: variance of the ground height [m2]; it grows in gaps, and includes range noise but not
+          pose noise;
         - ``slope``: inclination of the ground over 1 m [rad];
-        - ``step``: greatest rise between cells at most 0.35 m away, without that of the slope [m]; obstacles that
-          stand on the ground are steps; NaN where no return lies as near;
-        - ``roughness``: standard deviation of the ground's returns about the ground, over 0.64 m [m];
+        - ``step``: greatest rise between cells at most 0.35 m away, less the rise of the slope [m]; obstacles that
+          stand on the ground are steps; NaN without a return within this distance;
+        - ``roughness``: standard deviation of the ground returns about the ground, over 0.64 m [m];
         - ``highest_obstacle``: highest return between `RayISM.obstacle_height` and `RayISM.clearance` above the
-          ground [m]; 0 where the ground is known and there is none;
-        - ``clearance``: lowest return from `RayISM.obstacle_height` on above the ground [m]; NaN where there is none.
+          ground [m]; 0 on known ground without such a return;
+        - ``clearance``: lowest return above `RayISM.obstacle_height`, relative to the ground [m]; NaN without such a
+          return.
 
     Raises
     ------
@@ -102,7 +104,7 @@ def height_layers(trace: RayTrace) -> LayeredGrid:
     if ny >= WIDTH - 16:
         raise ValueError(f"layers of heights are for grids of at most {WIDTH - 16} cells along y, got {ny}")
     cells = Cells(*spec.origin, spec.resolution)
-    wide, part = np.split(np.empty(max(2 * nx * ny + PARTS, KEPT), np.float32), [2 * nx * ny])
+    wide, part = np.split(np.empty(max(2 * nx * ny + PARTS, MIN_FLOATS), np.float32), [2 * nx * ny])
     work = HeightSpace(np.empty((len(HEIGHT_LAYERS), nx, ny), np.float32), wide.reshape(2, nx, ny), part)
     sum_returns(trace.points, trace.work.above, cells, trace.numbers, work.layers)
     height_cells(np.ascontiguousarray(trace.grid.mass), trace.ground, trace.mount.ground_point, cells, work)
@@ -114,7 +116,7 @@ def traversability(
     grid: EvidentialGrid,
     vehicle: VehicleLimits = VehicleLimits(),  # noqa: B008  it is immutable
 ) -> NDArray[np.float32]:
-    """Return how well each cell can be driven over, 1 for level ground and 0 for ground beyond a limit.
+    """Return the traversability of each cell, 1 for level ground to 0 for ground beyond a limit.
 
     Parameters
     ----------
@@ -127,9 +129,9 @@ def traversability(
     Returns
     -------
     (nx, ny) float32
-        The lesser of ``1 - slope / max_slope`` and ``1 - step / max_step``, at least 0; 0 where something hangs lower
-        than the vehicle is high, and where the masses predict occupied; NaN where they predict unknown, and where the
-        slope is unknown. A step that no return shows does not count.
+        The lesser of ``1 - slope / max_slope`` and ``1 - step / max_step``, at least 0. It is 0 in cells predicted
+        occupied and in free cells with a clearance below the vehicle's height, and NaN in cells predicted unknown or
+        with unknown slope. An unknown step does not count.
 
     Raises
     ------

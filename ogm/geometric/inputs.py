@@ -1,4 +1,4 @@
-"""Input of the geometric models: checks, and points taken to the vehicle frame."""
+"""Input checks of the geometric models, and transformation of points to the vehicle frame."""
 
 import logging
 from typing import Any
@@ -12,12 +12,12 @@ from ogm.scan import Mount, Scan, check_mount, mount_of
 
 _log = logging.getLogger(__name__)
 
-REACH = 1e6  # [m] also keeps what follows from overflowing
-NEAR = 1e3  # [m] within which half of the points of any lidar lie
+REACH = 1e6  # [m] greatest coordinate; nothing computed from it overflows
+NEAR = 1e3  # [m] at least half of the points of any lidar lie within this distance
 
 
 def check_sensor_in_grid(spec: GridSpec, mount: Mount | None) -> None:
-    """Raise an error if `mount` is no Mount, or its sensor lies outside the grid; None passes."""
+    """Raise an error if `mount` is not a Mount or its sensor lies outside the grid; None passes."""
     if mount is None:
         return
     check_mount(mount)
@@ -30,7 +30,7 @@ def check_sensor_in_grid(spec: GridSpec, mount: Mount | None) -> None:
 
 
 def mount_in_grid(scan: Scan, spec: GridSpec, mount: Mount | None) -> Mount:
-    """Return the mount by which a model maps a scan, see `ogm.scan.mount_of`; that of a scan is checked here."""
+    """Return the mount that a model uses for a scan, see `ogm.scan.mount_of`; the mount of a scan is checked here."""
     found = mount_of(scan, mount)
     if mount is None:
         check_sensor_in_grid(spec, found)
@@ -38,13 +38,19 @@ def mount_in_grid(scan: Scan, spec: GridSpec, mount: Mount | None) -> Mount:
 
 
 def check_within(name: str, value: float, low: float, high: float) -> None:
-    """Refuse a parameter outside the open interval (low, high)."""
+    """Raise ValueError for a parameter outside the open interval (low, high)."""
     if not low < value < high:
         raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {value}")
 
 
+def in_footprint(mount: Mount, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return a mask of the points inside the ego footprint; x and y [m] are in the vehicle frame."""
+    x0, x1, y0, y1 = mount.ego_footprint
+    return (x > x0) & (x < x1) & (y > y0) & (y < y1)
+
+
 def usable_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which points are finite and within 1000 km, (N,); log how many are not."""
+    """Return a mask (N,) of the points that are finite and within 1000 km; log the number of others."""
     usable = np.asarray((np.abs(points[:, :3]) < REACH).all(axis=1))
     if invalid := len(points) - int(np.count_nonzero(usable)):
         _warn(invalid, len(points))
@@ -52,7 +58,7 @@ def usable_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def shows_nothing(scan: Scan, grid: EvidentialGrid) -> bool:
-    """Return whether a scan of a lidar has points, but leaves all cells unknown or lies beyond `NEAR` by half."""
+    """Return whether a lidar scan with points leaves all cells unknown, or has most points beyond `NEAR`."""
     if scan.rcs is not None or not len(scan):
         return False
     near = scan.points[:, 0] ** 2 + scan.points[:, 1] ** 2 < NEAR**2
@@ -60,50 +66,50 @@ def shows_nothing(scan: Scan, grid: EvidentialGrid) -> bool:
 
 
 def explain_nothing(scan: Scan, spec: GridSpec, mount: Mount) -> str:
-    """Return where the points of a scan that shows nothing lie, and the likely cause.
+    """Return the extent of the points of a scan that shows nothing, and the likely cause, as text.
 
     Parameters
     ----------
     scan : Scan
-        With points.
+        Scan with at least one point.
     spec : GridSpec
     mount : Mount
     """
     points = scan.points[(np.abs(scan.points[:, :3]) < REACH).all(axis=1), :3].astype(np.float64)
     lead = f"the scan shows nothing on the grid: of {len(scan)} points"
     if not len(points):
-        return f"{lead} none lies within 1000 km; wanted metres, around the sensor"
+        return f"{lead} none is within 1000 km; expected coordinates around the sensor, in metres"
     xyz = points @ mount.T_vehicle_points[:3, :3].T + mount.T_vehicle_points[:3, 3]
     count = int(spec.contains(xyz[:, 0], xyz[:, 1]).sum())
     cause = explain_coordinates(xyz, spec.length)
     if not cause and count:
         cause = f"the ground is expected at z {mount.ground_point[2]:.2f} m: check `sensor_height` and `axes`"
     elif not cause:
-        cause = f"beyond the grid of {spec.length:g} x {spec.width:g} m? Give a larger `length` and `width`"
+        cause = f"the grid of {spec.length:g} x {spec.width:g} m is too small: give a larger `length` and `width`"
     return f"{lead}, {extent_text(xyz)}, {count} lie on it; {cause}"
 
 
 def extent_text(xyz: NDArray[np.floating[Any]]) -> str:
-    """Return the extent of points (N, 3) [m] in words."""
+    """Return the extent of points (N, 3) [m] as text."""
     ends = zip("xyz", xyz.min(axis=0), xyz.max(axis=0), strict=True)
     return ", ".join(f"{axis} {low:.0f} to {high:.0f} m" for axis, low, high in ends)
 
 
 def explain_coordinates(xyz: NDArray[np.floating[Any]], near: float = NEAR / 10) -> str:
-    """Return why points are not around their sensor or not in metres, as a question with the way out; else "".
+    """Return the likely error in coordinates or units of points, with the remedy, else "".
 
     Parameters
     ----------
     xyz : (N, 3) float
         At least one finite point [m].
     near : float
-        Distance [m] up to which the middle of the points lies around their sensor.
+        Greatest distance of the median point from the sensor [m]; the point cloud's half extent is also allowed.
     """
     middle, spread = np.median(xyz, axis=0), float(np.ptp(xyz[:, :2], axis=0).max())
     if float(np.hypot(*middle[:2])) > max(spread / 2, near):
         centre = ", ".join(f"{value:.0f}" for value in middle)
-        return f"in map coordinates, around ({centre}) m? Give `sensor_position`, or points around the sensor"
-    return "in millimetres? Divide them by 1000" if spread > 2 * NEAR else ""
+        return f"probably map coordinates, around ({centre}) m: give `sensor_position`, or points around the sensor"
+    return "probably millimetres: divide them by 1000" if spread > 2 * NEAR else ""
 
 
 def _warn(invalid: int, count: int) -> None:
@@ -113,7 +119,7 @@ def _warn(invalid: int, count: int) -> None:
 def to_vehicle_frame(
     points: NDArray[np.float32], mount: Mount, ego_footprint: tuple[float, float, float, float]
 ) -> NDArray[np.float32]:
-    """Take points to the vehicle frame; drop those that are not finite, and returns from the ego vehicle.
+    """Transform points to the vehicle frame; drop invalid points and returns from the ego vehicle.
 
     Returns
     -------
@@ -132,7 +138,7 @@ def to_vehicle_frame(
 
 @kernel
 def _transform_and_drop(points: Any, T: Any, footprint: Any) -> Any:
-    """Return the points that stay as rows of x, y and z, how many were not finite, and how many from the ego vehicle.
+    """Return the kept points (3, K), the number of invalid points and the number from the ego vehicle.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The model of lasers in one plane, and of single wide beams: Thrun's beam model in evidential form."""
+"""Sensor model of planar lasers and single wide beams: Thrun's beam model in evidential form."""
 
 import math
 from dataclasses import dataclass
@@ -19,58 +19,59 @@ from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
 from ogm.unknown_cause import UnknownCause
 
-MAX_WIDTH = math.radians(85)  # [rad] of a beam, so that a wider one is a cone still
-NEAREST = 1e-3  # [m]
+MAX_WIDTH = math.radians(85)  # [rad] greatest full width of a beam; wider beams are narrowed to it
+MIN_RANGE = 1e-3  # [m]
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarISM:
     """The inverse beam model of planar lasers, sonars and infrared sensors.
 
-    A beam with an echo at z has an evidential form of Thrun's mixture (hit, short, maximum range, random). A cell lies
-    d before or behind z, 0 for the cell that holds the end:
+    A beam with an echo at range z is an evidential form of Thrun's mixture (hit, short, maximum range, random). For a
+    cell at distance d before or behind z, with d = 0 for the cell that holds the end:
 
-    - **occupied** is ``(1 - p_false_alarm) * P(d)`` where the beam's axis crosses the cell, with P(0) = 1 and
-      P(d) = Phi(-d / range_noise), the chance that the surface is that far off: short and random returns are the false
-      alarms;
-    - **free** is ``(1 - p_miss) * (1 - exp(-d**2 / (2 range_noise**2)))`` before the end, 1 minus the likelihood of a
-      surface over its maximum: beams pass what is thin, transparent or specular;
-    - behind the end nothing is known.
+    - **occupied** is ``(1 - p_false_alarm) * P(d)`` in cells on the axis of the beam, with P(0) = 1 and
+      P(d) = Phi(-d / range_noise), the probability that the surface is at that distance from the end. Short and random
+      returns are the false alarms.
+    - **free** is ``(1 - p_miss) * (1 - exp(-d**2 / (2 range_noise**2)))`` before the end, 1 minus the relative
+      likelihood of a surface. `p_miss` covers thin, transparent and specular objects.
+    - Behind the end, cells stay unknown.
 
-    Free needs two: the fan between neighbouring beams, at least one cell wide, is free up to the nearer of their ends.
-    A cell takes the greatest mass of each state over all beams, in any order, and where occupied exceeds
-    `p_false_alarm` nothing is free. Many beams through one cell are no more evidence than one.
+    Two neighbouring beams clear the fan between them, at least one cell wide, up to the nearer end. A cell takes the
+    greatest mass of each state over all beams, in any order. Free is 0 where occupied exceeds `p_false_alarm`. Several
+    beams through a cell are no more evidence than a single beam.
 
-    Neighbours contradict (docs/geometric.md): an echo between others of other surfaces (dust, mixed pixels at edges,
-    glass) counts half; beams through an opening of at most 0.3 m, or of at most 4 m if half of them have no echo, may
-    have met a mirror or a pane, and clear beyond its edges with `no_return_weight` alone, without echo nothing.
+    Neighbouring beams may contradict each other (docs/geometric.md). An isolated echo between other surfaces (dust,
+    mixed pixels at edges, glass) counts half. Beams through an opening of at most 0.3 m, or of at most 4 m if half of
+    them have no echo, may have met a mirror or a pane. Beyond the edges of the opening they clear with the reliability
+    `no_return_weight`, and without echo they clear nothing.
 
-    Free is so **in the swept plane only**: `ogm.geometric.plane_text` names its height.
+    Free holds **in the swept plane only**: `ogm.geometric.plane_text` returns its height.
 
     Parameters
     ----------
     spec : GridSpec
         The grid to fill, in the vehicle frame; must hold the sensor.
     mount : Mount, optional
-        Where the sensor is mounted; by default each scan's own, `Scan.mount`. It levels a tilted sensor.
-        Returns from the ego footprint are dropped, its cells stay unknown.
+        Mount of the sensor; by default the mount of each scan, `Scan.mount`. It levels a tilted sensor.
+        Returns from the ego footprint are dropped, and its cells stay unknown.
     range_noise : float
-        Standard deviation of a range [m]; 10 mm in the data sheet of the SICK LMS 291.
+        Standard deviation of a range [m]; 10 mm in the datasheet of the SICK LMS 291.
     p_miss : float
-        Chance that a beam passes an occupied cell unnoticed.
+        Probability that a beam passes through an occupied cell, in (0, 1).
     p_false_alarm : float
-        Chance that an echo comes from an empty cell, in (0, 0.5).
+        Probability that an echo comes from a free cell, in (0, 0.5).
     no_return_weight : float
-        Reliability of free by beams without echo, and by wide beams (`Scan.kind` "cone"), [0, 1]. Beams without
-        echo count up to `Scan.max_range`, and not at all where that is unknown.
+        Reliability of free from beams without echo and from wide beams (`Scan.kind` "cone"), in [0, 1]. Beams without
+        echo count up to `Scan.max_range`; without a maximum range they are ignored.
     beam_width : float, optional
-        Full width of a beam [rad]; by default that of the scan, `Scan.beam_width`, and else 0. An end wider than a
-        cell shares its mass of occupied over its arc.
+        Full width of a beam [rad]; by default `Scan.beam_width`, or 0 if that is None. An end wider than a cell shares
+        its mass of occupied over its arc.
     floor_margin : float
-        A beam lower than this above the ground [m], or than half the sensor's height, may have met the floor: it
-        neither clears nor marks.
+        Height above ground [m], at most half the sensor height. A lower beam may have met the floor, and neither
+        clears nor marks.
     clearance : float
-        Beams that rise above this height [m] neither clear nor mark from there on.
+        Height above ground [m] from which a rising beam neither clears nor marks.
 
     Raises
     ------
@@ -110,24 +111,24 @@ class PlanarISM:
         Parameters
         ----------
         scan : Scan or (N, 4) float32
-            Uses x, y, z, and `no_returns`, `max_range`, `beam_width` and `kind` where it has them. Several points in
-            one direction are echoes of one beam. NaN and inf rows are dropped and counted in the log.
+            Uses x, y, z and, if present, `no_returns`, `max_range`, `beam_width` and `kind`. Several points in the same
+            direction are echoes of the same beam. NaN and inf rows are dropped and counted in the log.
 
         Returns
         -------
         EvidentialGrid
-            Of which the masses are made when they are read: maps take the rectangle that the scan reaches. Vacuous
-            for an empty scan.
+            A `PartialGrid`: its masses are allocated on first access, and maps use only the rectangle that the scan
+            reaches. Vacuous for an empty scan.
         """
         return self._map(as_scan(scan))[0]
 
     def trace(self, scan: Scan | NDArray[np.float32]) -> SectorTrace:
-        """Map one scan, and keep why cells are unknown; see `ogm.geometric.causes`."""
+        """Map one scan, and keep the causes of unknown cells; see `ogm.geometric.causes`."""
         scan = as_scan(scan)
         grid, beams, directions, numbers, mount = self._map(scan)
         polar = polar_grid(self.spec, (float(mount.origin[0]), float(mount.origin[1])), mount.ego_footprint, SECTOR)
         silent = np.empty((0, 3))
-        if scan.no_returns is not None and scan.max_range is None:  # such beams clear nothing
+        if scan.no_returns is not None and scan.max_range is None:  # these beams clear nothing
             silent = scan.no_returns[np.isfinite(scan.no_returns).all(axis=1)].astype(np.float64)
         x, y, _ = rotate(mount.T_vehicle_points[:3, :3], silent.T)
         return SectorTrace(
@@ -135,7 +136,7 @@ class PlanarISM:
         )
 
     def _map(self, scan: Scan) -> tuple[EvidentialGrid, BeamColumns, Directions, BeamNumbers, Mount]:
-        """Return the grid of a scan, and how its beams were compared."""
+        """Return the grid of a scan with its beams, directions, numbers and mount."""
         log_compilation(clear_fans)
         mount, side = mount_in_grid(scan, self.spec, self.mount), self.spec.resolution
         place = mount.origin[:2] - self.spec.origin
@@ -148,18 +149,18 @@ class PlanarISM:
         directions = find_directions(beams, _step(beams.azimuth), cone)
         fans, ends = fans_of(directions, numbers), ends_of(beams, directions, numbers)
 
-        # The cells that they may reach, with their corner as seen from the sensor
+        # The rectangle of cells within reach, relative to the sensor
         corner, shape = _rectangle(fans, ends, place, self.spec, TAIL * self.range_noise + side)
         cells = Cells(corner[0] * side - place[0], corner[1] * side - place[1], side)
 
-        # Fans along x clear rows; those along y the rows of the transposed array
+        # Fans along x clear rows; fans along y clear rows of the transposed array
         free, occupied = np.zeros((2, *shape), np.float32)
         along_x = np.abs(fans[:, 0]) >= np.abs(fans[:, 1])
         clear_fans(fans[along_x], cells, self.range_noise, free)
         turned = np.ascontiguousarray(fans[~along_x][:, [1, 0, 2, 3, 4, 5, 6]])
         clear_fans(turned, Cells(cells.y0, cells.x0, side), self.range_noise, free.T)
 
-        # Ends mark, and occupied wins over the free of other beams
+        # Ends mark; occupied wins over free from other beams
         mark_ends(ends, cells, self.range_noise, occupied)
         mass = np.empty((*shape, 2), np.float32)
         combine_claims(free, occupied, self.p_false_alarm, mass)
@@ -168,16 +169,16 @@ class PlanarISM:
         return grid, beams, directions, numbers, mount
 
     def _beams(self, scan: Scan, mount: Mount) -> BeamColumns:
-        """Return the beams of a scan, levelled by its mount."""
+        """Return the beams of a scan, levelled by the mount."""
         offset = to_vehicle_frame(scan.points, mount, mount.ego_footprint).astype(np.float64) - mount.origin
         count, height = len(offset), mount.sensor_height
         if scan.no_returns is not None and scan.max_range is not None:
             unit = scan.no_returns[np.isfinite(scan.no_returns).all(axis=1)].astype(np.float64)
             offset = np.concatenate([offset, rotate(mount.T_vehicle_points[:3, :3], unit.T).T * scan.max_range])
         distance = np.hypot(offset[:, 0], offset[:, 1])
-        echo, used = np.arange(len(offset)) < count, distance > NEAREST
+        echo, used = np.arange(len(offset)) < count, distance > MIN_RANGE
 
-        # Range at which a beam leaves the heights that count
+        # Range at which a beam leaves the heights from floor margin to clearance
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = offset[:, 2] / distance
             low = min(self.floor_margin, height / 2)
@@ -196,7 +197,7 @@ class PlanarISM:
 
 
 def _step(azimuth: NDArray[np.float64]) -> float:
-    """Return the angle from one beam of the sensor to the next: the median [rad]."""
+    """Return the median angle between neighbouring beams [rad]."""
     turn = np.diff(azimuth)
     turn = turn[turn > 1e-5]
     return float(np.partition(turn, len(turn) // 2)[len(turn) // 2]) if len(turn) else math.inf
@@ -205,7 +206,7 @@ def _step(azimuth: NDArray[np.float64]) -> float:
 def _sector_causes(
     beams: BeamColumns, directions: Directions, numbers: BeamNumbers, silent: NDArray[np.float64], polar: PolarGrid
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Return `ends` and `causes` of a `SectorTrace`; `silent` are azimuths of others without echo [rad]."""
+    """Return `ends` and `causes` of a `SectorTrace`; `silent` are azimuths of unused beams without echo [rad]."""
     count, sectors = len(directions.reach), polar.sectors
     ends, causes = np.zeros((sectors, 2)), np.full((sectors, 3), UnknownCause.OUTSIDE_VIEW, np.uint8)
     middle = (np.arange(sectors) + 0.5) * (2 * math.pi / sectors)
@@ -214,7 +215,7 @@ def _sector_causes(
         causes[:] = UnknownCause.NO_ECHO if len(silent) else UnknownCause.OUTSIDE_VIEW
         return ends, causes
 
-    # The neighbouring directions of each sector, and the one that ends first, or in a gap the nearest
+    # The neighbouring directions of each sector; choose the shorter, or in a gap the nearer in angle
     nearest = np.lexsort((beams.reach, directions.of_beam))
     nearest = nearest[np.searchsorted(directions.of_beam, np.arange(count))]
     azimuth = beams.azimuth[nearest]
@@ -226,7 +227,7 @@ def _sector_causes(
     chosen = np.where(np.where(adjacent, ends_first, off[0] <= off[1]), left, right)
     seen = adjacent | (off.min(axis=0) <= max(math.atan(numbers.half_width), math.pi / sectors))
 
-    # Up to the end of both, or up to an opening whose edges contradict what is beyond
+    # Up to the nearer end, or up to an opening beyond which beams are contradicted
     other = np.where(adjacent, np.where(chosen == left, right, left), chosen)
     limit = np.minimum(directions.limit[chosen], directions.limit[other])
     ends[:, 1] = directions.reach[chosen]
@@ -236,7 +237,7 @@ def _sector_causes(
     causes[:, 1] = UnknownCause.CONTRADICTED
     causes[:, 2] = beams.beyond[nearest[chosen]]
 
-    # Gaps: of beams whose echo is missing, narrow ones, and all that is outside the view
+    # Gaps: unused beams without echo, narrow gaps, and sectors outside the view
     heard = np.bincount((np.searchsorted(azimuth, silent) - 1) % count, minlength=count)[left] > 0
     narrow = directions.turn[left] <= 2 * math.pi / GAP + 2 * math.atan(numbers.half_width)
     gap = np.where(narrow, UnknownCause.BETWEEN_BEAMS, UnknownCause.OUTSIDE_VIEW)
@@ -245,7 +246,7 @@ def _sector_causes(
 
 
 def plane_text(scan: Scan, mount: Mount) -> str:
-    """Return what free means in the grid of a planar scan, as "free at 0.30 m"; "" for other sensors.
+    """Return the height of free in the grid of a planar scan, as "free at 0.30 m"; "" for other sensors.
 
     Parameters
     ----------
@@ -258,7 +259,7 @@ def plane_text(scan: Scan, mount: Mount) -> str:
 def _rectangle(
     fans: NDArray[np.float64], ends: NDArray[np.float64], place: NDArray[np.float64], spec: GridSpec, pad: float
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return first cell and shape of the rectangle of cells that claims may reach; at least one cell."""
+    """Return the first cell and the shape of the rectangle within reach of fans and ends; at least 1 x 1."""
     low, high = place.copy(), place.copy()
     for rows, column in ((fans, 5), (ends, 2)):
         if len(rows):
@@ -274,7 +275,7 @@ def _rectangle(
 
 
 def _clear_footprint(mass: NDArray[np.float32], cells: Cells, mount: Mount) -> None:
-    """Make the cells whose centres lie under the ego vehicle unknown."""
+    """Set cells with their centre in the ego footprint to unknown."""
     x0, x1, y0, y1 = np.array(mount.ego_footprint) - np.repeat(mount.origin[:2], 2)
     x, y = (low + (np.arange(n) + 0.5) * cells.resolution for low, n in zip(cells[:2], mass.shape[:2], strict=True))
     mass[np.ix_((x > x0) & (x < x1), (y > y0) & (y < y1))] = 0

@@ -1,4 +1,4 @@
-"""A radar's detections as evidence: ellipses that mark, sectors that clear up to the first of them."""
+"""Sensor model of radars: detections mark ellipses, and clear sectors up to the first detection."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.geometric.causes import SECTOR, SectorTrace
 from ogm.geometric.doppler import DirectionSectors, direction_sectors, moving_detections, nearest_in_direction
-from ogm.geometric.inputs import REACH, check_sensor_in_grid, check_within, mount_in_grid, usable_points
+from ogm.geometric.inputs import REACH, check_sensor_in_grid, check_within, in_footprint, mount_in_grid, usable_points
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
 from ogm.geometric.ray import polar_grid
 from ogm.grid import EvidentialGrid, GridSpec
@@ -19,59 +19,59 @@ from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
 from ogm.unknown_cause import UnknownCause
 
-REFERENCE_SNR = 10**1.3  # where `RadarISM.reach` is, and that of `ogm.simulation.radars.RadarMode` for 0 dBsm
-FALSE_ALARM = 1e-4  # probability per bin that sets a radar's threshold
+REFERENCE_SNR = 10**1.3  # at `RadarISM.reach`, and at the reach of `ogm.simulation.radars.RadarMode` for 0 dBsm
+FALSE_ALARM = 1e-4  # probability per bin that sets the detection threshold
 
 
 @dataclass(frozen=True, eq=False)
 class RadarISM:
-    """A geometric inverse sensor model of a radar with Doppler.
+    """Geometric inverse sensor model of a radar with Doppler.
 
-    **Marking.** A detection that stands still marks the ellipse of its errors, `range_noise` along the beam and
-    r * `azimuth_noise` across it: occupied is ``hit_mass * min(1, extent / (2 pi s_r s_t)) * exp(-d**2 / 2)`` at a
-    distance of d standard deviations, for a thing of area `extent` somewhere in the ellipse. Behind another detection
-    in the same direction it counts `behind` as much: there are ghosts, by way of mirrors. Several count as independent
-    sources, 1 - prod(1 - m).
+    **Marking.** A static detection at range r marks the ellipse of its errors, with standard deviations
+    s_r = `range_noise` along the beam and s_t = r * `azimuth_noise` across it. At a distance of d standard deviations,
+    occupied is ``hit_mass * min(1, extent / (2 pi s_r s_t)) * exp(-d**2 / 2)``, for an object of area `extent`
+    somewhere in the ellipse. Behind another detection in the same direction it is multiplied by `behind`, because of
+    ghosts by reflection. Several detections count as independent sources, 1 - prod(1 - m).
 
-    **Clearing.** Only up to the first detection in a direction, moving ones included: free is
-    ``free_mass * P_D(r)`` with the detection probability of a Swerling 1 target, ``P_D = P_FA**(1 / (1 + SNR))`` and
-    SNR falling with the fourth power of the range. Directions without any detection stay unknown: that nothing was
-    detected can also mean that what is there reflects away.
+    **Clearing.** A direction is cleared up to its first detection, static or moving. Free is ``free_mass * P_D(r)``
+    with the detection probability of a Swerling 1 target, ``P_D = P_FA**(1 / (1 + SNR))``; the SNR falls with the
+    fourth power of the range. Directions without detection stay unknown, because an object may reflect the beam away
+    from the radar.
 
-    **Moving** detections, whose Doppler differs from that of a standing world (`moving_detections`), are left out of
-    the static map, so that no trail stays behind; with `keep_moving` they mark, too.
+    **Moving** detections (see `moving_detections`) do not mark, so they leave no trail in a static map. With
+    `keep_moving` they mark like static detections.
 
     The masses, `extent`, `behind` and `beam` were fitted to simulated radars in training towns; `reach` and `margin`
-    were chosen there so that at most 5 % of the occupied cells are cleared.
-    Sources: the common core of Clarke 2012, Werber 2015 and Slutsky and Dobkin 2019, see docs/radar.md.
+    were chosen there so that at most 5 % of the occupied cells are cleared. Sources: Clarke 2012, Werber 2015, Slutsky
+    and Dobkin 2019, see docs/radar.md.
 
     Parameters
     ----------
     spec : GridSpec
         The grid to fill, in the vehicle frame; must hold the sensor.
     mount : Mount, optional
-        Where the sensor is mounted; by default each scan's own, `Scan.mount`.
-        Its x axis points to the middle of the field of view. Detections in the ego footprint are dropped, its cells
-        stay unknown.
+        Mount of the sensor; by default the mount of each scan, `Scan.mount`. The x axis of the sensor points to the
+        middle of the field of view. Detections in the ego footprint are dropped, and its cells stay unknown.
     half_width : float
         Half the field of view in azimuth [rad].
     range_noise, azimuth_noise, doppler_noise : float
-        Standard deviations [m, rad, m/s].
+        Standard deviations of range [m], azimuth [rad] and Doppler [m/s].
     beam : float
         Half the width of the sector that a detection clears [rad].
     reach : float
-        Where a target that must not be missed has a signal-to-noise ratio of 13 dB [m].
+        Range at which a target that must not be missed has a signal-to-noise ratio of 13 dB [m].
     free_mass, hit_mass : float
-        Greatest masses of one scan.
+        Greatest mass of free in a scan, and of occupied from a detection, in (0, 1).
     extent : float
-        Area of what is detected [m^2].
+        Area of a detected object [m^2].
     behind : float
-        Reliability of detections behind others.
+        Reliability of detections behind others, in [0, 1].
     margin : float
-        Clearing ends this far before a detection, and `range_noise` twice [m].
+        Clearing ends this distance plus twice `range_noise` before a detection [m].
     clearance : float
-        Detections higher above the ground do not mark [m]; radars without elevation report none.
+        Greatest height above ground of detections that mark [m]; radars without elevation report no height.
     keep_moving : bool
+        Whether moving detections mark.
 
     Raises
     ------
@@ -113,8 +113,8 @@ class RadarISM:
         Parameters
         ----------
         scan : Scan or (N, 4) float32
-            Uses x, y, z and `Scan.doppler`, against the sensor or over ground; without it, nothing is taken to move.
-            Detections with NaN, inf or beyond 1000 km are dropped, and counted in the log.
+            Uses x, y, z and `Scan.doppler`, relative to the sensor or over ground; without Doppler, all detections are
+            static. Detections with NaN, inf or beyond 1000 km are dropped and counted in the log.
 
         Returns
         -------
@@ -124,10 +124,10 @@ class RadarISM:
         return self._map(as_scan(scan))[0]
 
     def trace(self, scan: Scan | NDArray[np.float32]) -> SectorTrace:
-        """Map one scan, and keep why cells are unknown; see `ogm.geometric.causes`.
+        """Map one scan, and keep the causes of unknown cells; see `ogm.geometric.causes`.
 
-        From `margin` before the first detection of a direction on, cells are behind an obstacle, or above clearance if
-        that detection is. Nothing is between beams; where too little is free up to there, no echo is sure to come.
+        The cause is no echo up to `margin` before the first detection in a direction, or everywhere without detection.
+        Beyond, it is an obstacle, or clearance if the first detection is above clearance.
         """
         grid, mount, first, above = self._map(as_scan(scan))
         polar = polar_grid(self.spec, (float(mount.origin[0]), float(mount.origin[1])), mount.ego_footprint, SECTOR)
@@ -142,20 +142,17 @@ class RadarISM:
         return SectorTrace(grid, mount, grid.mass, polar, np.stack([until, until], axis=-1), causes, math.inf)
 
     def _map(self, scan: Scan) -> tuple[EvidentialGrid, Mount, NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the grid, and of each direction the range of the first detection [m] and if it is above clearance."""
+        """Return grid and mount, and by direction the range of the first detection [m] and if it is above clearance."""
         log_compilation(clear_cells)
         mount = mount_in_grid(scan, self.spec, self.mount)
         scan = scan.select(usable_points(scan.points))
         T = mount.T_vehicle_points
-        vehicle = rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:]
-        x, y, z = vehicle
-        x0, x1, y0, y1 = mount.ego_footprint
-        outside = ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
+        x, y, z = rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:]
         dx, dy = x - mount.origin[0], y - mount.origin[1]
         distance, bearing = np.hypot(dx, dy), np.arctan2(dy, dx)
-        outside &= distance > 1e-3
+        outside = ~in_footprint(mount, x, y) & (distance > 1e-3)
 
-        # first detection in each direction
+        # First detection in each direction
         layout = _layout(self.spec, mount, self.half_width, self.beam)
         first = nearest_in_direction(bearing[outside], distance[outside], layout.sectors)
         hidden = distance > first[layout.sectors.of(bearing)] + 2 * self.range_noise + self.margin
@@ -182,30 +179,29 @@ class RadarISM:
 
 
 class _Layout(NamedTuple):
-    """The grid as seen from the sensor: sector (-1 outside the field of view) and distance of each cell."""
+    """Sector (-1 outside the field of view) and distance of each grid cell, as seen from the sensor."""
 
     sector: NDArray[np.int32]
     distance: NDArray[np.float32]
     ego: NDArray[np.bool_]
     sectors: DirectionSectors
-    metres: int  # within which all cells are that a detection can clear
+    metres: int  # greatest distance of a cell, rounded up
 
 
 def _ahead(mount: Mount) -> float:
-    """Return the azimuth of the middle of the field of view [rad]."""
+    """Return the azimuth of the centre of the field of view [rad]."""
     return math.atan2(mount.T_vehicle_sensor[1, 0], mount.T_vehicle_sensor[0, 0])
 
 
 @lru_cache(maxsize=16)
 def _layout(spec: GridSpec, mount: Mount, half_width: float, beam: float) -> _Layout:
-    """Lay sectors over a grid; computed once for each mount."""
+    """Return the layout of the sectors on a grid; cached per mount."""
     sectors = direction_sectors(beam)
     x, y = np.broadcast_arrays(*spec.cell_centers)
     bearing = np.arctan2(y - mount.origin[1], x - mount.origin[0])
     off = np.abs(np.angle(np.exp(1j * (bearing - _ahead(mount)))))
     sector = sectors.of(bearing).astype(np.int32)
-    x0, x1, y0, y1 = mount.ego_footprint
-    ego = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+    ego = in_footprint(mount, x, y)
     sector[(off > half_width) | ego] = -1
     distance = np.hypot(x - mount.origin[0], y - mount.origin[1]).astype(np.float32)
     metres = int(min(distance.max(), REACH)) + 1
@@ -214,6 +210,6 @@ def _layout(spec: GridSpec, mount: Mount, half_width: float, beam: float) -> _La
 
 @lru_cache(maxsize=16)
 def _free_table(free_mass: float, reach: float, metres: int) -> NDArray[np.float32]:
-    """Return the mass of free for every metre of range."""
+    """Return the mass of free at each metre of range."""
     distance = np.maximum(np.arange(metres), 1.0)
     return (free_mass * FALSE_ALARM ** (1 / (1 + REFERENCE_SNR * (reach / distance) ** 4))).astype(np.float32)

@@ -130,7 +130,7 @@ def test_a_parameter_without_effect_keeps_its_value(frames: list[Frame]) -> None
     assert found.errors["no_return_weight"] is None
     assert found.parameters["p_miss"] != found.start["p_miss"]
     assert found.data["frames"] == 5
-    message = "no_return_weight change nothing on these frames"
+    message = "no_return_weight have no effect on these frames"
     refused(message, calibrate, frames[:2], "ray", SPEC, fit={"no_return_weight": (0, 1)})
 
 
@@ -184,14 +184,14 @@ def test_bad_input_is_refused(frames: list[Frame]) -> None:
     for name, value, message in (
         ("model", "lite", "no geometric model 'lite'"),
         ("fit", {"colour": (0, 1)}, "ray has no parameter 'colour'; it has obstacle_height"),
-        ("fit", {}, "nothing to fit"),
-        ("fit", {"p_miss": (0.9, 0.95)}, "p_miss starts at .*; its bounds must hold that"),
-        ("fit", {"p_miss": (0.2, float("inf"))}, "its bounds must hold that"),
+        ("fit", {}, "fit must not be empty"),
+        ("fit", {"p_miss": (0.9, 0.95)}, "bounds of p_miss must contain its start value"),
+        ("fit", {"p_miss": (0.2, float("inf"))}, "must contain its start value"),
         ("threads", 0, "threads must be at least 1"),
         ("base_rate", 1.0, "base_rate must lie between 0 and 1"),
         ("frames", [], "no frame has a cell"),
         ("frames", [frame(0, None)], "frame 0 has no truth"),
-        ("frames", [unknown], "no frame has a cell that is known"),
+        ("frames", [unknown], "no frame has a cell with a true state"),
     ):
         given = {"frames": frames[:1], "model": "ray", "spec": SPEC} | {name: value}
         refused(message, calibrate, given.pop("frames"), given.pop("model"), given.pop("spec"), **given)

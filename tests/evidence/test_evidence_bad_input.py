@@ -96,9 +96,9 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
     tensor = torch.from_numpy(GOOD)
     for function in OF_TWO.values():
         refused(r"broadcast, got \(3, 2\) and \(4, 2\)", function, np.zeros((3, 2)), np.zeros((4, 2)))
-        refused("one dtype, got float64 and float32", function, GOOD, GOOD.astype(np.float32), error=TypeError)
-        refused("one library, got numpy and torch", function, GOOD, tensor, error=TypeError)
-        refused("one library, got torch and numpy", function, tensor, GOOD, error=TypeError)
+        refused("the same dtype, got float64 and float32", function, GOOD, GOOD.astype(np.float32), error=TypeError)
+        refused("the same library, got numpy and torch", function, GOOD, tensor, error=TypeError)
+        refused("the same library, got torch and numpy", function, tensor, GOOD, error=TypeError)
 
 
 def test_a_rule_needs_two_masses_or_an_axis() -> None:
@@ -135,14 +135,14 @@ def test_numbers_out_of_range_are_refused() -> None:
     refused("on_conflict must be one of average", e.dempster, GOOD, GOOD, on_conflict="ignore")
     refused("2 positive numbers", e.cumulative, GOOD, GOOD, dogmatic_weights=[1])
     refused("2 positive numbers", e.averaging, GOOD, GOOD, dogmatic_weights=[1, -1])
-    refused("part must not hold more evidence than fused", e.cumulative_unfusion, np.zeros(2), GOOD)
+    refused("part must not have more evidence than fused", e.cumulative_unfusion, np.zeros(2), GOOD)
     refused("more evidence than fused", e.cumulative_unfusion, np.array([0.5, 0.2]), np.array([0.1, 0.5]))
     refused("more evidence than fused", e.cumulative_unfusion, np.array([0.2, 0.5]), np.array([0.5, 0.1]))
     refused("must not both be 1", e.multiplication, GOOD, GOOD, 1.0, 1.0)
     refused("must not both be 0", e.comultiplication, GOOD, GOOD, 0.0, 0.0)
     refused("at most 8 sources, got 9", e.pcr6_plus, np.zeros((9, 2)), axis=0)
     refused("at most 12 sources, got 13", e.consensus_compromise, np.zeros((13, 2)), axis=0)
-    refused(r"got shape \(3, 2\)", e.Opinion.from_mass, np.zeros((3, 2)))
+    refused(r"shape \(2,\), got \(3, 2\)", e.Opinion.from_mass, np.zeros((3, 2)))
     refused("unknown must lie in", e.Opinion, 0.5, 0.6)
     refused("unknown must lie in", e.Opinion, 0.5, 0.5 + 1e-5)
     refused(r"free \+ occupied \+ unknown must be 1", e.Opinion, 0.5, 0.2, 0.2)
@@ -165,15 +165,15 @@ def test_numbers_of_the_wrong_library_are_refused() -> None:
 
 def test_powerset_refuses_what_is_no_mass_function() -> None:
     good, p = powerset.from_pair(GOOD), powerset
-    refused("one dtype", p.conjunctive, good, good.astype(np.float32), error=TypeError)
-    refused("one library", p.conjunctive, good, torch.from_numpy(good), error=TypeError)
+    refused("the same dtype", p.conjunctive, good, good.astype(np.float32), error=TypeError)
+    refused("the same library", p.conjunctive, good, torch.from_numpy(good), error=TypeError)
     refused(r"2\^K numbers", p.conjunctive, np.zeros(3), np.zeros(3))
     refused("at most 6 states are supported, got 7", p.conjunctive, np.zeros(128), np.zeros(128))
     refused("one frame, got 4 and 8", p.conjunctive, good, np.eye(8)[7])
     refused(r"sum to 1.*a\[:\].*0.5", p.conjunctive, np.array([0, 0.5, 0.5, 0.5]), good)
     refused(r"non-negative.*b\[0, :\]", p.conjunctive, good, np.array([[0, -0.5, 1, 0.5]]))
     refused("nan", p.mass_to_belief, np.array([np.nan, 0, 1, 0]))
-    refused("no place for conflict, got up to 0.5", p.to_pair, np.array([0.5, 0, 0.5, 0]))
+    refused("must not have conflict, got up to 0.5", p.to_pair, np.array([0.5, 0, 0.5, 0]))
     refused("frame of 2 states", p.to_pair, np.eye(8)[7])
     refused("numbers from 0 to 5", p.subset, 6)
     refused("partition of the states 0 to 2", p.coarsen, np.eye(8)[7], [(0,), (1,)])
@@ -208,7 +208,7 @@ def test_bold_names_the_cell_without_conflict() -> None:
     masses = np.full((3, 4, 4), 0.25)
     without = masses.copy()
     without[1, 2] = (0, 0.5, 0.2, 0.3)
-    refused(r"source 1 has none in 1 cells, the first at \[1, 2\]", powerset.bold, masses, without)
+    refused(r"in source 1 it is 0 in 1 cells, the first at \[1, 2\]", powerset.bold, masses, without)
 
 
 def test_base_rates_that_divide_by_zero_are_refused_in_arrays_too() -> None:
@@ -226,5 +226,5 @@ def test_masked_arrays_and_tensors_of_two_devices_are_refused() -> None:
         refused(r"must not be a masked array.*filled\(0\)", function, masked, error=TypeError)
     message = "b must not be a masked array"
     refused(message, evidence.dempster, GOOD, np.ma.masked_array(GOOD), error=TypeError)
-    here, message = torch.tensor(GOOD), "a and b must be on one device, got cpu and meta"
+    here, message = torch.tensor(GOOD), "a and b must be on the same device, got cpu and meta"
     refused(message, evidence.dempster, here, here.to("meta"), error=TypeError)

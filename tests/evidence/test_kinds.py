@@ -51,10 +51,10 @@ def test_whole_numbers_grids_and_open_triples_are_masses() -> None:
 
 def test_what_is_no_mass_is_refused() -> None:
     refused("a must be masses: an array, a tensor, a list", evidence.dempster, "free", [0, 1], error=TypeError)
-    refused("b must be masses.*of one shape", evidence.dempster, [0, 1], [[0, 1], [0]], error=TypeError)
+    refused("b must be masses.*of the same shape", evidence.dempster, [0, 1], [[0, 1], [0]], error=TypeError)
     refused(r"2 states.*got shape \(4,\)", evidence.dempster, [0.1, 0.2, 0.3, 0.4], [0, 1])
     refused("c must be non-negative", evidence.dempster, [0, 1], [0, 1], [0.9, 0.9])
-    refused("one dtype", evidence.dempster, np.zeros(2), [0, 1], np.zeros(2, np.float32), error=TypeError)
+    refused("the same dtype", evidence.dempster, np.zeros(2), [0, 1], np.zeros(2, np.float32), error=TypeError)
 
 
 def test_functions_of_opinions_take_their_base_rates() -> None:
@@ -70,8 +70,8 @@ def test_functions_of_opinions_take_their_base_rates() -> None:
         assert fuse(sure, unsure).base_rate == pytest.approx((0.2 * 0.9 + 0.6 * 0.3) / 1.2)
     assert evidence.averaging(sure, unsure).base_rate == pytest.approx(0.4)
     assert evidence.cumulative_epistemic(sure, unsure).base_rate == pytest.approx(by_evidence)
-    refused("one base rate, got 0.2, 0.6", evidence.yager, sure, unsure)
-    refused("one base rate", evidence.kl_divergence, sure, unsure)
+    refused("the same base rate, got 0.2, 0.6", evidence.yager, sure, unsure)
+    refused("the same base rate", evidence.kl_divergence, sure, unsure)
     both = evidence.multiplication(sure, unsure)
     assert both == sure & unsure
     assert (both.base_rate, both.probability) == pytest.approx((0.12, sure.probability * unsure.probability))

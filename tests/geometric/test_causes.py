@@ -3,13 +3,14 @@
 import math
 from dataclasses import replace
 
+import geometric_reference as reference
 import numpy as np
 import rooms
 from cases import each, refused
 from numpy.typing import NDArray
 
 from ogm import EvidentialGrid, GridSpec, LayeredGrid, Mount, Scan, UnknownCause
-from ogm.geometric import PlanarISM, RadarISM, RayISM, flat_ground, reference
+from ogm.geometric import PlanarISM, RadarISM, RayISM, flat_ground
 from ogm.geometric.causes import unknown_causes
 from ogm.geometric.ground import local_ground
 from ogm.models.combined import CombinedISM

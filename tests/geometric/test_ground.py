@@ -1,13 +1,14 @@
 """Ground estimates: on made hills, and on real scans where they are at hand."""
 
+import geometric_reference as reference
 import numpy as np
 import pytest
 from cases import each, refused
+from geometric_reference import pull_push
 
 from ogm import GridSpec, Mount, read_points
-from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground, reference
+from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground
 from ogm.geometric.kernels.surface import fill
-from ogm.geometric.reference.ground import pull_push
 
 SPEC = GridSpec.centered(60.0, 60.0, 1.0)
 GROUND_POINT = (0.0, 0.0, -1.8)

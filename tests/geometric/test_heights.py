@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from cases import each, refused
+from geometric_reference import terrain
 
 from ogm import EvidentialGrid, GridSpec, LayeredGrid, Mount
 from ogm.geometric import RayISM, VehicleLimits, height_layers, traversability
 from ogm.geometric.ray import RayTrace
-from ogm.geometric.reference import terrain
 from ogm.state import CellState, predict_state
 
 pytestmark = pytest.mark.xdist_group("heights")  # the kernels are compiled once

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 from cases import each, refused
+from geometric_reference import planar_mass
 from numpy.typing import NDArray
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
 from ogm.evidence import check_mass
 from ogm.geometric import PlanarISM, plane_text
-from ogm.geometric.reference.planar import planar_mass
 from ogm.pose import pose
 from ogm.state import CellState, predict_state
 

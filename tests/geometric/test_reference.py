@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 
+import geometric_reference as reference
 import numpy as np
 import pytest
 from cases import each
@@ -10,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm import GridSpec, Mount, Scan
-from ogm.geometric import HeightBandISM, RayISM, flat_ground, ground_height, reference
+from ogm.geometric import HeightBandISM, RayISM, flat_ground, ground_height
 from ogm.geometric.ground import surface_of
 from ogm.geometric.kernels import lines, polar, surface
 from ogm.geometric.kernels.arguments import PolarGrid, RayNumbers, Rays, SectorRays
 from ogm.geometric.kernels.breaks import FALL, HOLE, LEVEL, STEP, ground_breaks
 from ogm.geometric.kernels.classify import GROUND, NO_RETURN, NONE, OBSTACLE, classify_rays
+from ogm.geometric.reference import height_band_mass, line_cells
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(16.0, 12.0, 0.5)
@@ -43,14 +45,14 @@ def test_the_kernel_draws_bresenhams_line(di: int, dj: int) -> None:
     state = np.zeros((96, 96), np.uint8)
     lines.draw_lines(state, np.array([[48 + di, 48 + dj]], np.int32), 48, 48)
     drawn = set(zip(*np.nonzero(state), strict=True))
-    assert drawn == set(reference.line_cells((48, 48), (48 + di, 48 + dj))) - {(48 + di, 48 + dj)}
+    assert drawn == set(line_cells((48, 48), (48 + di, 48 + dj))) - {(48 + di, 48 + dj)}
 
 
 @each("seed", range(4))
 def test_height_band_equals_one_line_per_return(seed: int) -> None:
     points = cloud(seed)
     ism = HeightBandISM(SPEC, Mount(HEIGHT), evidence=3.0, min_range=1.0)
-    slow = reference.height_band_mass(points[:, :3], ism)
+    slow = height_band_mass(points[:, :3], ism)
     np.testing.assert_array_equal(ism(points).mass, slow)
     assert slow[..., 0].any()
     assert slow[..., 1].any()

@@ -1,18 +1,18 @@
-"""General frames: mass functions on up to 6 states as arrays ``[..., 2**K]``, from their general definitions.
+"""Mass functions on general frames of up to 6 states, as arrays ``[..., 2**K]``.
 
-For frames such as {free, static, dynamic}; for {free, occupied} the rules of `ogm.evidence` do the same a
-hundred times faster on pairs, and are tested against these.
+For frames such as {free, static, dynamic}. For {free, occupied} use the rules of `ogm.evidence` on pairs, which are a
+hundred times faster and are tested against this module.
 
-The last axis is the power set: place ``A`` belongs to the set whose states are the bits of ``A``. With the
-states (free, static, dynamic), place 0b000 is the empty set, 0b001 is {free}, 0b110 is {static, dynamic} and
-0b111 is the whole frame; `subset` returns the places. For K = 2 and (free, occupied) the four numbers are
-(conflict, free, occupied, unknown). Arrays are float32 or float64, numpy or torch; rules combine any number of sources.
-Multinomial opinions, beliefs in single states, are converted by `from_beliefs` and `to_beliefs`.
+The last axis is the power set: the bits of an index are the states of its set. With the states (free, static, dynamic),
+index 0b000 is the empty set, 0b001 is {free}, 0b110 is {static, dynamic} and 0b111 is the whole frame; `subset` returns
+the index. For (free, occupied) the four numbers are (conflict, free, occupied, unknown). Arrays are float32 or float64,
+numpy or torch. Rules combine any number of sources. `from_beliefs` and `to_beliefs` convert multinomial opinions, which
+are beliefs in single states.
 
 >>> import numpy as np
 >>> from ogm.evidence import powerset
 >>> FREE, STATIC, DYNAMIC = 0, 1, 2
->>> scan = np.zeros(8)  # an obstacle, which may or may not move
+>>> scan = np.zeros(8)  # an obstacle, static or dynamic
 >>> scan[powerset.subset(STATIC, DYNAMIC)] = 0.8
 >>> scan[powerset.subset(FREE, STATIC, DYNAMIC)] = 0.2
 >>> track = np.zeros(8)

@@ -20,22 +20,22 @@ __all__ = [
 
 
 def pignistic(mass: Array) -> Array:
-    """Return the pignistic probabilities, (..., K): every mass shared equally by the states of its set.
+    """Return the pignistic probabilities, (..., K): each mass is shared equally by the states of its set.
 
-    Conflict is normalised away; where all mass is conflict, the result is NaN.
+    Masses are normalised by 1 - conflict; in total conflict the result is NaN.
     """
     return projected_probability(mass)
 
 
 def projected_probability(mass: Array, base_rate: Sequence[Any] | None = None) -> Array:
-    """Return the projected probability of each state, (..., K): every mass shared in proportion to base rates.
+    """Return the projected probabilities, (..., K): each mass is shared in proportion to base rates.
 
     Parameters
     ----------
     mass : (..., 2**K)
-        Hyper-opinion, see Jøsang (2016), section 3.6.
+        Mass function (hyper-opinion, Jøsang (2016), section 3.6).
     base_rate : K numbers or (...) arrays, optional
-        Prior probabilities of the states, greater than 0; by default equal, which gives the pignistic probability.
+        Prior probabilities of the states, greater than 0; by default equal, for the pignistic probability.
     """
     columns = masses_of(mass)
     states = range(_states(columns))
@@ -53,10 +53,7 @@ def projected_probability(mass: Array, base_rate: Sequence[Any] | None = None) -
 
 
 def plausibility_transform(mass: Array) -> Array:
-    """Return the plausibilities of the single states, normalised to a probability, (..., K).
-
-    Where all mass is conflict, the result is NaN.
-    """
+    """Return the normalised plausibilities of single states, (..., K); NaN in total conflict."""
     columns = masses_of(mass)
     plausible: list[Any] = [
         sum(column for place, column in enumerate(columns) if place >> state & 1) for state in range(_states(columns))
@@ -66,9 +63,9 @@ def plausibility_transform(mass: Array) -> Array:
 
 
 def discount(mass: Array, reliability: Any) -> Array:
-    """Return Shafer's discounted mass function: all masses times the reliability, the rest on the frame.
+    """Return Shafer's discounted mass function: masses times the reliability, the rest on the frame.
 
-    `reliability` is a float or (...) array in [0, 1]; 1 keeps all.
+    `reliability` is a float or (...) array in [0, 1]; 1 keeps the masses.
     """
     columns = masses_of(mass)
     r = as_like(reliability, columns[0], "reliability")
@@ -76,9 +73,9 @@ def discount(mass: Array, reliability: Any) -> Array:
 
 
 def contextual_discount(mass: Array, reliabilities: Sequence[Any]) -> Array:
-    """Return the mass of a source whose reliability depends on the true state (Mercier et al., 2008).
+    """Discount by reliabilities that depend on the true state (Mercier et al., 2008).
 
-    `reliabilities` are K numbers or (...) arrays in [0, 1]: of the source if state i is the true one.
+    `reliabilities` are K numbers or (...) arrays in [0, 1]; number i is the reliability in state i.
     """
     columns = list(masses_of(mass))
     if len(reliabilities) != _states(columns):
@@ -94,9 +91,9 @@ def contextual_discount(mass: Array, reliabilities: Sequence[Any]) -> Array:
 
 
 def coarsen(mass: Array, groups: Sequence[Sequence[int]]) -> Array:
-    """Return the mass function on a coarser frame whose states are `groups`, a partition of the old ones.
+    """Return the mass function on the coarser frame of `groups`, a partition of the states.
 
-    A set becomes the set of all groups it touches (outer reduction). With states (free, static, dynamic),
+    A set becomes the set of all groups that it meets (outer reduction). With states (free, static, dynamic),
     ``coarsen(mass, [(0,), (1, 2)])`` is the mass on (free, occupied).
     """
     columns = masses_of(mass)
@@ -109,7 +106,7 @@ def coarsen(mass: Array, groups: Sequence[Sequence[int]]) -> Array:
 
 
 def refine(mass: Array, groups: Sequence[Sequence[int]]) -> Array:
-    """Return the mass function on a finer frame in which state i becomes the group of states ``groups[i]``.
+    """Return the mass function on a finer frame, with the states ``groups[i]`` for state i.
 
     The vacuous extension: ``coarsen(refine(mass, groups), groups)`` is `mass`.
     """
@@ -129,7 +126,7 @@ def _states(columns: Any) -> int:
 
 
 def _partition(groups: Sequence[Sequence[int]], states: int) -> list[int]:
-    """Return the places of the groups, or refuse them if they are no partition of the states."""
+    """Return the indices of the groups; raise ValueError unless they are a partition of the states."""
     flat = sorted(state for group in groups for state in group)
     if flat != list(range(states)) or not all(groups):
         raise ValueError(f"groups must be a partition of the states 0 to {states - 1}, got {list(groups)}")

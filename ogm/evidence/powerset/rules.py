@@ -1,7 +1,7 @@
-"""Combination rules on frames of up to 6 states, of n masses or of a stack of sources and its axis.
+"""Combination rules on frames of up to 6 states, for several masses or a stack of sources and its axis.
 
-The same rules as in `ogm.evidence`, from their general definitions: the reference that the rules on pairs are tested
-against. All take and return mass functions ``[..., 2**K]``.
+The rules of `ogm.evidence` from their general definitions, as a reference in the tests of the rules on pairs. All take
+and return mass functions ``[..., 2**K]``.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,16 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import (
-    Array,
-    check_float,
-    dtype_name,
-    each_source,
-    first_index,
-    maybe_any,
-    namespace,
-    tolerance_of,
-)
+from ogm.evidence.arrays import Array, dtype_name, each_source, first_index, maybe_any, namespace, tolerance_of
 from ogm.evidence.powerset.transforms import (
     difference_subsets,
     difference_supersets,
@@ -44,11 +35,11 @@ __all__ = [
     "dubois_prade", "murphy", "pcr5", "pcr6", "weighted", "yager",
 ]  # fmt: skip
 
-MAX_CHOICES = 2**16  # combinations of sets of all sources
+MAX_CHOICES = 2**16  # greatest number of combinations of sets of all sources
 
 
 def conjunctive(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by the unnormalised conjunctive rule: commonalities multiply; conflict is at place 0."""
+    """Combine by the unnormalised conjunctive rule: commonalities multiply; conflict has index 0."""
     return stack(_conjunctive(_each(masses, axis)), masses[0])
 
 
@@ -59,18 +50,18 @@ def disjunctive(*masses: Array, axis: int | None = None) -> Array:
 
 
 def dempster(*masses: Array, axis: int | None = None, on_conflict: OnConflict = "average") -> Array:
-    """Combine by Dempster's rule: conjunctive, divided by the sum of the surviving masses.
+    """Combine by Dempster's rule: the conjunctive rule, normalised by 1 - conflict.
 
-    In total conflict `on_conflict` decides: "average" is the mean of the sources, "vacuous" all mass on the
-    frame, "nan" NaN, and "raise" an error.
+    In total conflict the result depends on `on_conflict`: "average" is the mean of the sources, "vacuous" all mass on
+    the frame, "nan" NaN, and "raise" an error.
     """
     check_policy(on_conflict)
     parts, xp = _each(masses, axis), namespace(masses[0])
-    result, none = parts[0], parts[0][0] < 0  # a single source stays as it is
-    for part in parts[1:]:  # normalised at once, so that many sources do not underflow
+    result, none = parts[0], parts[0][0] < 0  # a single source does not change
+    for part in parts[1:]:  # normalised after each source, so that many sources do not underflow
         joint = _conjunctive([result, part])
         surviving = joint[1:].sum(0)
-        # The transforms leave rounding in place of 0
+        # The transforms may leave rounding errors in place of 0
         total = surviving <= len(joint) * np.finfo(dtype_name(masses[0])).eps
         result = xp.stack([0 * surviving, *(joint[1:] / xp.where(total, 1 + 0 * surviving, surviving))])
         none = none | total
@@ -102,35 +93,40 @@ def dubois_prade(*masses: Array, axis: int | None = None) -> Array:
 
 
 def pcr5(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by PCR5: conflict goes back to its sets, in proportion to the products of their masses."""
+    """Combine by PCR5: conflict returns to its sets, in proportion to the products of their masses."""
     return _redistributed(masses, axis, _grouped)
 
 
 def pcr6(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by PCR6: conflict goes back to its sets, in proportion to the mass of each source; for two, as PCR5."""
+    """Combine by PCR6: conflict returns to its sets, in proportion to the mass of each source."""
     return _redistributed(masses, axis, zip)
 
 
 def murphy(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by Murphy's rule: the mean of all, combined with itself by Dempster's rule as often as there are more."""
+    """Combine by Murphy's rule: Dempster's rule on n copies of the mean of n masses."""
     parts = _each(masses, axis)
     mean = stack(sum(parts) / len(parts), masses[0])
     return dempster(*[mean] * len(parts)) if len(parts) > 1 else mean
 
 
 def cautious(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by the cautious rule: the smallest of the conjunctive weights; not normalised.
+    """Combine by the cautious rule: the minimum of the conjunctive weights, not normalised.
 
-    As in `ogm.evidence.cautious`, the mass of the frame is read as at least 1e-6 (float32) or 1e-12 (float64).
+    The mass of the frame is read as at least 1e-6 (float32) or 1e-12 (float64), as in `ogm.evidence.cautious`.
     """
     return stack(_cautious(_each(masses, axis), masses[0]), masses[0])
 
 
 def bold(*masses: Array, axis: int | None = None) -> Array:
-    """Combine by Denœux's bold disjunctive rule: `cautious` on complements. Needs conflict > 0 in all sources."""
+    """Combine by Denœux's bold disjunctive rule: `cautious` on complements; all sources need conflict > 0."""
     xp, parts = namespace(masses[0]), _each(masses, axis)
-    if xp is np:
-        _refuse_no_conflict([part[0] for part in parts])
+    for number, part in enumerate(parts if xp is np else ()):
+        if not (part[0] > 0).all():
+            none = ~(part[0] > 0)
+            raise ValueError(
+                f"the bold rule needs conflict > 0 in every cell of every source, but in source {number} it is 0 in "
+                f"{int(none.sum())} cells, the first at {first_index(none)}; for such masses use disjunctive"
+            )
     complements = [xp.stack(list(part)[::-1]) for part in parts]
     return stack(list(_cautious(complements, masses[0]))[::-1], masses[0])
 
@@ -153,7 +149,7 @@ def weighted(*masses: Array, axis: int | None = None) -> Array:
 def consensus_compromise(a: Array, b: Array) -> Array:
     """Fuse two hyper-opinions by consensus & compromise, with relative base rates |A and B| / |B|.
 
-    van der Heijden, Kopp and Kargl (2018); where no residue is left to share, the rest is unknown.
+    van der Heijden, Kopp and Kargl (2018); where no residue remains to share, the rest is unknown.
     """
     first, second = _each([a, b], None)
     agreed = namespace(a).minimum(first, second)[:-1]
@@ -172,8 +168,8 @@ def consensus_compromise(a: Array, b: Array) -> Array:
 
 
 def _each(masses: Sequence[Any], axis: int | None) -> list[Any]:
-    """Return the columns of each source, (2**K, ...), of one shape."""
-    xp, sources = each_source(masses, axis, check_float, masses_of)
+    """Return the columns of each source, (2**K, ...), of the same shape."""
+    xp, sources = each_source(masses, axis, masses_of)
     counts = [len(source) for source in sources]
     if len(set(counts)) > 1:
         raise ValueError(
@@ -181,7 +177,7 @@ def _each(masses: Sequence[Any], axis: int | None) -> list[Any]:
         )
     shapes = [tuple(source[0].shape) for source in sources]
     shape = np.broadcast_shapes(*shapes)
-    if all(one == shape for one in shapes):
+    if all(other == shape for other in shapes):
         return [xp.stack(list(source)) for source in sources]
     return [xp.stack([xp.broadcast_to(column, shape) for column in source]) for source in sources]
 
@@ -191,12 +187,12 @@ def _product(factors: Iterable[Any]) -> Any:
 
 
 def _conjunctive(parts: Sequence[Any]) -> Any:
-    # The exact result is a sum of products: differences below zero are rounding.
+    """Return the columns of the conjunction; exact masses are sums of products, so negative numbers are rounding."""
     return difference_supersets(_product(map(sum_supersets, parts))).clip(0)
 
 
 def _choices(parts: Sequence[Any]) -> Iterator[tuple[tuple[int, ...], list[Any]]]:
-    """Yield all ways in which each source picks a set: their places, and the masses of the sources."""
+    """Yield all choices of a set by each source: the indices of the sets, and their masses."""
     count = len(parts[0]) ** len(parts)
     if count > MAX_CHOICES:
         raise ValueError(
@@ -210,10 +206,10 @@ def _choices(parts: Sequence[Any]) -> Iterator[tuple[tuple[int, ...], list[Any]]
 def _redistributed(
     masses: Sequence[Array], axis: int | None, shared: Callable[..., Iterable[tuple[int, Any]]]
 ) -> Array:
-    """Share conflicting products among their sets; `shared` takes places and masses to places and shares."""
+    """Share conflicting products among their sets; `shared` converts indices and masses to indices and shares."""
     parts = _each(masses, axis)
     result = list(_conjunctive(parts))
-    result[0] = 1 - _product(1 - part[0] for part in parts)  # conflict of the sources themselves has no parties
+    result[0] = 1 - _product(1 - part[0] for part in parts)  # conflict within a source has no sets to return to
     for places, picked in _choices(parts):
         if all(places) and not reduce(and_, places):
             shares = list(shared(places, picked))
@@ -232,20 +228,9 @@ def _grouped(places: Sequence[int], picked: Sequence[Any]) -> list[tuple[int, An
     return list(groups.items())
 
 
-def _refuse_no_conflict(conflicts: Sequence[Any]) -> None:
-    """Raise if a source of the bold rule, given by its conflict in every cell, has none somewhere."""
-    for number, conflict in enumerate(conflicts):
-        none = ~(np.asarray(conflict) > 0)
-        if none.any():
-            raise ValueError(
-                f"the bold rule needs conflict > 0 in every cell of every source, but source {number} has none in "
-                f"{int(none.sum())} cells, the first at {first_index(none)}; use disjunctive without conflict"
-            )
-
-
 def _cautious(parts: Sequence[Any], mass: Any) -> Any:
     xp = namespace(mass)
-    # Simple mass functions A^w with the least w; one has commonality 1 inside A and w elsewhere.
+    # Simple mass functions A^w with the least w; their commonality is 1 inside A and w elsewhere
     least = reduce(xp.minimum, [_log_weights(part, mass) for part in parts])
     inside = sum_supersets(least)
     return difference_supersets(xp.exp(inside[0] - inside)).clip(0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_float, namespace, refuse_worst, split_open, tolerance_of
+from ogm.evidence.arrays import Array, check_float, namespace, per_cell, refuse_worst, split_open, tolerance_of
 
 __all__ = [
     "belief_to_mass", "check_powerset", "commonality_to_mass", "from_beliefs", "from_pair", "implicability_to_mass",
@@ -20,7 +20,7 @@ MAX_STATES = 6
 
 
 def subset(*states: int) -> int:
-    """Return the place on the last axis of the set of these states; ``subset()`` is the empty set."""
+    """Return the index on the last axis of the set of the given states; ``subset()`` is the empty set."""
     if any(not 0 <= state < MAX_STATES for state in states):
         raise ValueError(f"states must be numbers from 0 to {MAX_STATES - 1}, got {states}")
     return sum(1 << state for state in set(states))
@@ -29,7 +29,7 @@ def subset(*states: int) -> int:
 def check_powerset(mass: Any, tolerance: float | None = None, name: str = "mass") -> None:
     """Raise ValueError unless every cell is a mass function: non-negative, with sum 1.
 
-    By default a mass may lie below 0, or a sum from 1, by 2^K times 1e-6 (float32) or 1e-12 (float64).
+    The default tolerance is 2^K times 1e-6 (float32) or 1e-12 (float64).
     """
     columns_of(mass, name)
     values = mass if namespace(mass) is np else mass.detach().cpu().numpy()
@@ -49,7 +49,7 @@ def to_pair(mass: Array) -> Array:
     conflict, free, occupied, _ = masses_of(mass, states=2)
     if namespace(mass) is np and conflict.size and conflict.max() > tolerance_of(mass):
         raise ValueError(
-            f"a pair has no place for conflict, got up to {conflict.max()}; use to_triple, or dempster to normalise"
+            f"mass must not have conflict, got up to {conflict.max()}; use to_triple, or normalise by dempster"
         )
     return stack([free, occupied], mass)
 
@@ -61,7 +61,7 @@ def to_triple(mass: Array) -> Array:
 
 
 def from_beliefs(belief: Array) -> Array:
-    """Return the mass function of a multinomial opinion (..., K): beliefs in single states, the rest unknown."""
+    """Return the mass function of beliefs in single states (..., K); the rest is unknown."""
     xp = check_float(belief, "belief")
     given: Any = belief
     states = given.shape[-1] if given.ndim else 0
@@ -78,13 +78,13 @@ def from_beliefs(belief: Array) -> Array:
 
 
 def to_beliefs(mass: Array) -> Array:
-    """Return the beliefs in single states (..., K) of a mass function; the mass of all other sets becomes unknown."""
+    """Return the beliefs in single states (..., K) of a mass function; all other masses become unknown."""
     columns = masses_of(mass)
     return stack([columns[1 << state] for state in range(len(columns).bit_length() - 1)], mass)
 
 
 def mass_to_commonality(mass: Array) -> Array:
-    """Return q(A) = sum of m(B) over all B that contain A."""
+    """Return the commonality function, q(A) = sum of m(B) over all B that contain A."""
     return stack(sum_supersets(masses_of(mass)), mass)
 
 
@@ -94,7 +94,7 @@ def commonality_to_mass(commonality: Array) -> Array:
 
 
 def mass_to_implicability(mass: Array) -> Array:
-    """Return b(A) = sum of m(B) over all B inside A, the empty set included."""
+    """Return the implicability function, b(A) = sum of m(B) over all B in A, with the empty set."""
     return stack(sum_subsets(masses_of(mass)), mass)
 
 
@@ -104,7 +104,7 @@ def implicability_to_mass(implicability: Array) -> Array:
 
 
 def mass_to_belief(mass: Array) -> Array:
-    """Return bel(A) = sum of m(B) over all B inside A but the empty set."""
+    """Return the belief function, bel(A) = sum of m(B) over all B in A except the empty set."""
     columns = masses_of(mass)
     return stack(sum_subsets(namespace(mass).stack([0 * columns[0], *columns[1:]])), mass)
 
@@ -116,7 +116,7 @@ def belief_to_mass(belief: Array) -> Array:
 
 
 def mass_to_plausibility(mass: Array) -> Array:
-    """Return pl(A) = sum of m(B) over all B that meet A."""
+    """Return the plausibility function, pl(A) = sum of m(B) over all B that meet A."""
     below = sum_subsets(masses_of(mass))
     return stack(reversed(below[-1] - below), mass)
 
@@ -156,35 +156,31 @@ def masses_of(mass: Any, name: str = "mass", states: int | None = None) -> Any:
 
 def stack(columns: Iterable[Any], mass: Array) -> Array:
     """Return columns with the power set on the last axis, in the dtype of `mass`."""
-    given: Any = mass
-    xp = namespace(mass)
-    last = xp.stack(list(columns), -1)
-    stacked: Array = last.astype(given.dtype, copy=False) if xp is np else last
-    return stacked
+    return per_cell(namespace(mass).stack(list(columns), -1), mass)
 
 
 def sum_subsets(columns: Any) -> Any:
-    """Zeta transform: each place becomes the sum over its subsets."""
+    """Apply the zeta transform: replace each number by the sum over the subsets."""
     return _butterfly(columns, lambda without, with_: (without, with_ + without))
 
 
 def difference_subsets(columns: Any) -> Any:
-    """Möbius transform: inverse of `sum_subsets`."""
+    """Apply the Möbius transform, the inverse of `sum_subsets`."""
     return _butterfly(columns, lambda without, with_: (without, with_ - without))
 
 
 def sum_supersets(columns: Any) -> Any:
-    """Zeta transform: each place becomes the sum over its supersets."""
+    """Apply the zeta transform: replace each number by the sum over the supersets."""
     return _butterfly(columns, lambda without, with_: (without + with_, with_))
 
 
 def difference_supersets(columns: Any) -> Any:
-    """Möbius transform: inverse of `sum_supersets`."""
+    """Apply the Möbius transform, the inverse of `sum_supersets`."""
     return _butterfly(columns, lambda without, with_: (without - with_, with_))
 
 
 def _butterfly(columns: Any, step: Callable[[Any, Any], tuple[Any, Any]]) -> Any:
-    """Pass over the states (Kennes and Smets 1990); each pass takes the pairs of subsets that differ in that state."""
+    """Apply `step` state by state to pairs of sets without and with the state (Kennes and Smets 1990)."""
     xp, shape, bit = namespace(columns), tuple(columns.shape), 1
     while bit < shape[0]:
         pairs = columns.reshape(shape[0] // (2 * bit), 2, bit, *shape[1:])

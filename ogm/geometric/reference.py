@@ -1,4 +1,4 @@
-"""`HeightBandISM` by one line of cells per return."""
+"""Reference of `HeightBandISM`: a line of cells for every return."""
 
 import math
 from collections.abc import Iterator
@@ -32,14 +32,14 @@ def line_cells(start: tuple[int, int], end: tuple[int, int]) -> Iterator[tuple[i
 
 
 def height_band_mass(xyz: NDArray[Any], ism: HeightBandISM) -> NDArray[np.float32]:
-    """Return the masses of `HeightBandISM`, without supersampling, by one line per return.
+    """Return the masses of `HeightBandISM` without supersampling, from a line per return.
 
     Parameters
     ----------
     xyz : (N, 3) float array
         Points in the frame of the grid [m].
     ism : HeightBandISM
-        With a mount.
+        Model with a mount.
 
     Returns
     -------
@@ -70,12 +70,13 @@ def height_band_mass(xyz: NDArray[Any], ism: HeightBandISM) -> NDArray[np.float3
 
 
 def cell_of(spec: GridSpec, x: float, y: float) -> tuple[int, int]:
+    """Return the cell of a point, also beyond the grid."""
     i, j = spec.index(x, y, unbounded=True)
     return int(i), int(j)
 
 
 def _leave(spec: GridSpec, origin: Point, x: float, y: float) -> tuple[int, int]:
-    """Return the cell in which the ray to a point beyond the grid leaves it."""
+    """Return the last grid cell on the ray from `origin` to a point beyond the grid."""
     x0, x1, y0, y1 = spec.extent
     share = 1.0
     for start, end, low, high in ((origin[0], x, x0, x1), (origin[1], y, y0, y1)):

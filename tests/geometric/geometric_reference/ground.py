@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.reference.height_band import cell_of
+from ogm.geometric.reference import cell_of
 from ogm.grid import GridSpec
 
 __all__ = ["ground_map", "lower_envelope", "pull_push"]
@@ -15,7 +15,7 @@ Point = tuple[float, float, float]
 
 
 def lower_envelope(height: NDArray[Any], rise: float) -> NDArray[Any]:
-    """Return the lowest, over all cells, of a cell's height plus `rise` times its chamfer distance.
+    """Return the minimum over all cells of their height plus `rise` times their chamfer distance, for each cell.
 
     Chamfer distance: sqrt(2) per diagonal step, 1 per straight step.
     """
@@ -37,19 +37,19 @@ def ground_map(
     low_tolerance: float,
     band: float,
 ) -> NDArray[Any]:
-    """Return the heights of `local_ground`, cell by cell and in its four steps.
+    """Return the heights of `local_ground`, cell by cell, in the same four steps.
 
     Parameters
     ----------
     xyz : (N, 3) float array
         Points [m].
     ground_point : (x, y, z)
-        The ground under the sensor [m].
+        Ground under the sensor [m].
     spec : GridSpec
     max_slope, max_descent : float
-        Rise over run: from cell to cell, and on average down from the ground point.
+        Rise over run, from cell to cell and on average down from the ground point.
     low_tolerance, band : float
-        [m]
+        See `ogm.geometric.ground.LOW_TOLERANCE` and `BAND` [m].
 
     Returns
     -------
@@ -66,7 +66,7 @@ def ground_map(
             if ground_point[2] - low_tolerance - z <= max_descent * math.dist((x, y), ground_point[:2]):
                 lowest[cell] = min(lowest[cell], z)
 
-    # Strays: from ring to ring of cells, away from the ground point
+    # Stray returns, ring by ring of cells away from the ground point
     def ring_of(cell: tuple[int, ...]) -> int:
         return max(abs(cell[0] - home[0]), abs(cell[1] - home[1]))
 
@@ -83,7 +83,7 @@ def ground_map(
         if above < -allowed:
             lowest[cell] = np.inf
 
-    # What touches the envelope is ground, at the mean of its lowest layer, or of a thin dense one above that
+    # Ground: cells that touch the envelope, at the mean of the lowest layer or of a thin dense layer above it
     lowest[home] = min(lowest[home], ground_point[2])
     envelope = lower_envelope(lowest, max_slope * spec.resolution)
     height, weight = np.zeros(spec.shape), np.zeros(spec.shape)
@@ -103,7 +103,7 @@ def ground_map(
 
 
 def pull_push(height: NDArray[Any], weight: NDArray[Any], otherwise: float) -> NDArray[Any]:
-    """Fill cells of weight 0 from means over blocks of 2 x 2, 4 x 4, ... cells, interpolated (recursive)."""
+    """Fill cells of weight 0 by interpolated means over blocks of 2 x 2, 4 x 4, ... cells (recursive)."""
     if max(height.shape) <= 2:
         mean = (weight * height).sum() / weight.sum() if weight.sum() else otherwise
         return np.where(weight > 0, height, mean)

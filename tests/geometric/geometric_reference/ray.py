@@ -1,4 +1,4 @@
-"""`RayISM` over flat ground by a loop over cells and rays."""
+"""Reference of `RayISM` over flat ground, by loops over cells and rays."""
 
 import itertools
 import math
@@ -15,21 +15,21 @@ __all__ = ["ray_grid_mass", "silence_reliability"]
 def ray_grid_mass(
     xyz: NDArray[Any], no_returns: NDArray[Any], ground: float, ism: RayISM, sectors: int
 ) -> NDArray[np.float32]:
-    """Return the masses of `RayISM` over flat ground, by a loop over cells and rays.
+    """Return the masses of `RayISM` over flat ground.
 
     Parameters
     ----------
     xyz : (N, 3) float array
-        Points in the frame of the grid, without returns from the ego vehicle [m].
-        Without steps and holes: the ground returns of a sector lie on the ground, and returns more than
-        `below_ground` under it lie behind such.
+        Points in the frame of the grid [m], without returns from the ego vehicle, steps and holes: the ground returns
+        of a sector lie on the ground, and returns more than `below_ground` under the ground lie behind ground returns.
     no_returns : (M, 3) float array
         Unit directions of beams without echo, in the frame of the grid.
     ground : float
         Height of the ground [m].
     ism : RayISM
-        With a mount. Its `ground` and `azimuth_step` are not used.
+        Model with a mount. Its `ground` and `azimuth_step` are not used.
     sectors : int
+        Number of polar sectors.
 
     Returns
     -------
@@ -69,13 +69,13 @@ class Ray(NamedTuple):
 
     azimuth: float  # [rad]
     slope: float  # rise over run
-    end: int  # first bin that it does not reach
+    end: int  # first bin that the ray does not reach
     is_silent: bool  # without echo
     is_stopped: bool  # by an obstacle
 
 
 def returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[Any]) -> list[Ray]:
-    """Return the ray to each return, and count the half hits of obstacles."""
+    """Return the ray of each return, and count half hits of obstacles in `hits`."""
     spec, (x0, y0, z0) = ism.spec, _origin(ism)
     rays = []
     for x, y, z in xyz.tolist():
@@ -120,15 +120,15 @@ def chance_unnoticed(heights: NDArray[Any], clearance: float, chance: float) -> 
 
 
 def chance_hidden(heights: NDArray[Any], fades: NDArray[Any], ism: RayISM) -> float:
-    """Return the chance that something hangs between the rays that pass a bin, where an obstacle stopped others.
+    """Return the probability of a hidden object between the rays that pass a bin behind an obstacle.
 
-    `heights` are those of all rays in the bin, also where a ray would be if nothing had stopped it, from the lowest
-    up; `fades` is NaN for a ray that passes, else how much of the obstacle is left (0: nothing, 1: all).
+    `heights` are sorted and include stopped rays, extended to the bin. `fades` is NaN for a ray that passes, else the
+    influence of the obstacle that stopped it, from 1 at the obstacle to 0 at `hidden_depth` behind it.
     """
     passing = np.flatnonzero(np.isnan(fades))
     levels = np.clip([0, *heights[passing], ism.clearance], 0, ism.clearance)
     worst, last = 0.0, len(passing)
-    for n, stopped in enumerate(np.split(fades, passing)):  # the stopped rays under each level; first a passing ray
+    for n, stopped in enumerate(np.split(fades, passing)):  # a passing ray, then the stopped rays below the next one
         thickness = (levels[n + 1] - levels[n]) / ism.hidden_height * (2 if n == last else 1)
         worst = max(worst, thickness * np.nan_to_num(stopped).max(initial=0 if n == last else ism.p_hidden))
     above = ism.p_hidden * (levels[-1] - levels[-2]) / ism.clearance
@@ -136,17 +136,17 @@ def chance_hidden(heights: NDArray[Any], fades: NDArray[Any], ism: RayISM) -> fl
 
 
 def _bins(ism: RayISM) -> int:
-    """Return how many bins the polar grid has from the sensor to the farthest corner."""
+    """Return the number of polar bins from the sensor to the farthest corner of the grid."""
     spec, (x, y, _) = ism.spec, _origin(ism)
     x0, x1, y0, y1 = spec.extent
     return math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / spec.resolution) + 1
 
 
 def silence_reliability(xyz: NDArray[Any], no_returns: NDArray[Any], ground: float, ism: RayISM) -> NDArray[np.float64]:
-    """Return how much beams without echo tell about each polar bin, over flat ground, (bins,).
+    """Return the reliability of beams without echo in each polar bin over flat ground, (bins,).
 
-    By the max-min formula of monotone regression: the chance that a surface in bin k gives no echo is the largest, over
-    the bins i up to k, of the smallest share that is lost from i to any bin from k on.
+    By the max-min formula of monotone regression, the probability that a surface in bin k gives no echo is the maximum
+    over i <= k of the minimum over j >= k of the share of lost echoes in bins i to j.
     """
     (x0, y0, z0), step, bins = _origin(ism), ism.spec.resolution, _bins(ism)
     seen, lost = np.zeros(bins), np.zeros(bins)
@@ -172,14 +172,14 @@ def silence_reliability(xyz: NDArray[Any], no_returns: NDArray[Any], ground: flo
 def _polar_free(
     rays: list[Ray], silence: NDArray[np.float64], ism: RayISM, ground: float, sectors: int
 ) -> NDArray[np.float64]:
-    """Return the belief in free of every polar bin, (sectors, bins)."""
+    """Return the mass of free of each polar bin, (sectors, bins)."""
     bins = len(silence)
     by_sector: list[list[Ray]] = [[] for _ in range(sectors)]
     for ray in sorted(rays, key=lambda ray: ray.slope):
         by_sector[min(int(ray.azimuth % (2 * math.pi) * sectors / (2 * math.pi)), sectors - 1)].append(ray)
     free = np.zeros((sectors, bins))
     for s, k in np.ndindex(sectors, bins):
-        chance = ism.p_miss ** (sectors / (2 * math.pi) / (k + 0.5))  # a cell sees some of the sector's rays
+        chance = ism.p_miss ** (sectors / (2 * math.pi) / (k + 0.5))  # a cell is met by a part of the sector's rays
         alone = _bin_free([ray for ray in by_sector[s] if not ray.is_silent], k, chance, ground, ism)
         together = _bin_free(by_sector[s], k, chance, ground, ism)
         free[s, k] = alone + ism.no_return_weight * silence[k] * max(together - alone, 0)
@@ -187,7 +187,7 @@ def _polar_free(
 
 
 def _bin_free(rays: list[Ray], k: int, chance: float, ground: float, ism: RayISM) -> float:
-    """Return the belief in free of bin `k` from the rays of its sector, sorted by slope, missing with `chance`."""
+    """Return the mass of free of bin `k` from the rays, sorted by slope; each misses with `chance`."""
     step, heights, fades = ism.spec.resolution, [], []
     for ray in rays:
         height = _origin(ism)[2] - ground + ray.slope * (k + 0.5) * step

@@ -1,4 +1,4 @@
-"""Breaks of the ground along profiles, and what rays hit there, one return after the other."""
+"""Breaks of the ground along profiles, and classes of the rays that meet them, return by return."""
 
 import math
 from collections.abc import Sequence
@@ -16,11 +16,11 @@ __all__ = ["Beam", "Break", "classify", "find_breaks", "profiles_of"]
 
 
 class Beam(NamedTuple):
-    """A ray of one sector."""
+    """A ray in a sector."""
 
     slope: float  # rise over run
-    run: float  # of its return [m]
-    above: float  # height of that above the ground map [m]
+    run: float  # horizontal range of its return [m]
+    above: float  # height of the return above the ground map [m]
     is_return: bool
 
 
@@ -28,34 +28,34 @@ class Bin(NamedTuple):
     """A bin of a profile that holds ground returns."""
 
     number: int
-    run: float  # mean of the returns [m]
-    height: float  # mean, relative to the sensor [m]
+    run: float  # mean horizontal range of the returns [m]
+    height: float  # mean height of the returns, relative to the sensor [m]
 
 
 @dataclass
 class Break:
-    """A break of the ground in a bin of a profile."""
+    """A break (step, fall or hole) of the ground in a bin of a profile."""
 
     kind: int
-    limit: float  # height beyond which returns are in it, relative to the sensor [m]
-    begin: int  # polar bin
-    end: int  # bin of the profile
+    limit: float  # returns above it (step) or below it (hole) belong to the break; relative to the sensor [m]
+    begin: int  # first polar bin
+    end: int  # last bin of the profile
 
     def covers(self, wide: int) -> set[int]:
-        """Return the polar bins from the ground before it to its end."""
+        """Return the polar bins from the ground before the break to its end."""
         return set(range(self.begin, (self.end + 1) * wide))
 
 
 class Line(NamedTuple):
-    """The continued ground."""
+    """Line that continues the ground before a bin."""
 
-    run: float  # of the last ground before it [m]
-    height: float  # there [m]
-    incline: float
-    rough: float  # standard deviation of the ground about it [m]
+    run: float  # horizontal range of the last ground [m]
+    height: float  # at `run` [m]
+    incline: float  # rise over run
+    rough: float  # standard deviation of the ground about the line [m]
 
     def rest(self, run: float, height: float) -> float:
-        """Return how far a height lies above it [m]."""
+        """Return the height of a point above the line [m]."""
         return height - self.height - self.incline * (run - self.run)
 
 
@@ -72,9 +72,9 @@ def profiles_of(sectors: Sequence[Sequence[Beam]], step: float, obstacle_height:
                 found.setdefault(number, []).append(beam)
         result.append(
             [
-                Bin(number, float(np.mean([b.run for b in some])), float(np.mean([b.slope * b.run for b in some])))
-                for number, some in sorted(found.items())
-                if len(some) >= constants.FEW
+                Bin(number, float(np.mean([b.run for b in held])), float(np.mean([b.slope * b.run for b in held])))
+                for number, held in sorted(found.items())
+                if len(held) >= constants.FEW
             ]
         )
     return result
@@ -83,18 +83,18 @@ def profiles_of(sectors: Sequence[Sequence[Beam]], step: float, obstacle_height:
 def find_breaks(
     profiles: Sequence[list[Bin]], lowest: float, step: float, bins: int, below_ground: float
 ) -> tuple[list[dict[int, Break]], NDArray[np.float64]]:
-    """Return the breaks of each profile by number of their bin, and the reliability of belief, (profiles, bins).
+    """Return the breaks of each profile by bin number, and the reliability of belief, (profiles, bins).
 
     Parameters
     ----------
     profiles : list of lists of Bin
-        Around the sensor: the last is a neighbour of the first.
+        Profiles around the sensor: the last is a neighbour of the first.
     lowest : float
         Height of the ground under the sensor, relative to it [m].
     step : float
         Depth of a polar bin [m].
     bins : int
-        Number of these.
+        Number of polar bins.
     below_ground : float
         See `RayISM`.
     """
@@ -104,30 +104,31 @@ def find_breaks(
     for row, found in enumerate(alone):
         beside = [other for side in (row - 1, (row + 1) % len(alone)) for other in alone[side].values()]
         kept = {
-            number: one
-            for number, one in found.items()
+            number: found_break
+            for number, found_break in found.items()
             if any(
-                (one.kind == constants.STEP) == (other.kind == constants.STEP) and one.covers(wide) & other.covers(wide)
+                (found_break.kind == constants.STEP) == (other.kind == constants.STEP)
+                and found_break.covers(wide) & other.covers(wide)
                 for other in beside
             )
         }
         result.append(kept)
-        for one in kept.values():
-            share = 0 if one.kind == constants.HOLE else constants.DOUBTFUL
-            part = reliability[row, one.begin : (one.end + 1) * wide + 1]
+        for kept_break in kept.values():
+            share = 0 if kept_break.kind == constants.HOLE else constants.DOUBTFUL
+            part = reliability[row, kept_break.begin : (kept_break.end + 1) * wide + 1]
             part[:] = np.minimum(part, share)
     return result, reliability
 
 
 def _width(step: float) -> int:
-    """Return the depth of a profile's bin, in polar bins."""
+    """Return the depth of a profile bin, in polar bins."""
     return max(int(constants.DEPTH / step + 0.5), 1)
 
 
 def _compare(profile: list[Bin], lowest: float, step: float, below_ground: float) -> dict[int, Break]:
-    """Compare the bins of a profile with the continued ground."""
+    """Return the breaks of a profile by bin number, from a comparison of each bin with the continued ground."""
     found: dict[int, Break] = {}
-    known: list[tuple[float, float]] = []  # run and height of ground, from where the line begins
+    known: list[tuple[float, float]] = []  # runs and heights of the ground that the line is fitted to
     horizon, incline, resume = -math.inf, 0.0, 0
     last_ground: list[float] = []  # runs of all ground
     hole: tuple[Line, int] | None = None  # the ground before a hole, and its bin
@@ -183,7 +184,7 @@ def _compare(profile: list[Bin], lowest: float, step: float, below_ground: float
 
 
 def _line(known: list[tuple[float, float]], run: float, before: float) -> Line:
-    """Fit a line to the ground before `run`; `before` is its incline where there is too little of it."""
+    """Fit a line to the ground before `run`; with too little ground it keeps the incline `before`."""
     at = max((n for n, (r, _) in enumerate(known) if r <= run - constants.GAP), default=0)
     base = max((n for n in range(at + 1) if known[n][0] <= known[at][0] - constants.BASELINE), default=0)
     r, z = np.array(known[base : at + 1]).T
@@ -197,13 +198,13 @@ def _line(known: list[tuple[float, float]], run: float, before: float) -> Line:
 
 
 def _jumps(profile: list[Bin], first: int, last: int, line: Line) -> list[float]:
-    """Return the changes of height from bin to bin, but for the line's [m]."""
+    """Return the changes of height from bin to bin, relative to the line [m]."""
     pairs = [(profile[k - 1], profile[k]) for k in range(max(first, 1), last + 1)]
     return [b.height - a.height - line.incline * (b.run - a.run) for a, b in pairs]
 
 
 def _end(profile: list[Bin], k: int, line: Line, sign: int) -> int | None:
-    """Return the last bin of a rise (`sign` 1) or fall (-1) that begins in bin `k`, None for a slope and for noise."""
+    """Return the last bin of a rise (`sign` 1) or fall (-1) that begins in bin `k`, None for a slope or noise."""
     last = k
     while True:
         later = [j for j in range(last + 1, len(profile)) if profile[j].run - profile[last].run > constants.GAP]
@@ -220,10 +221,10 @@ def _end(profile: list[Bin], k: int, line: Line, sign: int) -> int | None:
 
 
 def classify(beams: Sequence[Beam], breaks: dict[int, Break], step: float, numbers: RayNumbers) -> list[int]:
-    """Return what the rays of one sector hit, as in `kernels.classify`, given the breaks of its profile."""
+    """Return the class of each ray of a sector, see `kernels.classify`, given the breaks of its profile."""
     result = []
     for slope, run, above, is_return in beams:
-        one = breaks.get(int(run / step) // _width(step))
+        met = breaks.get(int(run / step) // _width(step))
         height = slope * run
         if run < step:
             kind = kinds.NONE
@@ -233,11 +234,11 @@ def classify(beams: Sequence[Beam], breaks: dict[int, Break], step: float, numbe
             kind = kinds.OVERHEAD
         elif above > numbers.obstacle_height:
             kind = kinds.OBSTACLE
-        elif one and one.kind == constants.HOLE and height < one.limit:
+        elif met and met.kind == constants.HOLE and height < met.limit:
             kind = kinds.DEEP
         elif above < -numbers.below_ground:
             kind = kinds.NONE
-        elif one and one.kind == constants.STEP and height > one.limit:
+        elif met and met.kind == constants.STEP and height > met.limit:
             kind = kinds.FACE_OF_STEP
         else:
             kind = kinds.GROUND

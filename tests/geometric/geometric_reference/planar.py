@@ -1,4 +1,4 @@
-"""`PlanarISM` cell by cell: bearings and distances of each cell against each pair of neighbouring beams."""
+"""Reference of `PlanarISM`: each cell against each pair of neighbouring beams."""
 
 import math
 from statistics import NormalDist
@@ -21,24 +21,20 @@ class _Beam(NamedTuple):
 
 
 def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
-    """Return the masses of `PlanarISM` for beams of one direction each, with plain loops.
+    """Return the masses of `PlanarISM` for beams in different directions, by plain loops.
 
     Parameters
     ----------
     scan : Scan
-        Of a planar laser, in the frame of a level sensor; no two beams have one direction.
+        Scan of a planar laser in the frame of a level sensor; no two beams have the same direction.
     ism : PlanarISM
-        With a mount.
+        Model with a mount.
 
     Returns
     -------
     (nx, ny, 2) float32
     """
-    beams = sorted(beams_of(scan, ism))
-    turns = [(b.bearing - a.bearing) % (2 * math.pi) for a, b in zip(beams, beams[1:] + beams[:1], strict=True)]
-    step = sorted(turns[:-1])[(len(turns) - 1) // 2]
-    fits = [turn <= min(1.5 * step, math.radians(3)) for turn in turns]
-    limits = [opening_limit(k, beams, turns, fits) for k in range(len(beams))]
+    beams, turns, fits, limits = neighbouring_beams(scan, ism)
     spec, (x0, y0, _) = ism.spec, ism.mount.origin  # type: ignore[union-attr]
     xs, ys = (axis.ravel() for axis in spec.cell_centers)
     mass = np.zeros((*spec.shape, 2), np.float32)
@@ -67,8 +63,17 @@ def planar_mass(scan: Scan, ism: PlanarISM) -> NDArray[np.float32]:
     return mass
 
 
+def neighbouring_beams(scan: Scan, ism: PlanarISM) -> tuple[list[_Beam], list[float], list[bool], list[float]]:
+    """Return the sorted beams; for each the turn to the next, whether both are neighbours, and its range limit."""
+    beams = sorted(beams_of(scan, ism))
+    turns = [(b.bearing - a.bearing) % (2 * math.pi) for a, b in zip(beams, beams[1:] + beams[:1], strict=True)]
+    step = sorted(turns[:-1])[(len(turns) - 1) // 2]
+    fits = [turn <= min(1.5 * step, math.radians(3)) for turn in turns]
+    return beams, turns, fits, [opening_limit(k, beams, turns, fits) for k in range(len(beams))]
+
+
 def beams_of(scan: Scan, ism: PlanarISM) -> list[_Beam]:
-    """Return the beams of a level sensor; a tilted beam ends where it leaves the heights that count."""
+    """Return the beams of a level sensor; a tilted beam ends at the floor margin or at clearance."""
     assert ism.mount is not None
     height, footprint, found = ism.mount.sensor_height, ism.mount.ego_footprint, []
     silent = [] if scan.no_returns is None or scan.max_range is None else (scan.no_returns * scan.max_range).tolist()
@@ -100,7 +105,7 @@ def _place(beam: _Beam) -> NDArray[np.float64]:
 
 
 def opening_limit(k: int, beams: list[_Beam], turns: list[float], fits: list[bool]) -> float:
-    """Return the nearest chord of all narrow openings and panes that hold a beam."""
+    """Return the range of the nearest chord of all narrow openings and panes around beam `k` [m], inf without any."""
     n, limit = len(beams), math.inf
     for before in range(1, n):
         left = (k - before) % n
@@ -131,11 +136,11 @@ def opening_limit(k: int, beams: list[_Beam], turns: list[float], fits: list[boo
 class _Fan(NamedTuple):
     start: float  # bearing
     turn: float
-    parts: list[tuple[float, float]]  # range and mass
+    parts: list[tuple[float, float]]  # range up to which it is free, and mass
 
 
 def _fan(k: int, n: int, beams: list[_Beam], turn: float, limits: list[float], ism: PlanarISM) -> _Fan:
-    """Return the fan from a beam to the next, or the same, with the ranges up to which it is free."""
+    """Return the fan from beam `k` to beam `n`, which may be the same."""
     near, far = [], []
     for at in (k, n):
         near.append(min(beams[at].reach, limits[at]))
@@ -151,7 +156,7 @@ def _fan(k: int, n: int, beams: list[_Beam], turn: float, limits: list[float], i
 
 
 def _free(fan: _Fan, u: float, v: float, ism: PlanarISM) -> float:
-    """Return the mass of free that a fan gives a cell at (u, v) from the sensor."""
+    """Return the mass of free from a fan in a cell at (u, v) from the sensor."""
     distance, side, middle = math.hypot(u, v), ism.spec.resolution, fan.start + fan.turn / 2
     off = (math.atan2(v, u) - middle + math.pi) % (2 * math.pi) - math.pi
     if abs(off) >= math.pi / 2 or not (abs(off) <= fan.turn / 2 or abs(distance * math.sin(off)) <= side / 2 + 1e-6):
@@ -162,12 +167,12 @@ def _free(fan: _Fan, u: float, v: float, ism: PlanarISM) -> float:
 
 
 def _crossed(beam: _Beam, ism: PlanarISM) -> list[tuple[tuple[int, int], float]]:
-    """Return the cells that a beam's axis crosses around its end, and how far from the end it enters them [m]."""
+    """Return the cells on the axis of a beam near its end, and the distance from the end at their entry [m]."""
     assert ism.mount is not None
     spec, reach = ism.spec, 4 * ism.range_noise
     place, ray = _place(beam) + ism.mount.origin[:2], _place(beam._replace(reach=1.0))
     cuts = [-reach, 0.0, reach]
-    for axis in (0, 1):  # parameters at which the axis crosses lines of the grid
+    for axis in (0, 1):  # distances at which the axis crosses grid lines
         if abs(ray[axis]) > 1e-9:
             lines = spec.origin[axis] + spec.resolution * np.arange(spec.shape[axis] + 1)
             cuts += [t for t in ((lines - place[axis]) / ray[axis]).tolist() if abs(t) < reach]

@@ -1,4 +1,4 @@
-"""Why cells are unknown, by loops over cells and rays or beams."""
+"""Causes of unknown cells, by loops over cells and rays or beams."""
 
 import itertools
 import math
@@ -7,23 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geometric_reference.planar import neighbouring_beams
+from geometric_reference.ray import Ray, no_return_rays, returned_rays
 from ogm.geometric.planar import PlanarISM
 from ogm.geometric.ray import RayISM
-from ogm.geometric.reference.planar import beams_of, opening_limit
-from ogm.geometric.reference.ray import Ray, no_return_rays, returned_rays
 from ogm.scan import Scan
 from ogm.unknown_cause import UnknownCause
 
 __all__ = ["planar_causes", "ray_causes"]
 
-WIDEST_GAP = math.radians(10)  # between two beams
-WEDGES = 16  # of a turn, in which, with their neighbours, the view is looked up
+MAX_GAP = math.radians(10)  # between two beams
+WEDGES = 16  # of the full circle; the view of a cell comes from its wedge and the two neighbours
 
 
 def ray_causes(
     xyz: NDArray[Any], no_returns: NDArray[Any], ground: float, ism: RayISM, sectors: int
 ) -> NDArray[np.uint8]:
-    """Return why cells would be unknown to `RayISM` over flat ground, (nx, ny), also of known cells.
+    """Return the causes by which cells would be unknown to `RayISM` over flat ground, (nx, ny); for all cells.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ def ray_causes(
         if x_min < x < x_max and y_min < y < y_max:
             causes[i, j] = UnknownCause.NEAR_VEHICLE
         elif s not in used:
-            gap = min((s - one) % sectors for one in used) + min((one - s) % sectors for one in used) - 1
-            narrow = gap * 2 * math.pi / sectors <= WIDEST_GAP + 1e-9
+            gap = min((s - other) % sectors for other in used) + min((other - s) % sectors for other in used) - 1
+            narrow = gap * 2 * math.pi / sectors <= MAX_GAP + 1e-9
             causes[i, j] = UnknownCause.BETWEEN_BEAMS if narrow else UnknownCause.OUTSIDE_VIEW
         else:
             near = s * WEDGES // sectors
@@ -71,7 +71,7 @@ def sector_of(azimuth: float, sectors: int) -> int:
 def _cause_of_bin(
     rays: list[Ray], k: int, run: float, height: float, view: tuple[float, float], under: bool, ism: RayISM
 ) -> UnknownCause:
-    """Return the cause of bin `k` of a sector, whose middle lies at `run` [m]; `under`: a return from under it."""
+    """Return the cause of bin `k` of a sector, with its centre at `run` [m]; `under`: a return from below the bin."""
     at = [height + ray.slope * run for ray in rays]
     lowest, highest = (height + slope * run for slope in view)
     reaching = [k < ray.end for ray in rays]
@@ -92,7 +92,7 @@ def _cause_of_bin(
 
 
 def _corners(ism: RayISM) -> list[tuple[float, float]]:
-    """Return the corners of the grid, from the sensor [m]."""
+    """Return the corners of the grid relative to the sensor [m]."""
     assert ism.mount is not None
     x0, x1, y0, y1 = ism.spec.extent
     x, y, _ = ism.mount.origin.tolist()
@@ -100,21 +100,17 @@ def _corners(ism: RayISM) -> list[tuple[float, float]]:
 
 
 def planar_causes(scan: Scan, ism: PlanarISM) -> NDArray[np.uint8]:
-    """Return why cells would be unknown to `PlanarISM`, (nx, ny), for level beams of one direction each.
+    """Return the causes by which cells would be unknown to `PlanarISM`, (nx, ny), for level beams.
 
     Parameters
     ----------
     scan : Scan
-        See `planar_mass`.
+        See `planar_mass`: no two beams have the same direction.
     ism : PlanarISM
         With a mount.
     """
     assert ism.mount is not None
-    beams = sorted(beams_of(scan, ism))
-    turns = [(b.bearing - a.bearing) % (2 * math.pi) for a, b in zip(beams, beams[1:] + beams[:1], strict=True)]
-    step = sorted(turns[:-1])[(len(turns) - 1) // 2]
-    fits = [turn <= min(1.5 * step, math.radians(3)) for turn in turns]
-    limits = [opening_limit(k, beams, turns, fits) for k in range(len(beams))]
+    beams, turns, fits, limits = neighbouring_beams(scan, ism)
     causes = np.full(ism.spec.shape, UnknownCause.OUTSIDE_VIEW, np.uint8)
     a, b, c, d = ism.mount.ego_footprint
     for (i, x), (j, y) in itertools.product(*(enumerate(c.ravel().tolist()) for c in ism.spec.cell_centers)):
@@ -126,7 +122,7 @@ def planar_causes(scan: Scan, ism: PlanarISM) -> NDArray[np.uint8]:
         k = min(range(len(beams)), key=lambda k: (bearing - beams[k].bearing) % (2 * math.pi))
         pair = (k, (k + 1) % len(beams))
         if not fits[k]:
-            causes[i, j] = UnknownCause.BETWEEN_BEAMS if turns[k] <= WIDEST_GAP else UnknownCause.OUTSIDE_VIEW
+            causes[i, j] = UnknownCause.BETWEEN_BEAMS if turns[k] <= MAX_GAP else UnknownCause.OUTSIDE_VIEW
             continue
         nearer = min(pair, key=lambda n: beams[n].reach)
         if distance < min(limits[n] for n in pair) and distance < beams[nearer].reach:

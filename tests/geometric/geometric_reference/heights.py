@@ -1,4 +1,4 @@
-"""`height_layers` in numpy, float64: cell by cell sums, filters by scipy, the window of a step shift by shift."""
+"""Reference of `height_layers` in numpy and scipy, in float64."""
 
 import itertools
 from typing import Any
@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import grey_opening, maximum_filter
 
+from geometric_reference.ground import lower_envelope, pull_push
 from ogm.geometric.ground import ground_height
 from ogm.geometric.ray import RayTrace
-from ogm.geometric.reference.ground import lower_envelope, pull_push
 from ogm.grid import GridSpec
 
 __all__ = ["terrain"]
@@ -18,7 +18,7 @@ Array = NDArray[Any]
 
 
 def terrain(trace: RayTrace) -> dict[str, Array]:
-    """Return the layers of `ogm.geometric.height_layers` by their names."""
+    """Return the layers of `ogm.geometric.height_layers` by name."""
     spec, numbers, (x, y, z0) = trace.grid.spec, trace.numbers, trace.mount.ground_point
     cells = np.column_stack([a.ravel() for a in np.broadcast_arrays(*spec.cell_centers)])
     old = GridSpec(1 / float(trace.ground.per_metre), trace.ground.height.shape, spec.origin)
@@ -37,7 +37,7 @@ def terrain(trace: RayTrace) -> dict[str, Array]:
     np.minimum.at(hang.ravel(), index[raised], above[raised])
     valid = (count > 0) & (maximum_filter(top, 3, mode="constant") == 0)
 
-    # The ground without obstacles, and without what bulges
+    # The ground without obstacles and without bulges
     def without(valid: Array) -> Array:
         weight = _sums(np.ravel_multi_index(old.index(*cells[valid.ravel()].T), old.shape), 1.0, old.shape)
         mended, under = trace.ground.height.astype(float), old.index(x, y)
@@ -129,7 +129,7 @@ def _step(high: Array, low: Array, ground: Array, coarse: GridSpec, spec: GridSp
     window = []
     for values, reduce, empty in ((high, np.maximum, -1e3), (low, np.minimum, 1e3)):
         padded, edge = np.pad(values, reach, constant_values=empty), np.full(spec.shape, empty)
-        along = np.pad(rises[1], reach, mode="edge")  # the rise along y is that of the row which is looked at
+        along = np.pad(rises[1], reach, mode="edge")  # rise along y in the row of the shifted cell
         for i, j in itertools.product(range(-reach, reach + 1), repeat=2):
             here = tuple(slice(reach + s, reach + s + n) for s, n in zip((i, j), spec.shape, strict=True))
             row = (here[0], slice(reach, reach + spec.shape[1]))
