@@ -33,7 +33,7 @@ from ogm.jit import kernel
 __all__ = ["PARTS", "WIDTH", "height_cells"]
 
 GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5, 6  # layers
-BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, FREE, USED, DOUBT, PARTS = (WIDTH * k for k in range(6, 19))
+BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, FREE, USED, ROOF, PARTS = (WIDTH * k for k in range(6, 19))
 BLOCK = 0.64  # [m] side of the blocks of cells over which roughness is taken, and gaps are filled
 SLOPE_REACH, STEP_REACH = 0.5, 0.35  # [m] on either side of a cell
 STANDS = np.float32(0.5)  # [m] above the ground up to which the lowest return of an obstacle shows that it stands there
@@ -93,7 +93,7 @@ def height_cells(
     # Layers of each row, and the highest and lowest surface along it
     along = _stretched(rises(mended, np.float32(scale)), y, scale, ny)
     across = _stretched(rises(mended.T.copy(), np.float32(scale)).T.copy(), y, scale, ny)
-    doubt = _stretched(bulges, y, scale, ny)
+    roofs = _stretched(bulges, y, scale, ny)
     near, reach = np.float32(0.75 * size * side), max(int(STEP_REACH / side + 0.5), 1)
     for i in range(nx):
         _interpolate(base, (i + 0.5) * scale + x, part, BASE)
@@ -102,7 +102,7 @@ def height_cells(
         _interpolate(spreads, (i + 0.5) / size, part, SPREAD)
         _interpolate(gaps, (i + 0.5) / size, part, GAP)
         _interpolate(across, (i + 0.5) * scale + x, part, RISE)
-        _interpolate(doubt, (i + 0.5) * scale + x, part, DOUBT)
+        _interpolate(roofs, (i + 0.5) * scale + x, part, ROOF)
         for j in range(ny & 0x7FFF):
             part[COUNTS + j], part[SUMS + j] = out[COUNT, i, j], out[SUM, i, j]
             part[TOPS + j], part[HANGS + j] = out[TOP, i, j], out[HANG, i, j]
@@ -150,7 +150,7 @@ def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
         prior, noise = spread + NOISE, spread if spread > NOISE else NOISE
         weight = used * prior / (used * prior + noise)
         within = WITHIN * spread if used > zero else zero
-        known = ((gap <= near) | ((gap <= MAX_GAP) & (free > OBSERVED))) & (part[DOUBT + j] < half)
+        known = ((gap <= near) | ((gap <= MAX_GAP) & (free > OBSERVED))) & (part[ROOF + j] < half)
         variance = (one - weight) * prior + within + FLOOR + BEND * BEND * gap * gap
         highest = top + shift if top > zero else zero
         stands, surface = (top > zero) & (hang < STANDS), base + own
