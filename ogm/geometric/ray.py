@@ -14,13 +14,16 @@ from ogm.geometric.ground import GroundEstimate, flat_ground, local_ground, surf
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, RayNumbers, Rays, Surface, WorkSpace
 from ogm.geometric.kernels.belief import clear_sectors, ray_mass
+from ogm.geometric.kernels.breaks import agree, empty_breaks, find_breaks
 from ogm.geometric.kernels.evidence import ground_evidence, mark_own_cells, shown_points
 from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
-from ogm.geometric.kernels.rays import sort_rays
+from ogm.geometric.kernels.rays import aim_rays, place_rays, sort_sectors
+from ogm.geometric.kernels.silence import silence_reliability
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
+from ogm.threads import Threads, spans
 
 _log = logging.getLogger(__name__)
 
@@ -131,6 +134,8 @@ class RayISM:
         or free space falls into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
     ground_cell : float
         Side of the cells of the ground map, at least that of the grid's cells [m].
+    threads : int
+        Number of threads for each scan, at least 1. Results are identical for any number of threads.
 
     Raises
     ------
@@ -157,6 +162,7 @@ class RayISM:
     p_hidden: float = 0.0
     azimuth_step: float = 2 * math.pi / 1024
     ground_cell: float = 1.0
+    threads: int = 1
 
     def __post_init__(self) -> None:
         check_sensor_in_grid(self.spec, self.mount)
@@ -174,6 +180,8 @@ class RayISM:
         check_within("free_reliability_at_hits", self.free_reliability_at_hits, -1e-9, 1 + 1e-9)
         check_within("no_return_weight", self.no_return_weight, -1e-9, 1 + 1e-9)
         check_within("azimuth_step", self.azimuth_step, 2 * math.pi / 2**15, math.pi / 2)
+        if not self.threads >= 1 or self.threads != int(self.threads):
+            raise ValueError(f"threads must be a whole number of at least 1, got {self.threads}")
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan.
@@ -216,18 +224,38 @@ class RayISM:
         ground = surface_of(_checked_height(self.ground(candidates, coarse, mount.ground_point), coarse), coarse)
         limits = ray_limits(ground, origin, numbers.clearance, polar)
 
-        # Every beam is a ray
-        work = _work_space(len(xyz) + len(directions), polar)
-        rays = sort_rays(points, directions, origin, ground, polar, numbers, shown, work)
+        # Every beam is a ray; returns of obstacles mark their cells
+        work = _work_space(len(xyz) + len(directions), polar, self.threads)
+        mass = np.empty((*spec.shape, 2), np.float32)
+        parts = [(*span, k) for k, span in enumerate(spans(len(xyz), self.threads))]
+        turn = [(first << ROW_BITS, last << ROW_BITS) for first, last in spans(polar.rows, 2 * self.threads)]
+        with Threads(self.threads) as threads:
+            threads.run(lambda k: aim_rays(points, directions, origin, polar, numbers.max_range, parts[k], work))
+            threads.run(lambda k: place_rays(points, origin, ground, cells, numbers, shown, parts[k], work))
+            starts = np.append(0, np.cumsum(work.counts.sum(axis=0))).astype(np.int32)
+            rays, breaks = Rays(work.slope, work.run, work.height, work.point, starts), empty_breaks(polar)
 
-        # Rays clear what they pass, and mark what stops them
-        clear_sectors(rays, points, origin, limits, polar, cells, numbers, work)
+            def sort(k: int) -> None:
+                for first, last in turn[k :: self.threads]:  # two opposite parts of a turn
+                    sort_sectors(rays, first, last, len(xyz), work)
+                    find_breaks(rays, limits, polar, numbers, (first, last), breaks)
 
-        if len(shown):
-            mark_own_cells(points, work.above, cells, numbers, work.hits)
+            threads.run(sort)
+            agree(breaks)
+            silence = silence_reliability(rays, limits, polar) if len(directions) else np.ones(polar.bins, np.float32)
 
-        # Counts become belief
-        mass = ray_mass(work.free, work.hits, polar, _powers(math.sqrt(self.p_false_alarm)), numbers)
+            # Rays clear what they pass, and mark what stops them
+            def clear(k: int) -> None:
+                for span in turn[k :: self.threads]:
+                    clear_sectors(rays, points, limits, polar, cells, breaks, silence, numbers, (*span, k), work)
+
+            threads.run(clear)
+            if len(shown):
+                mark_own_cells(points, work.above, cells, numbers, work.hits)
+
+            # Counts become belief
+            alarms, rows = _powers(math.sqrt(self.p_false_alarm)), spans(spec.shape[0], self.threads)
+            threads.run(lambda k: ray_mass(work, polar, alarms, numbers, *rows[k], mass))
         grid = EvidentialGrid.trusted(spec, mass)
         return RayTrace(grid, mass, mount, points, ground, shown, rays, limits, polar, numbers, work)
 
@@ -284,22 +312,22 @@ def polar_grid(
     return PolarGrid(spec.resolution, sectors, sectors // together, bins, *lookup)
 
 
-def _work_space(count: int, polar: PolarGrid) -> WorkSpace:
-    """Allocate the work space for `count` points in one piece.
+def _work_space(count: int, polar: PolarGrid, parts: int) -> WorkSpace:
+    """Allocate the work space for `count` rays in one piece.
 
     The allocator keeps one large piece for the next scan; the pages of many it would return to the system, and
     fresh pages cost as much time as the rays.
     """
-    polar_shape = polar.sectors, polar.bins
-    shapes = (count,), (count,), (count,), (count,), (count,), (count,), (count, 3), polar.ring.shape, polar_shape
+    shapes = [(count,)] * 4 + [(4 * count,), (count,), (count,)]
+    shapes += [(parts, polar.sectors), (parts, *polar.ring.shape), (polar.sectors, polar.bins)]
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     pieces = np.split(np.empty(ends[-1], np.float32), ends[:-1])
-    sector, slope, run, above, order, point, table, hits, free = (
-        p.reshape(shape) for p, shape in zip(pieces, shapes, strict=True)
+    sector, slope, run, above, records, point, height, counts, hits, free = (
+        piece.reshape(shape) for piece, shape in zip(pieces, shapes, strict=True)
     )
-    whole = np.int32
     return WorkSpace(
-        sector.view(whole), slope, run, above, order.view(whole), point.view(whole), table, hits.view(whole), free
+        *(sector.view(np.int32), slope, run, above, records, records.view(np.int32), point.view(np.int32), height),
+        *(counts.view(np.int32), hits.view(np.int32), free),
     )
 
 

@@ -185,13 +185,15 @@ def shown_points(points: Points, shown: NDArray[np.uint8]) -> NDArray[np.float32
 
 
 @kernel
-def raise_unshown(above: NDArray[np.float32], shown: NDArray[np.uint8], numbers: RayNumbers) -> None:
-    """Take heights above ground to those of obstacles, for returns that do not show the ground.
+def raise_unshown(
+    above: NDArray[np.float32], shown: NDArray[np.uint8], numbers: RayNumbers, first: int, last: int
+) -> None:
+    """Take heights above ground to those of obstacles, for some returns that do not show the ground.
 
     Heights from `PLANE` on are raised to the lowest that marks, and those at the clearance lowered below it.
     """
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
-    for n in range(shown.shape[0]):
+    for n in range(first, min(last, shown.shape[0])):
         if shown[n]:
             continue
         if above[n] > PLANE and above[n] <= low:
@@ -208,6 +210,9 @@ def mark_own_cells(
     low, high, inverse = numbers.obstacle_height, numbers.clearance, np.float32(1.0 / cells.resolution)
     for n in range(points.x.shape[0]):
         u, v = (points.x[n] - np.float32(cells.x0)) * inverse, (points.y[n] - np.float32(cells.y0)) * inverse
-        inside = u >= 0 and u < hits.shape[0] and v >= 0 and v < hits.shape[1]
+        inside = u >= 0 and u < hits.shape[1] and v >= 0 and v < hits.shape[2]
         if inside and above[n] > np.float32(low) and above[n] < np.float32(high):
-            hits[int(u), int(v)] = max(hits[int(u), int(v)], 1)
+            i, j, total = int(u), int(v), 0
+            for k in range(hits.shape[0]):
+                total += hits[k, i, j]
+            hits[0, i, j] += int(total == 0)
