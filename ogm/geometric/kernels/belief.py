@@ -215,7 +215,7 @@ def _pass_obstacles(part: NDArray[np.float32], slope: np.float32, start: int, st
         blocked, up = part[BLOCKED + k], max(slope - part[SLOPE + k], zero)
         up = up if inside else zero
         part[HIDDEN + k] += max(max(blocked, p_hidden) * up - part[HIDDEN + k], zero)
-        part[BLOCKED + k] = zero if inside else blocked
+        part[BLOCKED + k] = min(blocked, zero if inside else -LOWEST)  # no store under a mask, which takes longer
         part[SUM + k] += up * part[PASS + k]
         part[PASS + k] *= max(part[POWER + k], zero if inside else one)
         part[SLOPE + k] += up
@@ -298,12 +298,14 @@ def ray_mass(
 def _average_bins(free: NDArray[np.float32], polar: PolarGrid, i: int, cleared: NDArray[np.float32]) -> None:
     """Fill in the mean belief in free of the polar bins that each cell of row `i` covers; 0 under the ego vehicle."""
     for j in range(cleared.shape[0]):
+        cleared[j] = free[polar.sector[i, j] & 0x7FFF, max(polar.ring[i, j], 0) & 0x7FFF]
+    for j in range(cleared.shape[0]):
         k, s, count = polar.ring[i, j], polar.sector[i, j] & 0x7FFF, polar.span[i, j] & 0x7FFF
-        if count == 1:
-            cleared[j] = free[s, k & 0x7FFF] if k >= 0 else np.float32(0.0)
-            continue
-        total, k = np.float32(0.0), k & 0x7FFF
-        for _ in range(count):
-            total += free[s & 0x7FFF, k]
-            s = s + 1 if s + 1 < polar.sectors else 0
-        cleared[j] = total / np.float32(count)
+        if k < 0:
+            cleared[j] = np.float32(0.0)
+        elif count > 1:
+            total, k = cleared[j], k & 0x7FFF
+            for _ in range(count - 1):
+                s = s + 1 if s + 1 < polar.sectors else 0
+                total += free[s & 0x7FFF, k]
+            cleared[j] = total / np.float32(count)

@@ -1,6 +1,7 @@
 """What each ray of a sector hits, and the bins in which it is below clearance."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.geometric.kernels.arguments import Breaks, PolarGrid, RayLimits, RayNumbers, Rays, SectorRays
 from ogm.geometric.kernels.breaks import HOLE, PROFILE_BITS, STEP
@@ -54,8 +55,8 @@ def classify_rays(
             continue
         slope = rays.slope[first + n]
         # This ray, and all that are flatter, are below clearance between these bins only
-        while far > 0 and not clearance[(far - 1) & 0x7FFF] > slope:
-            far -= 1
+        if far > 0 and not clearance[(far - 1) & 0x7FFF] > slope:
+            far = _last_below(clearance, far, slope)
         while near < far and not clearance[near & 0x7FFF] > slope:
             near += 1
         stop = min(found.stop[n], far)
@@ -69,6 +70,21 @@ def classify_rays(
         found.start[n], found.stop[n] = near, stop
         end = max(end, stop)
     return end
+
+
+@kernel
+def _last_below(clearance: NDArray[np.float32], far: int, slope: np.float32) -> int:
+    """Return the end of the last bin, of those up to `far`, in which a ray is below clearance; 0 if it is in none."""
+    while far >= 8:  # in eights, on the vector units
+        begin, below = (far - 8) & 0x7FFF, 0
+        for k in range(8):
+            below += int(clearance[begin + k] > slope)
+        if below > 0:
+            break
+        far -= 8
+    while far > 0 and not clearance[(far - 1) & 0x7FFF] > slope:
+        far -= 1
+    return far
 
 
 @kernel
