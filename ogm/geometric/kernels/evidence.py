@@ -218,21 +218,17 @@ def shown_points(points: Points, shown: NDArray[np.uint8]) -> NDArray[np.float32
 
 
 @kernel
-def raise_unshown(
-    above: NDArray[np.float32], shown: NDArray[np.uint8], numbers: RayNumbers, first: int, last: int
-) -> None:
-    """Take heights above ground to those of obstacles, for some returns that do not show the ground.
+def raise_unshown(above: np.float32, numbers: RayNumbers) -> np.float32:
+    """Return the height of a return that does not show the ground, as that of an obstacle.
 
     Heights from `PLANE` on are raised to the lowest that marks, and those at the clearance lowered below it.
     """
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
-    for n in range(first, min(last, shown.shape[0])):
-        if shown[n]:
-            continue
-        if above[n] > PLANE and above[n] <= low:
-            above[n] = np.nextafter(low, np.float32(np.inf))
-        elif above[n] >= high and above[n] < high + LEAST:
-            above[n] = np.nextafter(high, np.float32(0))
+    if above > PLANE and above <= low:
+        return np.nextafter(low, np.float32(np.inf))
+    if above >= high and above < high + LEAST:
+        return np.nextafter(high, np.float32(0))
+    return above
 
 
 @kernel

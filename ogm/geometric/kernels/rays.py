@@ -86,6 +86,8 @@ def place_rays(
 ) -> None:
     """Fill in the heights of a part of the returns above the ground, mark cells, and place its rays by sectors.
 
+    Returns of obstacles mark. Where the noise that grows exceeds a cell, or `LEAST_SPREAD`, none marks.
+
     Parameters
     ----------
     points : Points
@@ -102,34 +104,36 @@ def place_rays(
         Filled by `aim_rays` for all parts. `above`, `hits[k]` and the entries of the part in `records` are filled.
     """
     first, last, k = part
-    _fill_heights(points, corner_heights(ground), ground, first, last, work.above)
-    raise_unshown(work.above, shown, numbers, first, last)
-    _mark_obstacles(points, origin, cells, numbers, part, work)
-    ends, sectors = np.empty(work.counts.shape[1], np.int32), work.counts.shape[1]
-    total = 0
-    for s in range(sectors):
-        for j in range(work.counts.shape[0]):
-            if j == k:
-                ends[s] = total
+    ends, total, parts = np.empty(work.counts.shape[1], np.int32), 0, work.counts.shape[0]
+    for s in range(ends.shape[0]):
+        for j in range(parts):
+            ends[s] = total if j == k else ends[s]
             total += work.counts[j, s]
-    if k == work.counts.shape[0] - 1:
-        last = work.sector.shape[0]
+    (x, y, z), corners, marked = points, corner_heights(ground), first
+    low, high, near = np.float32(numbers.obstacle_height), np.float32(numbers.clearance), np.float32(cells.resolution)
+    growth, spread = np.float32(numbers.noise_growth), np.float32(max(cells.resolution, LEAST_SPREAD))
     for n in range(first & 0x7FFFFFFF, last & 0x7FFFFFFF):
-        s = work.sector[n] & 0x7FFF
-        to = (ends[s] & 0x7FFFFFF) << 2
-        ends[s] += 1
-        work.records[to], work.records[to + 1], work.records[to + 2] = work.slope[n], work.run[n], work.above[n]
-        work.indices[to + 3] = n
+        run, above = work.run[n], z[n] - sample_corners(corners, ground, x[n], y[n])
+        if shown.shape[0] > 0 and not shown[n]:
+            above = raise_unshown(above, numbers)
+        work.above[n] = above
+        _place_ray(n, above, ends, work)
+        # Without branches: obstacles and ground may alternate
+        work.point[marked & 0x7FFFFFFF] = n
+        marked += int((above > low) & (above < high) & (run >= near) & (growth * run * run <= spread))
+    for n in range(last & 0x7FFFFFFF, (work.sector.shape[0] if k == parts - 1 else last) & 0x7FFFFFFF):
+        _place_ray(n, np.float32(0.0), ends, work)
+    _mark_obstacles(points, origin, cells, numbers, work.point[first:marked], work.run, work.hits[k])
 
 
 @kernel
-def _fill_heights(
-    points: Points, corners: NDArray[np.float32], ground: Surface, first: int, last: int, above: NDArray[np.float32]
-) -> None:
-    """Fill in the height of each point above the ground."""
-    x, y, z = points
-    for n in range(first & 0x7FFFFFFF, last & 0x7FFFFFFF):
-        above[n] = z[n] - sample_corners(corners, ground, x[n], y[n])
+def _place_ray(n: int, above: np.float32, ends: NDArray[np.int32], work: WorkSpace) -> None:
+    """Append a ray to the records of its sector."""
+    s = work.sector[n] & 0x7FFF
+    to = (ends[s] & 0x7FFFFFF) << 2
+    ends[s] += 1
+    work.records[to], work.records[to + 1], work.records[to + 2] = work.slope[n], work.run[n], above
+    work.indices[to + 3] = n
 
 
 @kernel
@@ -138,28 +142,20 @@ def _mark_obstacles(
     origin: NDArray[np.float32],
     cells: Cells,
     numbers: RayNumbers,
-    part: tuple[int, int, int],
-    work: WorkSpace,
+    marked: NDArray[np.int32],
+    runs: NDArray[np.float32],
+    hits: NDArray[np.int32],
 ) -> None:
-    """Let the returns of obstacles mark their cells.
+    """Let the returns of obstacles, of numbers `marked`, mark their cells.
 
     Each is spread over the two points one standard deviation before and behind it (two-point Gauss-Hermite rule),
-    each marking its cell with half a hit. Where the noise that grows exceeds a cell, or `LEAST_SPREAD`, none marks.
+    each marking its cell with half a hit.
     """
-    first, last, k = part
-    hits, found = work.hits[k], first
     hits[:] = 0
-    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
-    noise, near = np.float32(numbers.range_noise), np.float32(cells.resolution)
-    growth, spread = np.float32(numbers.noise_growth), np.float32(max(cells.resolution, LEAST_SPREAD))
-    for n in range(first & 0x7FFFFFFF, last & 0x7FFFFFFF):  # without branches: obstacles and ground may alternate
-        above, run = work.above[n], work.run[n]
-        marks = (above > low) & (above < high) & (run >= near) & (growth * run * run <= spread)
-        work.point[found & 0x7FFFFFFF] = n
-        found += int(marks)
-    for m in range(first, found):
-        n = work.point[m & 0x7FFFFFFF] & 0x7FFFFFFF
-        x, y, run = points.x[n], points.y[n], work.run[n]
+    noise, growth = np.float32(numbers.range_noise), np.float32(numbers.noise_growth)
+    for m in range(marked.shape[0]):
+        n = marked[m] & 0x7FFFFFFF
+        x, y, run = points.x[n], points.y[n], runs[n]
         share = (noise + growth * run * run) / run
         du, dv = (x - origin[0]) * share, (y - origin[1]) * share
         hit_cell(hits, cells, x - du, y - dv)
@@ -199,15 +195,19 @@ def sort_sectors(rays: Rays, first: int, last: int, count: int, work: WorkSpace)
     classes, ends = np.empty(largest, np.int32), np.empty(CLASSES + 1, np.int32)
     for s in range(first, last):
         begin, end = rays.starts[s] & 0x7FFFFFFF, rays.starts[s + 1] & 0x7FFFFFFF
-        _sort_by_class(work, begin, end, classes, ends, rays)
+        _sort_by_class(work, begin, end, count, classes, ends, rays)
         _finish_sort(rays, begin, end)
-        for n in range(begin, end):
-            rays.point[n] = rays.point[n] if rays.point[n] < count else -1
 
 
 @kernel
 def _sort_by_class(
-    work: WorkSpace, begin: int, end: int, classes: NDArray[np.int32], ends: NDArray[np.int32], rays: Rays
+    work: WorkSpace,
+    begin: int,
+    end: int,
+    count: int,
+    classes: NDArray[np.int32],
+    ends: NDArray[np.int32],
+    rays: Rays,
 ) -> None:
     """Fill in the rays of a sector by classes of slope (a counting sort)."""
     begin, half, one = begin & 0x7FFFFFFF, np.float32(CLASSES // 2), np.float32(1.0)
@@ -227,7 +227,8 @@ def _sort_by_class(
         to = ends[c] & 0x7FFFFFFF
         ends[c] += 1
         rays.slope[to], rays.run[to] = work.records[record], work.records[record + 1]
-        rays.above[to], rays.point[to] = work.records[record + 2], work.indices[record + 3]
+        rays.above[to], point = work.records[record + 2], work.indices[record + 3]
+        rays.point[to] = point if point < count else -1
 
 
 @kernel
