@@ -23,7 +23,7 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
-from ogm.threads import Threads, spans
+from ogm.threads import shared_threads, spans
 
 _log = logging.getLogger(__name__)
 
@@ -214,50 +214,67 @@ class RayISM:
         xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
         points, directions = Points(*xyz.T), _no_return_directions(scan, mount)
 
-        # The ground, by the returns that show it, and the rays that meet it and the clearance above it
-        coarse = _ground_spec(spec, self.ground_cell)
-        is_plane = self.ground is flat_ground  # whatever the returns show
-        shown = ALL_SHOWN if is_plane else ground_evidence(points, origin, mount.sensor_height)
+        # The ground, by the returns that show it; meanwhile every beam becomes a ray
+        threads, work = shared_threads(int(self.threads)), _work_space(len(xyz) + len(directions), polar, self.threads)
+        parts = [(*span, k) for k, span in enumerate(spans(len(xyz), self.threads))]
+        shown = ALL_SHOWN
+
+        def find_ground(k: int) -> Surface | None:
+            nonlocal shown
+            if k == self.threads - 1 and self.ground is not flat_ground:  # that is the ground whatever returns show
+                shown = ground_evidence(points, origin, mount.sensor_height)
+            for part in parts if self.threads == 1 else parts[k - 1 :: self.threads - 1] if k else []:
+                aim_rays(points, directions, origin, polar, numbers.max_range, part, work)
+            return self._surface(xyz, mount) if k == 0 and self.threads > 1 else None
+
+        ground = threads.run(find_ground)[0]
         if len(shown):
             self._explain_unseen_ground(int(np.count_nonzero(shown)), mount)
-        candidates = shown_points(points, shown).T if len(shown) else xyz
-        ground = surface_of(_checked_height(self.ground(candidates, coarse, mount.ground_point), coarse), coarse)
+        if ground is None or len(shown):
+            ground = self._surface(shown_points(points, shown).T if len(shown) else xyz, mount)
         limits = ray_limits(ground, origin, numbers.clearance, polar)
 
-        # Every beam is a ray; returns of obstacles mark their cells
-        work = _work_space(len(xyz) + len(directions), polar, self.threads)
-        mass = np.empty((*spec.shape, 2), np.float32)
-        parts = [(*span, k) for k, span in enumerate(spans(len(xyz), self.threads))]
+        # Returns of obstacles mark their cells
+        threads.run(lambda k: place_rays(points, origin, ground, cells, numbers, shown, parts[k], work))
+        starts = np.append(0, np.cumsum(work.counts.sum(axis=0))).astype(np.int32)
+        rays, breaks = Rays(work.slope, work.run, work.height, work.point, starts), empty_breaks(polar)
         turn = [(first << ROW_BITS, last << ROW_BITS) for first, last in spans(polar.rows, 2 * self.threads)]
-        with Threads(self.threads) as threads:
-            threads.run(lambda k: aim_rays(points, directions, origin, polar, numbers.max_range, parts[k], work))
-            threads.run(lambda k: place_rays(points, origin, ground, cells, numbers, shown, parts[k], work))
-            starts = np.append(0, np.cumsum(work.counts.sum(axis=0))).astype(np.int32)
-            rays, breaks = Rays(work.slope, work.run, work.height, work.point, starts), empty_breaks(polar)
 
-            def sort(k: int) -> None:
-                for first, last in turn[k :: self.threads]:  # two opposite parts of a turn
-                    sort_sectors(rays, first, last, len(xyz), work)
-                    find_breaks(rays, limits, polar, numbers, (first, last), breaks)
+        def sort(k: int) -> None:
+            for first, last in turn[k :: self.threads]:  # two opposite parts of a turn
+                sort_sectors(rays, first, last, len(xyz), work)
+                find_breaks(rays, limits, polar, numbers, (first, last), breaks)
 
-            threads.run(sort)
-            agree(breaks)
-            silence = silence_reliability(rays, limits, polar) if len(directions) else np.ones(polar.bins, np.float32)
+        threads.run(sort)
 
-            # Rays clear what they pass, and mark what stops them
-            def clear(k: int) -> None:
-                for span in turn[k :: self.threads]:
-                    clear_sectors(rays, points, limits, polar, cells, breaks, silence, numbers, (*span, k), work)
+        def compare(k: int) -> NDArray[np.float32]:
+            if k == 0:
+                agree(breaks)
+            silent = len(directions) > 0 and k == self.threads - 1
+            return silence_reliability(rays, limits, polar) if silent else np.ones(polar.bins, np.float32)
 
-            threads.run(clear)
-            if len(shown):
-                mark_own_cells(points, work.above, cells, numbers, work.hits)
+        silence = threads.run(compare)[-1]
 
-            # Counts become belief
-            alarms, rows = _powers(math.sqrt(self.p_false_alarm)), spans(spec.shape[0], self.threads)
-            threads.run(lambda k: ray_mass(work, polar, alarms, numbers, *rows[k], mass))
+        # Rays clear what they pass, and mark steps and holes that stop them
+        def clear(k: int) -> None:
+            for span in turn[k :: self.threads]:
+                clear_sectors(rays, points, limits, polar, cells, breaks, silence, numbers, (*span, k), work)
+
+        threads.run(clear)
+        if len(shown):
+            mark_own_cells(points, work.above, cells, numbers, work.hits)
+
+        # Counts become belief
+        mass = np.empty((*spec.shape, 2), np.float32)
+        alarms, rows = _powers(math.sqrt(self.p_false_alarm)), spans(spec.shape[0], self.threads)
+        threads.run(lambda k: ray_mass(work, polar, alarms, numbers, *rows[k], mass))
         grid = EvidentialGrid.trusted(spec, mass)
         return RayTrace(grid, mass, mount, points, ground, shown, rays, limits, polar, numbers, work)
+
+    def _surface(self, xyz: NDArray[np.float32], mount: Mount) -> Surface:
+        """Return the surface of the ground by some points (N, 3) of a scan."""
+        coarse = _ground_spec(self.spec, self.ground_cell)
+        return surface_of(_checked_height(self.ground(xyz, coarse, mount.ground_point), coarse), coarse)
 
     def _explain_unseen_ground(self, shown: int, mount: Mount) -> None:
         """Log, once for each model, that the mount's height decides what is ground."""
@@ -318,7 +335,8 @@ def _work_space(count: int, polar: PolarGrid, parts: int) -> WorkSpace:
     The allocator keeps one large piece for the next scan; the pages of many it would return to the system, and
     fresh pages cost as much time as the rays.
     """
-    shapes = [(count,)] * 4 + [(4 * count,), (count,), (count,)]
+    rays: tuple[int, ...] = (count,)
+    shapes = [rays, rays, rays, rays, (4 * count,), rays, rays]
     shapes += [(parts, polar.sectors), (parts, *polar.ring.shape), (polar.sectors, polar.bins)]
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     pieces = np.split(np.empty(ends[-1], np.float32), ends[:-1])

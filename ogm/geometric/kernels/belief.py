@@ -133,7 +133,8 @@ def _free_belief(
     """
     end, first_block, near, blocked, last_block = free.shape[0], free.shape[0], 0, PARTS, PARTS
     one, two = np.float32(1.0), np.float32(2.0)
-    left_out, noted, noted_slope = False, (0, 0), np.float32(0.0)  # a ray whose passing is not yet noted, and where
+    zero = int(np.int64(0))  # a constant would be compiled once more
+    left_out, noted, noted_slope = False, (zero, zero), np.float32(0.0)  # a ray not yet noted as passing, and where
     ground, clearance = limits.ground[row], limits.clearance[row]
     scale, fade, p_hidden = one / hidden_bins[0], one / hidden_bins[1], hidden_bins[2]
     gaps_count = p_hidden > 0

@@ -130,7 +130,8 @@ def _compare(
 
     `lowest` is the height of the ground under the sensor.
     """
-    count, start, at, base, resume, begin, end = 0, 0, 0, 0, 0, -1, NO_BREAK
+    zero = int(np.int64(0))  # constants would be compiled once more
+    count, start, at, base, resume, begin, end = zero, zero, zero, zero, zero, -1, NO_BREAK
     horizon, incline, edge_of_hole = -np.inf, 0.0, (0.0, 0.0, 0.0)
     for k in range(profile.shape[0]):
         run, height, number = profile[k, 0], profile[k, 1], int(profile[k, 2])
@@ -152,7 +153,7 @@ def _compare(
                 is_high = end != NO_BREAK and high > RISE + RISE_ANGLE * run + ROUGH * rough
                 if is_high and _jump(profile, k, end, incline, 1.0) > SUDDEN * high:
                     face = height - rise + FACE + ROUGH * rough if high > OBSTACLE_STEP else np.inf
-                    _note(breaks, row, number, STEP, face, edge, int(profile[end, 2]))
+                    _note(breaks, row, number, zero + STEP, face, edge, int(profile[end, 2]))
                     start, resume, begin = count, end + 1, -1  # the line begins anew
                     count = _add_support(support, count, profile[end, 0], profile[end, 1])
 
@@ -166,10 +167,10 @@ def _compare(
                     floor = min(height - _above(edge_of_hole, run, height), lowest) - below_ground - descent - slack
                     if height < floor:
                         begin = edge if begin < 0 else begin
-                        _note(breaks, row, number, HOLE, floor, begin, number)
+                        _note(breaks, row, number, zero + HOLE, floor, begin, number)
                         continue
                     if gap < REACH and _jump(profile, k, k, incline, -1.0) > -SUDDEN * rise:
-                        _note(breaks, row, number, FALL, -np.inf, edge, number)
+                        _note(breaks, row, number, zero + FALL, -np.inf, edge, number)
                         start = count
         horizon = max(horizon, slope)
         if k >= resume:

@@ -55,7 +55,7 @@ def ground_evidence(points: Points, origin: NDArray[np.float32], sensor_height: 
         1 for a return that shows the ground, else 0; of length 0 if the scan as a whole shows it.
     """
     count, beams = points.x.shape[0], np.empty((BINS, 3))
-    farthest, runs = np.empty(BINS, np.int32), np.empty(BINS, np.float32)
+    farthest, runs = np.empty(BINS, np.int64), np.empty(BINS, np.float32)
     stride = (count // SAMPLE) | 1  # odd: firings have an even number of beams
     places, seen, used = _sort_returns(points, origin, stride), 0, 0
     for s in range(SECTORS):
@@ -71,8 +71,7 @@ def ground_evidence(points: Points, origin: NDArray[np.float32], sensor_height: 
         return np.empty(0, np.uint8)
 
     if stride > 1:
-        stride = 1
-        places = _sort_returns(points, origin, stride)
+        places = _sort_returns(points, origin, int(np.int64(1)))  # a constant would be compiled once more
     shown, shows, reach = np.zeros(count, np.uint8), np.empty(BINS, np.bool_), np.empty(BINS, np.float32)
     for s in range(SECTORS):
         _find_farthest(places, s, farthest, runs)
@@ -139,7 +138,7 @@ def _place(points: Points, origin: NDArray[np.float32], n: int) -> tuple[int, in
 
 
 @kernel
-def _find_farthest(places: _Places, s: int, farthest: NDArray[np.int32], runs: NDArray[np.float32]) -> None:
+def _find_farthest(places: _Places, s: int, farthest: NDArray[np.int64], runs: NDArray[np.float32]) -> None:
     """Fill in number and run of the farthest return of each bin of a sector; -1 and 0 without any."""
     for b in range(BINS):
         farthest[b], runs[b] = -1, 0
@@ -151,7 +150,7 @@ def _find_farthest(places: _Places, s: int, farthest: NDArray[np.int32], runs: N
 
 @kernel
 def _find_beams(
-    points: Points, origin: NDArray[np.float32], farthest: NDArray[np.int32], beams: NDArray[np.float64]
+    points: Points, origin: NDArray[np.float32], farthest: NDArray[np.int64], beams: NDArray[np.float64]
 ) -> int:
     """Fill in slope, run and rise of each beam's farthest return in a sector, from the lowest up; return the number."""
     found = 0
@@ -196,7 +195,7 @@ def _find_chain(beams: NDArray[np.float64], sensor_height: float, shows: NDArray
         run, rise = beams[k, 1], beams[k, 2]
         links = k + 1 < count and not _is_wall(beams, k + 1) and _is_link(beams[k], beams[k + 1], sensor_height)
         if k == 0:  # the surface of three beams leads to the ground under the sensor
-            more = count > 2 and not _is_wall(beams, 2) and _is_link(beams[1], beams[2], sensor_height)
+            more = count > 2 and not _is_wall(beams, k + 2) and _is_link(beams[1], beams[2], sensor_height)
             if links and more:
                 slope = (beams[1, 2] - rise) / (beams[1, 1] - run)
                 shows[0] = rise - slope * run <= level
@@ -225,9 +224,9 @@ def raise_unshown(above: np.float32, numbers: RayNumbers) -> np.float32:
     """
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     if above > PLANE and above <= low:
-        return np.nextafter(low, np.float32(np.inf))
-    if above >= high and above < high + LEAST:
-        return np.nextafter(high, np.float32(0))
+        above = np.nextafter(low, np.float32(np.inf))
+    elif above >= high and above < high + LEAST:
+        above = np.nextafter(high, np.float32(0))
     return above
 
 

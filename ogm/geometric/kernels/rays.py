@@ -201,13 +201,7 @@ def sort_sectors(rays: Rays, first: int, last: int, count: int, work: WorkSpace)
 
 @kernel
 def _sort_by_class(
-    work: WorkSpace,
-    begin: int,
-    end: int,
-    count: int,
-    classes: NDArray[np.int32],
-    ends: NDArray[np.int32],
-    rays: Rays,
+    work: WorkSpace, begin: int, end: int, count: int, classes: NDArray[np.int32], ends: NDArray[np.int32], rays: Rays
 ) -> None:
     """Fill in the rays of a sector by classes of slope (a counting sort)."""
     begin, half, one = begin & 0x7FFFFFFF, np.float32(CLASSES // 2), np.float32(1.0)

@@ -159,7 +159,9 @@ def _layer_means(
     """
     nx, ny = lowest.shape
     flat = np.full(nx * ny + 1, np.inf, np.float32)  # the last is of points outside
-    flat[:-1] = lowest.reshape(-1)
+    for i in range(nx):
+        for j in range(ny):
+            flat[i * ny + j] = lowest[i, j]
     places, heights, kept = np.empty(z.shape[0], np.int32), np.empty(z.shape[0], np.float32), 0
     for n in range(z.shape[0]):  # without branches: obstacles and ground may alternate
         c = cell[n] & 0x7FFFFFFF
