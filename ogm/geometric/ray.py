@@ -3,7 +3,7 @@
 import logging
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 from weakref import WeakSet
 
@@ -12,18 +12,26 @@ from numpy.typing import NDArray
 
 from ogm.geometric.ground import GroundEstimate, flat_ground, local_ground, surface_of
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
-from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, RayNumbers, Rays, Surface, WorkSpace
-from ogm.geometric.kernels.belief import clear_sectors, ray_mass
-from ogm.geometric.kernels.breaks import agree, empty_breaks, find_breaks
+from ogm.geometric.kernels.arguments import (
+    Cells,
+    Points,
+    PolarGrid,
+    RayLimits,
+    RayNumbers,
+    Rays,
+    RayScan,
+    Surface,
+    WorkSpace,
+)  # fmt: skip
+from ogm.geometric.kernels.breaks import empty_breaks
+from ogm.geometric.kernels.chain import AGREE, AIM, CLEAR, MASS, PLACE, SORT, ray_step
 from ogm.geometric.kernels.evidence import ground_evidence, mark_own_cells, shown_points
 from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
-from ogm.geometric.kernels.rays import aim_rays, place_rays, sort_sectors
-from ogm.geometric.kernels.silence import silence_reliability
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
-from ogm.threads import shared_threads, spans
+from ogm.threads import shared_threads
 
 _log = logging.getLogger(__name__)
 
@@ -50,7 +58,7 @@ class RayTrace(NamedTuple):
     polar : PolarGrid
     numbers : RayNumbers
     work : WorkSpace
-        As `kernels.belief.clear_sectors` filled it.
+        As `kernels.chain.ray_step` filled it.
     """
 
     grid: EvidentialGrid
@@ -201,7 +209,7 @@ class RayISM:
 
     def trace(self, scan: Scan | NDArray[np.float32]) -> RayTrace:
         """Map one scan, and keep its rays and its ground. The parameter is that of a call."""
-        log_compilation(clear_sectors)
+        log_compilation(ray_step)
         scan, spec = as_scan(scan), self.spec
         mount = mount_in_grid(scan, spec, self.mount)
         numbers = RayNumbers(*(float(getattr(self, name)) for name in RayNumbers._fields))
@@ -214,60 +222,36 @@ class RayISM:
         xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
         points, directions = Points(*xyz.T), _no_return_directions(scan, mount)
 
-        # The ground, by the returns that show it; meanwhile every beam becomes a ray
-        threads, work = shared_threads(int(self.threads)), _work_space(len(xyz) + len(directions), polar, self.threads)
-        parts = [(*span, k) for k, span in enumerate(spans(len(xyz), self.threads))]
-        shown = ALL_SHOWN
+        # The ground, by the returns that show it, and the rays that meet it and the clearance above it
+        threads, is_plane = shared_threads(int(self.threads)), self.ground is flat_ground  # whatever the returns show
 
-        def find_ground(k: int) -> Surface | None:
-            nonlocal shown
-            if k == self.threads - 1 and self.ground is not flat_ground:  # that is the ground whatever returns show
-                shown = ground_evidence(points, origin, mount.sensor_height)
-            for part in parts if self.threads == 1 else parts[k - 1 :: self.threads - 1] if k else []:
-                aim_rays(points, directions, origin, polar, numbers.max_range, part, work)
-            return self._surface(xyz, mount) if k == 0 and self.threads > 1 else None
+        def find_ground(k: int) -> Any:
+            if k == self.threads - 1:
+                return ALL_SHOWN if is_plane else ground_evidence(points, origin, mount.sensor_height)
+            return self._surface(xyz, mount) if k == 0 else None
 
-        ground = threads.run(find_ground)[0]
+        found = threads.run(find_ground)
+        ground, shown = found[0] if self.threads > 1 else None, found[-1]
         if len(shown):
             self._explain_unseen_ground(int(np.count_nonzero(shown)), mount)
         if ground is None or len(shown):
             ground = self._surface(shown_points(points, shown).T if len(shown) else xyz, mount)
         limits = ray_limits(ground, origin, numbers.clearance, polar)
 
-        # Returns of obstacles mark their cells
-        threads.run(lambda k: place_rays(points, origin, ground, cells, numbers, shown, parts[k], work))
-        starts = np.append(0, np.cumsum(work.counts.sum(axis=0))).astype(np.int32)
-        rays, breaks = Rays(work.slope, work.run, work.height, work.point, starts), empty_breaks(polar)
-        turn = [(first << ROW_BITS, last << ROW_BITS) for first, last in spans(polar.rows, 2 * self.threads)]
-
-        def sort(k: int) -> None:
-            for first, last in turn[k :: self.threads]:  # two opposite parts of a turn
-                sort_sectors(rays, first, last, len(xyz), work)
-                find_breaks(rays, limits, polar, numbers, (first, last), breaks)
-
-        threads.run(sort)
-
-        def compare(k: int) -> NDArray[np.float32]:
-            if k == 0:
-                agree(breaks)
-            silent = len(directions) > 0 and k == self.threads - 1
-            return silence_reliability(rays, limits, polar) if silent else np.ones(polar.bins, np.float32)
-
-        silence = threads.run(compare)[-1]
-
-        # Rays clear what they pass, and mark steps and holes that stop them
-        def clear(k: int) -> None:
-            for span in turn[k :: self.threads]:
-                clear_sectors(rays, points, limits, polar, cells, breaks, silence, numbers, (*span, k), work)
-
-        threads.run(clear)
+        # Every beam is a ray; rays clear what they pass, and mark what stops them; counts become belief
+        work = _work_space(len(xyz) + len(directions), polar, threads.count)
+        rays = Rays(work.slope, work.run, work.height, work.point, np.empty(polar.sectors + 1, np.int32))
+        breaks, silence = empty_breaks(polar), np.ones(polar.bins, np.float32)
+        alarms, mass = _powers(math.sqrt(self.p_false_alarm)), np.empty((*spec.shape, 2), np.float32)
+        returns = RayScan(
+            *(points, directions, origin, cells, numbers, polar, ground, shown, limits),
+            *(rays, breaks, silence, alarms, work, mass),
+        )
+        for step in (AIM, PLACE, SORT, AGREE, CLEAR):
+            threads.run(partial(_run_step, step, threads.count, returns))
         if len(shown):
             mark_own_cells(points, work.above, cells, numbers, work.hits)
-
-        # Counts become belief
-        mass = np.empty((*spec.shape, 2), np.float32)
-        alarms, rows = _powers(math.sqrt(self.p_false_alarm)), spans(spec.shape[0], self.threads)
-        threads.run(lambda k: ray_mass(work, polar, alarms, numbers, *rows[k], mass))
+        threads.run(partial(_run_step, MASS, threads.count, returns))
         grid = EvidentialGrid.trusted(spec, mass)
         return RayTrace(grid, mass, mount, points, ground, shown, rays, limits, polar, numbers, work)
 
@@ -288,6 +272,10 @@ class RayISM:
             seen,
             mount.sensor_height,
         )
+
+
+def _run_step(step: int, threads: int, scan: RayScan, k: int) -> None:
+    ray_step(step, k, threads, scan)
 
 
 _explained: WeakSet[RayISM] = WeakSet()  # models that have logged that their scans show no ground

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "HeightSpace", "BeamColumns",
-    "Points", "PolarGrid", "RayLimits", "RayNumbers", "Rays", "SectorRays", "Surface", "WorkSpace",
+    "Points", "PolarGrid", "RayLimits", "RayNumbers", "RayScan", "Rays", "SectorRays", "Surface", "WorkSpace",
 ]  # fmt: skip
 
 
@@ -173,6 +173,26 @@ class WorkSpace(NamedTuple):
     counts: NDArray[np.int32]  # (parts, sectors) rays
     hits: NDArray[np.int32]  # (parts, nx, ny)
     free: NDArray[np.float32]  # (sectors, bins)
+
+
+class RayScan(NamedTuple):
+    """One scan on its way from points over a known ground to masses."""
+
+    points: Points
+    directions: NDArray[np.float32]  # (M, 3) of beams without echo, in the frame of the grid
+    origin: NDArray[np.float32]  # (3,) the sensor [m]
+    cells: Cells
+    numbers: RayNumbers
+    polar: PolarGrid
+    ground: Surface
+    shown: NDArray[np.uint8]  # (N,) or (0,) returns that show the ground
+    limits: RayLimits
+    rays: Rays
+    breaks: Breaks
+    silence: NDArray[np.float32]  # (bins,) reliability of beams without echo; 1 for a scan without such
+    false_alarm: NDArray[np.float32]  # (entries,) chance that so many half hits are of an empty cell
+    work: WorkSpace
+    mass: NDArray[np.float32]  # (nx, ny, 2)
 
 
 class HeightSpace(NamedTuple):

@@ -39,7 +39,6 @@ DOUBTFUL = np.float32(0.5)  # reliability of belief between a step or fall and t
 NO_BREAK = -1  # a slope, or noise
 
 
-@kernel
 def ground_breaks(rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayNumbers) -> Breaks:
     """Find where the ground rises or falls suddenly.
 
@@ -66,7 +65,6 @@ def ground_breaks(rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayN
     return breaks
 
 
-@kernel
 def empty_breaks(polar: PolarGrid) -> Breaks:
     """Return memory for the breaks of all profiles, without any."""
     rows, wide = polar.sectors >> PROFILE_BITS, max(int(DEPTH / polar.step + 0.5), 1)
