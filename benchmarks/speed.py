@@ -39,7 +39,7 @@ from ogm.geometric.kernels.belief import clear_sectors, ray_mass
 from ogm.geometric.kernels.breaks import ground_breaks
 from ogm.geometric.kernels.evidence import ground_evidence
 from ogm.geometric.kernels.polar import ray_limits
-from ogm.geometric.kernels.rays import sort_rays
+from ogm.geometric.kernels.rays import aim_rays, place_rays, sort_sectors
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)  # 512 x 352 cells
@@ -113,21 +113,26 @@ def steps(scan: NamedScan, rounds: int) -> dict[str, Times]:
     origin, nothing = mount.origin.astype(np.float32), np.empty((0, 3), np.float32)
     xyz = to_vehicle_frame(points, mount, mount.ego_footprint)
     ground = surface_of(ism.ground(xyz, coarse, mount.ground_point), coarse)
-    limits, work = ray_limits(ground, origin, numbers.clearance, polar), ray._work_space(len(xyz), polar)
     columns, alarms = Points(*xyz.T), ray._powers(math.sqrt(ism.p_false_alarm))
-    shown = ground_evidence(columns, origin, mount.sensor_height)
-    rays = sort_rays(columns, nothing, origin, ground, polar, numbers, shown, work)
     trace = ism.trace(points)
+    limits, work, rays, shown = trace.limits, trace.work, trace.rays, trace.shown
+    returns, sectors, mass = (0, len(xyz), 0), (0, polar.sectors), trace.mass.copy()
+    breaks, silence = ground_breaks(rays, limits, polar, numbers), np.ones(polar.bins, np.float32)
     calls = {
         "points in the vehicle frame": lambda _: to_vehicle_frame(points, mount, mount.ego_footprint),
         "returns that show the ground": lambda _: ground_evidence(columns, origin, mount.sensor_height),
         "ground map": lambda _: ism.ground(xyz, coarse, mount.ground_point),
-        "rays, sorted": lambda _: sort_rays(columns, nothing, origin, ground, polar, numbers, shown, work),
-        "breaks of the ground": lambda _: ground_breaks(rays, limits, polar, numbers),
-        "marks and belief, with the breaks": lambda _: clear_sectors(
-            rays, columns, origin, limits, polar, cells, numbers, work
+        "limits of rays": lambda _: ray_limits(ground, origin, numbers.clearance, polar),
+        "directions of rays": lambda _: aim_rays(columns, nothing, origin, polar, numbers.max_range, returns, work),
+        "heights, marks and rays by sectors": lambda _: place_rays(
+            columns, origin, ground, cells, numbers, shown, returns, work
         ),
-        "masses": lambda _: ray_mass(work.free, work.hits, polar, alarms, numbers),
+        "breaks of the ground": lambda _: ground_breaks(rays, limits, polar, numbers),
+        "belief in free": lambda _: clear_sectors(
+            rays, columns, limits, polar, cells, breaks, silence, numbers, (*sectors, 0), work
+        ),
+        "masses": lambda _: ray_mass(work, polar, alarms, numbers, 0, SPEC.shape[0], mass),
+        "rays, sorted": lambda _: sort_sectors(rays, *sectors, len(xyz), work),
         "causes of unknown cells, where asked for": lambda _: unknown_causes(trace),
     }
     return measure({name: Contender(call) for name, call in calls.items()}, rounds)

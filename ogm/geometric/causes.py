@@ -77,8 +77,8 @@ def _view(trace: RayTrace) -> NDArray[np.float32]:
     seen = np.flatnonzero(np.diff(starts))
     wedge = np.arange(sectors) * WEDGES // sectors
     low, high = np.full(WEDGES, np.inf, np.float32), np.full(WEDGES, -np.inf, np.float32)
-    np.minimum.at(low, wedge[seen], trace.rays.table[starts[seen], 0])
-    np.maximum.at(high, wedge[seen], trace.rays.table[starts[seen + 1] - 1, 0])
+    np.minimum.at(low, wedge[seen], trace.rays.slope[starts[seen]])
+    np.maximum.at(high, wedge[seen], trace.rays.slope[starts[seen + 1] - 1])
     low = np.minimum(low, np.minimum(np.roll(low, 1), np.roll(low, -1)))
     high = np.maximum(high, np.maximum(np.roll(high, 1), np.roll(high, -1)))
     return np.stack([low, high], axis=-1)[wedge]

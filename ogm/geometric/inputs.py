@@ -13,6 +13,7 @@ from ogm.scan import Mount, Scan, check_mount, mount_of
 _log = logging.getLogger(__name__)
 
 REACH = 1e6  # [m] greatest coordinate; nothing computed from it overflows
+BLOCK = 256  # points
 NEAR = 1e3  # [m] at least half of the points of any lidar lie within this distance
 
 
@@ -148,19 +149,35 @@ def _transform_and_drop(points: Any, T: Any, footprint: Any) -> Any:
     r10, r11, r12, ty = T[1]
     r20, r21, r22, tz = T[2]
     x_min, x_max, y_min, y_max = footprint
-    limit = np.float32(REACH)
-    xyz = np.empty((3, points.shape[0]), np.float32)
+    limit, width = np.float32(REACH), points.shape[1] & 0x7FFF
+    flat, xyz = points.reshape(-1), np.empty((3, points.shape[0]), np.float32)
+    xs, ys, zs = xyz[0], xyz[1], xyz[2]
+    columns, state = np.empty((3, BLOCK), np.float32), np.empty(BLOCK, np.int32)
     kept, invalid, ego = 0, 0, 0
-    for n in range(points.shape[0]):
-        a, b, c = points[n, 0], points[n, 1], points[n, 2]
-        if not (abs(a) < limit and abs(b) < limit and abs(c) < limit):
-            invalid += 1
+    for begin in range(0, points.shape[0], BLOCK):
+        count, lost = min(points.shape[0] - begin, BLOCK), 0
+        for n in range(count):
+            at = ((begin + n) * width) & 0x7FFFFFFFFFFF
+            columns[0, n], columns[1, n], columns[2, n] = flat[at], flat[at + 1], flat[at + 2]
+        kept &= 0x7FFFFFFFFFFF
+        for n in range(count):
+            a, b, c = columns[0, n], columns[1, n], columns[2, n]
+            x = r00 * a + r01 * b + r02 * c + tx
+            y = r10 * a + r11 * b + r12 * c + ty
+            usable = (abs(a) < limit) & (abs(b) < limit) & (abs(c) < limit)
+            own = (x > x_min) & (x < x_max) & (y > y_min) & (y < y_max)
+            state[n] = 2 if own else 0
+            state[n] = state[n] if usable else 1
+            lost += state[n]
+            xs[kept + n], ys[kept + n], zs[kept + n] = x, y, r20 * a + r21 * b + r22 * c + tz
+        if lost == 0:
+            kept += count
             continue
-        x = r00 * a + r01 * b + r02 * c + tx
-        y = r10 * a + r11 * b + r12 * c + ty
-        if x > x_min and x < x_max and y > y_min and y < y_max:
-            ego += 1
-            continue
-        xyz[0, kept], xyz[1, kept], xyz[2, kept] = x, y, r20 * a + r21 * b + r22 * c + tz
-        kept += 1
+        first = kept
+        for n in range(count):
+            x, y, z = xs[first + n], ys[first + n], zs[first + n]
+            xs[kept], ys[kept], zs[kept] = x, y, z
+            kept += int(state[n] == 0)
+            invalid += int(state[n] == 1)
+            ego += int(state[n] == 2)
     return xyz[:, :kept], invalid, ego

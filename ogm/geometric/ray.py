@@ -3,7 +3,7 @@
 import logging
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 from weakref import WeakSet
 
@@ -12,15 +12,26 @@ from numpy.typing import NDArray
 
 from ogm.geometric.ground import GroundEstimate, flat_ground, local_ground, surface_of
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
-from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, RayNumbers, Rays, Surface, WorkSpace
-from ogm.geometric.kernels.belief import clear_sectors, ray_mass
+from ogm.geometric.kernels.arguments import (
+    Cells,
+    Points,
+    PolarGrid,
+    RayLimits,
+    RayNumbers,
+    Rays,
+    RayScan,
+    Surface,
+    WorkSpace,
+)  # fmt: skip
+from ogm.geometric.kernels.breaks import empty_breaks
+from ogm.geometric.kernels.chain import AGREE, AIM, CLEAR, MASS, PLACE, SORT, ray_step
 from ogm.geometric.kernels.evidence import ground_evidence, mark_own_cells, shown_points
 from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
-from ogm.geometric.kernels.rays import sort_rays
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
+from ogm.threads import shared_threads
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +58,7 @@ class RayTrace(NamedTuple):
     polar : PolarGrid
     numbers : RayNumbers
     work : WorkSpace
-        As `kernels.belief.clear_sectors` filled it.
+        As `kernels.chain.ray_step` filled it.
     """
 
     grid: EvidentialGrid
@@ -131,6 +142,8 @@ class RayISM:
         or free space falls into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
     ground_cell : float
         Side of the cells of the ground map, at least that of the grid's cells [m].
+    threads : int
+        Number of threads for each scan, at least 1. Results are identical for any number of threads.
 
     Raises
     ------
@@ -157,6 +170,7 @@ class RayISM:
     p_hidden: float = 0.0
     azimuth_step: float = 2 * math.pi / 1024
     ground_cell: float = 1.0
+    threads: int = 1
 
     def __post_init__(self) -> None:
         check_sensor_in_grid(self.spec, self.mount)
@@ -174,6 +188,8 @@ class RayISM:
         check_within("free_reliability_at_hits", self.free_reliability_at_hits, -1e-9, 1 + 1e-9)
         check_within("no_return_weight", self.no_return_weight, -1e-9, 1 + 1e-9)
         check_within("azimuth_step", self.azimuth_step, 2 * math.pi / 2**15, math.pi / 2)
+        if not self.threads >= 1 or self.threads != int(self.threads):
+            raise ValueError(f"threads must be a whole number of at least 1, got {self.threads}")
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan.
@@ -193,7 +209,7 @@ class RayISM:
 
     def trace(self, scan: Scan | NDArray[np.float32]) -> RayTrace:
         """Map one scan, and keep its rays and its ground. The parameter is that of a call."""
-        log_compilation(clear_sectors)
+        log_compilation(ray_step)
         scan, spec = as_scan(scan), self.spec
         mount = mount_in_grid(scan, spec, self.mount)
         numbers = RayNumbers(*(float(getattr(self, name)) for name in RayNumbers._fields))
@@ -207,29 +223,42 @@ class RayISM:
         points, directions = Points(*xyz.T), _no_return_directions(scan, mount)
 
         # The ground, by the returns that show it, and the rays that meet it and the clearance above it
-        coarse = _ground_spec(spec, self.ground_cell)
-        is_plane = self.ground is flat_ground  # whatever the returns show
-        shown = ALL_SHOWN if is_plane else ground_evidence(points, origin, mount.sensor_height)
+        threads, is_plane = shared_threads(int(self.threads)), self.ground is flat_ground  # whatever the returns show
+
+        def find_ground(k: int) -> Any:
+            if k == self.threads - 1:
+                return ALL_SHOWN if is_plane else ground_evidence(points, origin, mount.sensor_height)
+            return self._surface(xyz, mount) if k == 0 else None
+
+        found = threads.run(find_ground)
+        ground, shown = found[0] if self.threads > 1 else None, found[-1]
         if len(shown):
             self._explain_unseen_ground(int(np.count_nonzero(shown)), mount)
-        candidates = shown_points(points, shown).T if len(shown) else xyz
-        ground = surface_of(_checked_height(self.ground(candidates, coarse, mount.ground_point), coarse), coarse)
+        if ground is None or len(shown):
+            ground = self._surface(shown_points(points, shown).T if len(shown) else xyz, mount)
         limits = ray_limits(ground, origin, numbers.clearance, polar)
 
-        # Every beam is a ray
-        work = _work_space(len(xyz) + len(directions), polar)
-        rays = sort_rays(points, directions, origin, ground, polar, numbers, shown, work)
-
-        # Rays clear what they pass, and mark what stops them
-        clear_sectors(rays, points, origin, limits, polar, cells, numbers, work)
-
+        # Every beam is a ray; rays clear what they pass, and mark what stops them; counts become belief
+        work = _work_space(len(xyz) + len(directions), polar, threads.count)
+        rays = Rays(work.slope, work.run, work.height, work.point, np.empty(polar.sectors + 1, np.int32))
+        breaks, silence = empty_breaks(polar), np.ones(polar.bins, np.float32)
+        alarms, mass = _powers(math.sqrt(self.p_false_alarm)), np.empty((*spec.shape, 2), np.float32)
+        returns = RayScan(
+            *(points, directions, origin, cells, numbers, polar, ground, shown, limits),
+            *(rays, breaks, silence, alarms, work, mass),
+        )
+        for step in (AIM, PLACE, SORT, AGREE, CLEAR):
+            threads.run(partial(_run_step, step, threads.count, returns))
         if len(shown):
             mark_own_cells(points, work.above, cells, numbers, work.hits)
-
-        # Counts become belief
-        mass = ray_mass(work.free, work.hits, polar, _powers(math.sqrt(self.p_false_alarm)), numbers)
+        threads.run(partial(_run_step, MASS, threads.count, returns))
         grid = EvidentialGrid.trusted(spec, mass)
         return RayTrace(grid, mass, mount, points, ground, shown, rays, limits, polar, numbers, work)
+
+    def _surface(self, xyz: NDArray[np.float32], mount: Mount) -> Surface:
+        """Return the surface of the ground by some points (N, 3) of a scan."""
+        coarse = _ground_spec(self.spec, self.ground_cell)
+        return surface_of(_checked_height(self.ground(xyz, coarse, mount.ground_point), coarse), coarse)
 
     def _explain_unseen_ground(self, shown: int, mount: Mount) -> None:
         """Log, once for each model, that the mount's height decides what is ground."""
@@ -243,6 +272,10 @@ class RayISM:
             seen,
             mount.sensor_height,
         )
+
+
+def _run_step(step: int, threads: int, scan: RayScan, k: int) -> None:
+    ray_step(step, k, threads, scan)
 
 
 _explained: WeakSet[RayISM] = WeakSet()  # models that have logged that their scans show no ground
@@ -284,22 +317,23 @@ def polar_grid(
     return PolarGrid(spec.resolution, sectors, sectors // together, bins, *lookup)
 
 
-def _work_space(count: int, polar: PolarGrid) -> WorkSpace:
-    """Allocate the work space for `count` points in one piece.
+def _work_space(count: int, polar: PolarGrid, parts: int) -> WorkSpace:
+    """Allocate the work space for `count` rays in one piece.
 
     The allocator keeps one large piece for the next scan; the pages of many it would return to the system, and
     fresh pages cost as much time as the rays.
     """
-    polar_shape = polar.sectors, polar.bins
-    shapes = (count,), (count,), (count,), (count,), (count,), (count,), (count, 3), polar.ring.shape, polar_shape
+    rays: tuple[int, ...] = (count,)
+    shapes = [rays, rays, rays, rays, (4 * count,), rays, rays]
+    shapes += [(parts, polar.sectors), (parts, *polar.ring.shape), (polar.sectors, polar.bins)]
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     pieces = np.split(np.empty(ends[-1], np.float32), ends[:-1])
-    sector, slope, run, above, order, point, table, hits, free = (
-        p.reshape(shape) for p, shape in zip(pieces, shapes, strict=True)
+    sector, slope, run, above, records, point, height, counts, hits, free = (
+        piece.reshape(shape) for piece, shape in zip(pieces, shapes, strict=True)
     )
-    whole = np.int32
     return WorkSpace(
-        sector.view(whole), slope, run, above, order.view(whole), point.view(whole), table, hits.view(whole), free
+        *(sector.view(np.int32), slope, run, above, records, records.view(np.int32), point.view(np.int32), height),
+        *(counts.view(np.int32), hits.view(np.int32), free),
     )
 
 

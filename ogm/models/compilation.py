@@ -35,13 +35,17 @@ def main_kernels(job: str) -> Kernels:
     f1, f2, f3 = (np.zeros((1,) * n, np.float32) for n in (1, 2, 3))
     i1, i2, d1, d2 = np.zeros(1, np.int32), np.zeros((1, 1), np.int32), np.zeros(1), np.zeros((1, 1))
     if job == "scan":
-        from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, RayNumbers, Rays, WorkSpace
-        from ogm.geometric.kernels.belief import clear_sectors
+        from ogm.geometric.kernels import arguments as a
+        from ogm.geometric.kernels.chain import ray_step
 
-        points, limits, cells = Points(f1, f1, f1), RayLimits(f2, f2), Cells(0.0, 0.0, 1.0)
-        polar = PolarGrid(1.0, 1, 1, 1, *(np.zeros((1, 1), np.int16) for _ in range(3)))
-        numbers, work = RayNumbers(*(1.0,) * len(RayNumbers._fields)), WorkSpace(i1, f1, f1, f1, i1, i1, f2, i2, f2)
-        return [(clear_sectors, (Rays(f2, i1, i1), points, f1, limits, polar, cells, numbers, work))]
+        points, limits, cells = a.Points(f1, f1, f1), a.RayLimits(f2, f2), a.Cells(0.0, 0.0, 1.0)
+        polar = a.PolarGrid(1.0, 1, 1, 1, *(np.zeros((1, 1), np.int16) for _ in range(3)))
+        breaks = a.Breaks(np.zeros((1, 1), np.int8), f2, i2, i2, f2, np.zeros(1, np.bool_), 1)
+        numbers, i3 = a.RayNumbers(*(1.0,) * len(a.RayNumbers._fields)), np.zeros((1, 1, 1), np.int32)
+        ground, shown = a.Surface(f2, *np.zeros(3, np.float32)), np.zeros(0, np.uint8)
+        rays, work = a.Rays(f1, f1, f1, i1, i1), a.WorkSpace(i1, f1, f1, f1, f1, i1, i1, f1, i2, i3, f2)
+        given = points, f2, f1, cells, numbers, polar, ground, shown, limits, rays, breaks, f1, f1, work, f3
+        return [(ray_step, (0, 0, 1, a.RayScan(*given)))]
     if job == "map":
         from ogm.fusion.kernels import BeliefLayers, Memory, evidential_update
         from ogm.fusion.lookup import ScanLookup

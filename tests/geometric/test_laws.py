@@ -250,6 +250,26 @@ def test_the_order_of_the_points_does_not_matter() -> None:
         np.testing.assert_allclose(ism(shuffled).mass, expected, atol=1e-3)
 
 
+@each("count", [0, 1, 7, 5000])
+def test_threads_do_not_change_a_bit(count: int) -> None:
+    rng = np.random.default_rng(count)
+    azimuth, run = rng.uniform(0, 2 * math.pi, count), rng.uniform(1, 40, count)
+    z = rng.choice([0, 0, 0, 0.15, 0.6, 1.5, 3.0, -2.0], count) + rng.normal(0, 0.02, count) - HEIGHT
+    points = np.stack([run * np.cos(azimuth), run * np.sin(azimuth), z, 0 * z], 1).astype(np.float32)
+    beams = rng.normal(0, [1, 1, 0.1], (200, 3))
+    beams = (beams / np.linalg.norm(beams, axis=1, keepdims=True)).astype(np.float32)
+    scan, spec = Scan(points, no_returns=beams), GridSpec.centered(40.0, 30.0, 0.25)
+    expected = RayISM(spec, MOUNT)(scan).mass
+    for threads in (2, 3):
+        np.testing.assert_array_equal(RayISM(spec, MOUNT, threads=threads)(scan).mass, expected)
+
+
+@each("threads", [0, 1.5])
+def test_a_number_of_threads_is_whole_and_positive(threads: float) -> None:
+    with pytest.raises(ValueError, match="threads must be a whole number of at least 1"):
+        RayISM(SPEC, MOUNT, threads=threads)
+
+
 def test_one_point_matters_only_near_it_and_in_its_direction() -> None:
     """Without it, no cell changes that is more than 3 m from it and 3 sectors from its own."""
     spec, sectors = GridSpec.centered(81.92, 56.32, 0.16), 1024

@@ -227,7 +227,7 @@ def test_breaks_and_what_rays_hit_are_those_of_the_reference(seed: int, step: fl
         table = np.array([beam[:3] for beam in beams], np.float32)
         index = np.array([k if beam.is_return else -1 for k, beam in enumerate(beams)], np.int32)
         starts = np.cumsum([0, *map(len, sectors)]).astype(np.int32)
-        rays = Rays(table, index, starts)
+        rays = Rays(*table.T.copy(), index, starts)
         fast = ground_breaks(rays, plane, grid, numbers)
         profiles = reference.profiles_of(sectors, step, numbers.obstacle_height, bins)
         slow, reliability = reference.find_breaks(profiles, -HEIGHT, step, bins, numbers.below_ground)
@@ -279,7 +279,8 @@ def breaks_on(rise: Callable[[np.ndarray], np.ndarray]) -> list[tuple[int, float
     plane = polar.RayLimits((-HEIGHT / middle)[None], ((2 - HEIGHT) / middle)[None])
     numbers = RayNumbers(*(float(getattr(RayISM(SPEC, Mount(HEIGHT)), name)) for name in RayNumbers._fields))
     grid = PolarGrid(step, sectors, 1, bins, unused, unused, unused)
-    found = ground_breaks(Rays(table, np.arange(len(table), dtype=np.int32), starts), plane, grid, numbers)
+    rays = Rays(*table.T.copy(), np.arange(len(table), dtype=np.int32), starts)
+    found = ground_breaks(rays, plane, grid, numbers)
     assert (found.kind == found.kind[0]).all()
     return [(int(found.kind[0, k]), float(found.limit[0, k])) for k in np.flatnonzero(found.kind[0])]
 

@@ -39,7 +39,6 @@ from ogm.fusion.dynamic.radial import with_radial_velocities
 from ogm.fusion.dynamic.resampling import Moments, resample
 from ogm.fusion.dynamic.scan_history import Extent, ScanHistory, scan_cells, scan_states
 from ogm.fusion.dynamic.settings import DynamicSettings
-from ogm.fusion.dynamic.threads import Threads, spans
 from ogm.fusion.dynamic.velocity_evidence import GroupVelocities, group_velocities, renew_particles, weigh_motion
 from ogm.fusion.kernels import BLOCK, DEMPSTER, BeliefLayers, Memory, evidential_update
 from ogm.fusion.lookup import ScanLookup
@@ -47,6 +46,7 @@ from ogm.fusion.mapper import Mapper, locked
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.threads import Threads, spans
 
 _log = logging.getLogger(__name__)
 

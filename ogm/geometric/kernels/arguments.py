@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "BeamNumbers", "Breaks", "Cells", "Directions", "GroundLimits", "HeightBand", "HeightSpace", "BeamColumns",
-    "Points", "PolarGrid", "RayLimits", "RayNumbers", "Rays", "SectorRays", "Surface", "WorkSpace",
+    "Points", "PolarGrid", "RayLimits", "RayNumbers", "RayScan", "Rays", "SectorRays", "Surface", "WorkSpace",
 ]  # fmt: skip
 
 
@@ -131,7 +131,9 @@ class RayLimits(NamedTuple):
 class Rays(NamedTuple):
     """Rays, sorted by sector and in a sector by slope."""
 
-    table: NDArray[np.float32]  # (N, 3) slope (rise over run), run of the return [m], its height above ground [m]
+    slope: NDArray[np.float32]  # (N,) rise over run
+    run: NDArray[np.float32]  # (N,) of the return [m]
+    above: NDArray[np.float32]  # (N,) height of the return above the ground [m]
     point: NDArray[np.int32]  # (N,) of the return among the points; -1 for a beam without echo
     starts: NDArray[np.int32]  # (sectors + 1,) where each sector begins
 
@@ -144,6 +146,7 @@ class Breaks(NamedTuple):
     begin: NDArray[np.int32]  # (profiles, count) polar bin of the ground before it
     end: NDArray[np.int32]  # (profiles, count) last bin of the profile in it
     reliability: NDArray[np.float32]  # (profiles, bins) of belief in free, in each polar bin
+    broken: NDArray[np.bool_]  # (profiles,) that have a break
     width: int  # of a profile's bin, in polar bins
 
 
@@ -159,15 +162,37 @@ class SectorRays(NamedTuple):
 class WorkSpace(NamedTuple):
     """Memory for the kernels of one scan, with arbitrary content."""
 
-    sector: NDArray[np.int32]  # (N,) as all of one dimension
+    sector: NDArray[np.int32]  # (N,) as all of one dimension but the records
     slope: NDArray[np.float32]
     run: NDArray[np.float32]
     above: NDArray[np.float32]
-    order: NDArray[np.int32]
+    records: NDArray[np.float32]  # (4 N,) slope, run and height above ground of each ray, by sectors
+    indices: NDArray[np.int32]  # (4 N,) the same memory: the fourth value of a record is the number of the ray
     point: NDArray[np.int32]
-    table: NDArray[np.float32]  # (N, 3) of `Rays`
-    hits: NDArray[np.int32]  # (nx, ny)
+    height: NDArray[np.float32]
+    counts: NDArray[np.int32]  # (parts, sectors) rays
+    hits: NDArray[np.int32]  # (parts, nx, ny)
     free: NDArray[np.float32]  # (sectors, bins)
+
+
+class RayScan(NamedTuple):
+    """One scan on its way from points over a known ground to masses."""
+
+    points: Points
+    directions: NDArray[np.float32]  # (M, 3) of beams without echo, in the frame of the grid
+    origin: NDArray[np.float32]  # (3,) the sensor [m]
+    cells: Cells
+    numbers: RayNumbers
+    polar: PolarGrid
+    ground: Surface
+    shown: NDArray[np.uint8]  # (N,) or (0,) returns that show the ground
+    limits: RayLimits
+    rays: Rays
+    breaks: Breaks
+    silence: NDArray[np.float32]  # (bins,) reliability of beams without echo; 1 for a scan without such
+    false_alarm: NDArray[np.float32]  # (entries,) chance that so many half hits are of an empty cell
+    work: WorkSpace
+    mass: NDArray[np.float32]  # (nx, ny, 2)
 
 
 class HeightSpace(NamedTuple):

@@ -5,18 +5,29 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, RayNumbers, Rays, SectorRays, WorkSpace
-from ogm.geometric.kernels.breaks import PROFILE_BITS, ground_breaks
+from ogm.geometric.kernels.arguments import (
+    Breaks,
+    Cells,
+    Points,
+    PolarGrid,
+    RayLimits,
+    RayNumbers,
+    Rays,
+    SectorRays,
+    WorkSpace,
+)
+from ogm.geometric.kernels.breaks import PROFILE_BITS
 from ogm.geometric.kernels.classify import DEEP, FACE_OF_STEP, NO_RETURN, NONE, OBSTACLE, classify_rays
 from ogm.geometric.kernels.polar import ROW_BITS
-from ogm.geometric.kernels.silence import silence_reliability
+from ogm.geometric.kernels.rays import hit_cell
 from ogm.jit import kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]
 
 # Where the parts of the work space of a sector begin; constants, so that the compiler sees them apart
 PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
-LEAST_SPREAD = 0.1  # [m]
+LANES = 0xFFF8  # bins are passed in eights, from which those beside a ray's are masked: no remainder without vectors
+LOWEST = np.float32(-3e38)  # slope
 NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
 
 
@@ -24,11 +35,13 @@ NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are
 def clear_sectors(
     rays: Rays,
     points: Points,
-    origin: NDArray[np.float32],
     limits: RayLimits,
     polar: PolarGrid,
     cells: Cells,
+    breaks: Breaks,
+    silence: NDArray[np.float32],
     numbers: RayNumbers,
+    part: tuple[int, int, int],
     work: WorkSpace,
 ) -> None:
     """Fill in the belief in free of every polar bin, and what marks the cells.
@@ -57,54 +70,55 @@ def clear_sectors(
     ----------
     rays : Rays
     points : Points
-    origin : (3,) float32
     limits : RayLimits
     polar : PolarGrid
     cells : Cells
+    breaks : Breaks
+    silence : (bins,) float32
+        From `silence_reliability`.
     numbers : RayNumbers
         p is `p_miss`.
+    part : (first, last, k)
+        Sectors from `first` up to but without `last` are part k.
     work : WorkSpace
-        `free` and `hits` are filled: belief in free, and half hits of obstacles and of returns from steps and holes.
+        The sectors' entries in `free` are filled, and half hits of returns from steps and holes added to `hits[k]`.
     """
-    sectors, bins, most = polar.sectors, polar.bins, 0
-    for s in range(sectors):
+    sectors, bins, most, (first_sector, last_sector, part_number) = polar.sectors, polar.bins, 0, part
+    for s in range(first_sector, last_sector):
         most = max(most, rays.starts[s + 1] - rays.starts[s])
     whole = np.empty((3, most), np.int32)
     found = SectorRays(np.empty(most, np.int8), whole[0], whole[1], whole[2])
-    breaks = ground_breaks(rays, limits, polar, numbers)
-    weight = np.full(bins, np.float32(numbers.no_return_weight))
-    if rays.point.shape[0] > points.x.shape[0]:
-        weight *= silence_reliability(rays, limits, polar)
-    part = np.empty(PARTS, np.float32)
+    part_space, hits = np.empty(PARTS, np.float32), work.hits[part_number]
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
-        part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
+        part_space[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
+    weight = np.float32(numbers.no_return_weight)
     hidden_bins = (
         *(np.float32(numbers.hidden_height / polar.step), np.float32(numbers.hidden_depth / polar.step)),
         np.float32(numbers.p_hidden),
     )
     no = sectors < 0  # False as a variable: constants would be compiled twice
-    work.hits[:] = 0
-    _mark_obstacles(points, origin, cells, numbers, work)
-    for s in range(sectors):
-        first, last, row = rays.starts[s], rays.starts[s + 1], s >> ROW_BITS
+    for s in range(first_sector, last_sector):
+        first, row, profile = rays.starts[s], s >> ROW_BITS, s >> PROFILE_BITS
         end = classify_rays(rays, s, limits, polar, breaks, numbers, found)
         work.free[s, end:] = 0
         if end == 0:
             continue
-        _mark_breaks(rays.point[first:last], points, cells, found, work.hits)
-        free = work.free[s, :end]
-        if _free_belief(rays.table[first:last], found, limits, row, hidden_bins, no, part, free):
+        if breaks.broken[profile]:
+            _mark_breaks(rays, s, points, cells, found, hits)
+        free, slopes = work.free[s, :end], rays.slope[first : rays.starts[s + 1]]
+        if _free_belief(slopes, found, limits, row, hidden_bins, no, part_space, free):
             alone = free.copy()
-            _free_belief(rays.table[first:last], found, limits, row, hidden_bins, not no, part, free)
+            _free_belief(slopes, found, limits, row, hidden_bins, not no, part_space, free)
             for k in range(end):
-                free[k] = alone[k] + weight[k] * max(free[k] - alone[k], np.float32(0.0))
-        for k in range(end):
-            free[k] *= breaks.reliability[s >> PROFILE_BITS, k]
+                free[k] = alone[k] + weight * silence[k] * max(free[k] - alone[k], np.float32(0.0))
+        if breaks.broken[profile]:
+            for k in range(end):
+                free[k] *= breaks.reliability[profile, k]
 
 
 @kernel
 def _free_belief(
-    table: NDArray[np.float32],
+    slopes: NDArray[np.float32],
     found: SectorRays,
     limits: RayLimits,
     row: int,
@@ -119,26 +133,27 @@ def _free_belief(
     """
     end, first_block, near, blocked, last_block = free.shape[0], free.shape[0], 0, PARTS, PARTS
     one, two = np.float32(1.0), np.float32(2.0)
-    left_out, noted, noted_slope = False, (0, 0), np.float32(0.0)  # a ray whose passing is not yet noted, and where
+    zero = int(np.int64(0))  # a constant would be compiled once more
+    left_out, noted, noted_slope = False, (zero, zero), np.float32(0.0)  # a ray not yet noted as passing, and where
     ground, clearance = limits.ground[row], limits.clearance[row]
     scale, fade, p_hidden = one / hidden_bins[0], one / hidden_bins[1], hidden_bins[2]
     gaps_count = p_hidden > 0
     for k in range(end):
         part[PASS + k], part[SLOPE + k] = 1, ground[k]
         part[SUM + k], part[HIDDEN + k], part[BLOCKED + k] = 0, 0, 0
-    for n in range(table.shape[0]):
+    for n in range(slopes.shape[0]):
         if found.kind[n] == OBSTACLE:
             first_block = min(first_block, found.block[n])
     if gaps_count:
         first_block = 0
-    for n in range(table.shape[0]):
+    for n in range(slopes.shape[0]):
         kind = found.kind[n]
         if kind == NONE:
             continue
         if kind == NO_RETURN and not silent:
             left_out = True
             continue
-        slope, start, stop = table[n, 0], found.start[n] & 0x7FFF, found.stop[n] & 0x7FFF
+        slope, start, stop = slopes[n], found.start[n] & 0x7FFF, found.stop[n] & 0x7FFF
         first = max(start, near)
         if first < min(stop, first_block):
             _pass(part, slope, first, min(stop, first_block))
@@ -157,7 +172,7 @@ def _free_belief(
         if kind == OBSTACLE and found.block[n] != last_block:
             last_block = found.block[n]
             blocked = min(blocked, last_block)
-            _block(part, last_block, min(end, last_block + int(1.0 / fade) + 1), fade)
+            _block(part, last_block, max(min(end, last_block + int(1.0 / fade) + 1), last_block), fade)
         while near < end and part[PASS + near] < NEGLIGIBLE:
             near += 1
     _raise(part, noted_slope, noted[0], noted[1])
@@ -173,93 +188,73 @@ def _free_belief(
 @vector
 def _pass(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> None:
     """Let a ray pass some bins before any obstacle."""
-    for k in range(start & 0x7FFF, stop & 0x7FFF):
-        up = max(slope - part[SLOPE + k], np.float32(0.0))
+    zero, one, first, count = np.float32(0.0), np.float32(1.0), np.int32(start), np.uint32(stop - start)
+    for k in range(start & LANES, (stop + 7) & LANES):
+        inside = np.uint32(np.int32(k) - first) < count
+        up = max(slope - part[SLOPE + k], zero)
+        up = up if inside else zero
         part[SUM + k] += up * part[PASS + k]
-        part[PASS + k] *= part[POWER + k]
+        part[PASS + k] *= max(part[POWER + k], zero if inside else one)
         part[SLOPE + k] += up
 
 
 @vector
 def _raise(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> None:
     """Note that a ray passes some bins."""
-    for k in range(start & 0x7FFF, stop & 0x7FFF):
-        part[SLOPE + k] = max(part[SLOPE + k], slope)
+    first, count = np.int32(start), np.uint32(stop - start)
+    for k in range(start & LANES, (stop + 7) & LANES):
+        inside = np.uint32(np.int32(k) - first) < count
+        part[SLOPE + k] = max(part[SLOPE + k], slope if inside else LOWEST)
 
 
 @vector
 def _pass_obstacles(part: NDArray[np.float32], slope: np.float32, start: int, stop: int, p_hidden: np.float32) -> None:
     """Let a ray pass some bins behind an obstacle that stops other rays of the sector."""
-    zero = np.float32(0.0)
-    for k in range(start & 0x7FFF, stop & 0x7FFF):
-        up = max(slope - part[SLOPE + k], zero)
-        part[HIDDEN + k] += max(max(part[BLOCKED + k], p_hidden) * up - part[HIDDEN + k], zero)
-        part[BLOCKED + k] = zero
+    zero, one, first, count = np.float32(0.0), np.float32(1.0), np.int32(start), np.uint32(stop - start)
+    for k in range(start & LANES, (stop + 7) & LANES):
+        inside = np.uint32(np.int32(k) - first) < count
+        blocked, up = part[BLOCKED + k], max(slope - part[SLOPE + k], zero)
+        up = up if inside else zero
+        part[HIDDEN + k] += max(max(blocked, p_hidden) * up - part[HIDDEN + k], zero)
+        part[BLOCKED + k] = min(blocked, zero if inside else -LOWEST)  # no store under a mask, which takes longer
         part[SUM + k] += up * part[PASS + k]
-        part[PASS + k] *= part[POWER + k]
+        part[PASS + k] *= max(part[POWER + k], zero if inside else one)
         part[SLOPE + k] += up
 
 
 @vector
 def _block(part: NDArray[np.float32], start: int, stop: int, fade: np.float32) -> None:
     """Let an obstacle stop a ray: the chance that it is still there falls behind it."""
-    start &= 0x7FFF
-    for k in range(start, stop & 0x7FFF):
-        here = np.float32(1.0) - np.float32(k - start) * fade
+    first, count = np.int32(start), np.uint32(stop - start)
+    for k in range(start & LANES, (stop + 7) & LANES):
+        place = np.int32(k) - first
+        here = np.float32(1.0) - np.float32(place) * fade
+        here = here if np.uint32(place) < count else np.float32(0.0)
         part[BLOCKED + k] += max(here - part[BLOCKED + k], np.float32(0.0))
 
 
 @kernel
-def _mark_obstacles(
-    points: Points, origin: NDArray[np.float32], cells: Cells, numbers: RayNumbers, work: WorkSpace
-) -> None:
-    """Let the returns of obstacles mark their cells.
-
-    Each is spread over the two points one standard deviation before and behind it (two-point Gauss-Hermite rule),
-    each marking its cell with half a hit. Where the noise that grows exceeds a cell, or `LEAST_SPREAD`, none marks.
-    """
-    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
-    noise, near = np.float32(numbers.range_noise), np.float32(cells.resolution)
-    growth, spread = np.float32(numbers.noise_growth), np.float32(max(cells.resolution, LEAST_SPREAD))
-    for n in range(points.x.shape[0]):
-        wide = growth * work.run[n] * work.run[n]
-        if work.above[n] > low and work.above[n] < high and work.run[n] >= near and wide <= spread:
-            x, y, share = points.x[n], points.y[n], (noise + wide) / work.run[n]
-            du, dv = (x - origin[0]) * share, (y - origin[1]) * share
-            _hit(work.hits, cells, x - du, y - dv)
-            _hit(work.hits, cells, x + du, y + dv)
-
-
-@kernel
-def _mark_breaks(
-    point: NDArray[np.int32], points: Points, cells: Cells, found: SectorRays, hits: NDArray[np.int32]
-) -> None:
+def _mark_breaks(rays: Rays, s: int, points: Points, cells: Cells, found: SectorRays, hits: NDArray[np.int32]) -> None:
     """Let the returns from steps and holes of a sector mark their cells."""
-    for n in range(point.shape[0]):
+    first = rays.starts[s]
+    for n in range(rays.starts[s + 1] - first):
         if found.kind[n] == FACE_OF_STEP or found.kind[n] == DEEP:
-            x, y = points.x[point[n] & 0x7FFFFFFF], points.y[point[n] & 0x7FFFFFFF]
-            _hit(hits, cells, x, y)
-            _hit(hits, cells, x, y)
-
-
-@kernel
-def _hit(hits: NDArray[np.int32], cells: Cells, x: np.float32, y: np.float32) -> None:
-    """Add half a hit to the cell at (x, y), if it lies in the grid."""
-    inverse = np.float32(1.0 / cells.resolution)
-    u, v = (x - np.float32(cells.x0)) * inverse, (y - np.float32(cells.y0)) * inverse
-    if u >= 0 and u < hits.shape[0] and v >= 0 and v < hits.shape[1]:
-        hits[int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF] += 1
+            at = rays.point[first + n] & 0x7FFFFFFF
+            hit_cell(hits, cells, points.x[at], points.y[at])
+            hit_cell(hits, cells, points.x[at], points.y[at])
 
 
 @kernel
 def ray_mass(
-    free: NDArray[np.float32],
-    hits: NDArray[np.int32],
+    work: WorkSpace,
     polar: PolarGrid,
     false_alarm: NDArray[np.float32],
     numbers: RayNumbers,
-) -> NDArray[np.float32]:
-    """Turn polar belief in free and counts of returns into masses.
+    first: int,
+    last: int,
+    mass: NDArray[np.float32],
+) -> None:
+    """Turn polar belief in free and counts of returns into masses of some rows of cells.
 
     R returns give occupied the mass ``1 - p_false_alarm**R``: that of R simple masses ``1 - p_false_alarm``,
     combined. Free is the mean over the polar bins that a cell covers. Where a cell has both, the two are combined
@@ -268,41 +263,50 @@ def ray_mass(
 
     Parameters
     ----------
-    free : (sectors, bins) float32
-        From `clear_sectors`, as `hits`.
-    hits : (nx, ny) int32
+    work : WorkSpace
+        `free` and `hits`, from `clear_sectors`.
     polar : PolarGrid
     false_alarm : (entries,) float32
         ``p_false_alarm ** (n / 2)`` for n half hits; the last entry holds beyond.
     numbers : RayNumbers
-
-    Returns
-    -------
-    (nx, ny, 2) float32
-        Free and occupied.
+    first, last : int
+        Rows from `first` up to but without `last`.
+    mass : (nx, ny, 2) float32
+        Free and occupied; the rows are filled.
     """
-    nx, ny = hits.shape
+    ny, free = mass.shape[1], work.free
     one, limit = np.float32(1.0), np.float32(numbers.max_mass)
     reliability = np.float32(numbers.free_reliability_at_hits)
-    mass = np.empty((nx, ny, 2), np.float32)
-    for i in range(nx):
+    cleared, marked = np.empty(ny, np.float32), np.empty(ny, np.int32)
+    for i in range(first & 0x7FFFFFFF, last & 0x7FFFFFFF):
+        _average_bins(free, polar, i, cleared)
         for j in range(ny):
-            k = polar.ring[i, j]
-            mass[i, j, 0] = mass[i, j, 1] = 0
-            if k < 0:
-                continue
-            k, s, count = k & 0x7FFF, polar.sector[i, j] & 0x7FFF, polar.span[i, j]
-            cleared = np.float32(0.0)
-            for _ in range(count):
-                cleared += free[s & 0x7FFF, k]
+            marked[j] = work.hits[0, i, j]
+        for k in range(1, work.hits.shape[0]):
+            for j in range(ny):
+                marked[j] += work.hits[k, i, j]
+        row = mass[i].reshape(-1)
+        for j in range(ny):
+            row[2 * j], row[2 * j + 1] = min(cleared[j], limit), np.float32(0.0)
+        for j in range(ny):
+            if marked[j] > 0 and polar.ring[i, j] >= 0:
+                alarm, here = false_alarm[min(marked[j], false_alarm.shape[0] - 1)], cleared[j]
+                mass[i, j, 0] = min(reliability * here * alarm, limit)
+                mass[i, j, 1] = min((one - alarm) * (one - reliability * here), limit)
+
+
+@kernel
+def _average_bins(free: NDArray[np.float32], polar: PolarGrid, i: int, cleared: NDArray[np.float32]) -> None:
+    """Fill in the mean belief in free of the polar bins that each cell of row `i` covers; 0 under the ego vehicle."""
+    for j in range(cleared.shape[0]):
+        cleared[j] = free[polar.sector[i, j] & 0x7FFF, max(polar.ring[i, j], 0) & 0x7FFF]
+    for j in range(cleared.shape[0]):
+        k, s, count = polar.ring[i, j], polar.sector[i, j] & 0x7FFF, polar.span[i, j] & 0x7FFF
+        if k < 0:
+            cleared[j] = np.float32(0.0)
+        elif count > 1:
+            total, k = cleared[j], k & 0x7FFF
+            for _ in range(count - 1):
                 s = s + 1 if s + 1 < polar.sectors else 0
-            if count > 1:
-                cleared /= np.float32(count)
-            number = hits[i, j]
-            if number > 0:
-                alarm = false_alarm[min(number, false_alarm.shape[0] - 1)]
-                mass[i, j, 0] = min(reliability * cleared * alarm, limit)
-                mass[i, j, 1] = min((one - alarm) * (one - reliability * cleared), limit)
-            else:
-                mass[i, j, 0] = min(cleared, limit)
-    return mass
+                total += free[s & 0x7FFF, k]
+            cleared[j] = total / np.float32(count)

@@ -9,7 +9,7 @@ from ogm.geometric.kernels.arguments import Breaks, PolarGrid, RayLimits, RayNum
 from ogm.geometric.kernels.polar import ROW_BITS
 from ogm.jit import kernel
 
-__all__ = ["FALL", "HOLE", "LEVEL", "PROFILE_BITS", "STEP", "ground_breaks"]
+__all__ = ["FALL", "HOLE", "LEVEL", "PROFILE_BITS", "STEP", "agree", "empty_breaks", "find_breaks", "ground_breaks"]
 
 LEVEL, FALL, STEP, HOLE = 0, 1, 2, 3
 
@@ -39,7 +39,6 @@ DOUBTFUL = np.float32(0.5)  # reliability of belief between a step or fall and t
 NO_BREAK = -1  # a slope, or noise
 
 
-@kernel
 def ground_breaks(rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayNumbers) -> Breaks:
     """Find where the ground rises or falls suddenly.
 
@@ -60,14 +59,30 @@ def ground_breaks(rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayN
     -------
     Breaks
     """
+    breaks = empty_breaks(polar)
+    find_breaks(rays, limits, polar, numbers, (0, polar.sectors), breaks)
+    agree(breaks)
+    return breaks
+
+
+def empty_breaks(polar: PolarGrid) -> Breaks:
+    """Return memory for the breaks of all profiles, without any."""
     rows, wide = polar.sectors >> PROFILE_BITS, max(int(DEPTH / polar.step + 0.5), 1)
-    count = int(BEYOND * polar.bins) // wide + 1
-    breaks = Breaks(
-        np.zeros((rows, count), np.int8), np.zeros((rows, count), np.float32), np.zeros((rows, count), np.int32),
-        np.zeros((rows, count), np.int32), np.ones((rows, polar.bins), np.float32), wide,
+    shape = rows, int(BEYOND * polar.bins) // wide + 1
+    return Breaks(
+        np.zeros(shape, np.int8), np.empty(shape, np.float32), np.empty(shape, np.int32), np.empty(shape, np.int32),
+        np.ones((rows, polar.bins), np.float32), np.zeros(rows, np.bool_), wide,
     )  # fmt: skip
-    sums, profile, support = np.empty((count, 3), np.float32), np.empty((count, 3)), np.empty((count, 6))
-    for row in range(rows):
+
+
+@kernel
+def find_breaks(
+    rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayNumbers, sectors: tuple[int, int], breaks: Breaks
+) -> None:
+    """Find the breaks of the profiles of sectors from the first of `sectors` up to the second, each on its own."""
+    count, wide = breaks.kind.shape[1], breaks.width
+    sums, profile, support = np.empty((count + 1, 3), np.float32), np.empty((count, 3)), np.empty((count, 6))
+    for row in range(sectors[0] >> PROFILE_BITS, sectors[1] >> PROFILE_BITS):
         first, last = rays.starts[row << PROFILE_BITS], rays.starts[(row + 1) << PROFILE_BITS]
         _add_up(rays, first, last, np.float32(1.0 / (wide * polar.step)), np.float32(numbers.obstacle_height), sums)
         found = 0
@@ -78,24 +93,25 @@ def ground_breaks(rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayN
                 found += 1
         ground = limits.ground[row >> (ROW_BITS - PROFILE_BITS), 0] * 0.5 * polar.step  # under the sensor
         _compare(profile[:found], support, row, polar.step, numbers.below_ground, ground, breaks)
-    _agree(breaks)
-    return breaks
 
 
 @kernel
 def _add_up(
     rays: Rays, first: int, last: int, per_metre: np.float32, obstacle_height: np.float32, sums: NDArray[np.float32]
 ) -> None:
-    """Fill in the number of returns that are no obstacles, the sum of their runs and of their heights, by bins."""
+    """Fill in the number of returns that are no obstacles, the sum of their runs and of their heights, by bins.
+
+    The last row of `sums` is of all other rays.
+    """
     sums[:] = 0
-    for n in range(first, last):
-        slope, run, above = rays.table[n, 0], rays.table[n, 1], rays.table[n, 2]
-        k = int(min(run * per_metre, np.float32(1e6)))
-        if above <= obstacle_height and k < sums.shape[0] and rays.point[n] >= 0:
-            k &= 0x7FFFFFFF
-            sums[k, 0] += np.float32(1.0)
-            sums[k, 1] += run
-            sums[k, 2] += slope * run
+    other = sums.shape[0] - 1
+    for n in range(first & 0x7FFFFFFF, last & 0x7FFFFFFF):
+        slope, run = rays.slope[n], rays.run[n]
+        k = min(int(min(run * per_metre, np.float32(1e6))), other)
+        k = (k if (rays.above[n] <= obstacle_height) & (rays.point[n] >= 0) else other) & 0x7FFFFFFF
+        sums[k, 0] += np.float32(1.0)
+        sums[k, 1] += run
+        sums[k, 2] += slope * run
 
 
 @kernel
@@ -112,7 +128,8 @@ def _compare(
 
     `lowest` is the height of the ground under the sensor.
     """
-    count, start, at, base, resume, begin, end = 0, 0, 0, 0, 0, -1, NO_BREAK
+    zero = int(np.int64(0))  # constants would be compiled once more
+    count, start, at, base, resume, begin, end = zero, zero, zero, zero, zero, -1, NO_BREAK
     horizon, incline, edge_of_hole = -np.inf, 0.0, (0.0, 0.0, 0.0)
     for k in range(profile.shape[0]):
         run, height, number = profile[k, 0], profile[k, 1], int(profile[k, 2])
@@ -120,10 +137,13 @@ def _compare(
         if count > 0 and k >= resume:
             at = max(_last_before(support, count, at, run - GAP), start)
             base = max(_last_before(support, at + 1, min(base, at), support[at, 0] - BASELINE), start)
-            line, rough = _continue(support, base, at, incline)
+            line = _continue(support, base, at, incline)
             incline, gap = line[2], run - line[0]
-            rise, slack = _above(line, run, height), BEND * gap + ROUGH * rough
-            edge = max(int(support[_last_before(support, count, count - 1, run - EDGE), 0] / step) - 1, 0)
+            rise, rough, edge = _above(line, run, height), 0.0, 0
+            if rise > ONSET or rise < -SINK:
+                rough = _roughness(support, base, at, incline)
+                edge = max(int(support[_last_before(support, count, count - 1, run - EDGE), 0] / step) - 1, 0)
+            slack = BEND * gap + ROUGH * rough
 
             if gap < REACH and rise > ONSET + slack:
                 end = _end_of_change(profile, k, line, 1.0)
@@ -131,7 +151,7 @@ def _compare(
                 is_high = end != NO_BREAK and high > RISE + RISE_ANGLE * run + ROUGH * rough
                 if is_high and _jump(profile, k, end, incline, 1.0) > SUDDEN * high:
                     face = height - rise + FACE + ROUGH * rough if high > OBSTACLE_STEP else np.inf
-                    _note(breaks, row, number, STEP, face, edge, int(profile[end, 2]))
+                    _note(breaks, row, number, zero + STEP, face, edge, int(profile[end, 2]))
                     start, resume, begin = count, end + 1, -1  # the line begins anew
                     count = _add_support(support, count, profile[end, 0], profile[end, 1])
 
@@ -145,10 +165,10 @@ def _compare(
                     floor = min(height - _above(edge_of_hole, run, height), lowest) - below_ground - descent - slack
                     if height < floor:
                         begin = edge if begin < 0 else begin
-                        _note(breaks, row, number, HOLE, floor, begin, number)
+                        _note(breaks, row, number, zero + HOLE, floor, begin, number)
                         continue
                     if gap < REACH and _jump(profile, k, k, incline, -1.0) > -SUDDEN * rise:
-                        _note(breaks, row, number, FALL, -np.inf, edge, number)
+                        _note(breaks, row, number, zero + FALL, -np.inf, edge, number)
                         start = count
         horizon = max(horizon, slope)
         if k >= resume:
@@ -167,6 +187,7 @@ def _note(breaks: Breaks, row: int, number: int, kind: int, limit: float, begin:
     """Write down a break."""
     breaks.kind[row, number], breaks.limit[row, number] = kind, limit
     breaks.begin[row, number], breaks.end[row, number] = begin, end
+    breaks.broken[row] = True
 
 
 @kernel
@@ -191,24 +212,37 @@ def _last_before(support: NDArray[np.float64], count: int, at: int, run: float) 
 
 
 @kernel
-def _continue(
-    support: NDArray[np.float64], base: int, at: int, before: float
-) -> tuple[tuple[float, float, float], float]:
-    """Fit a line (run, height, incline) to the supports from `base` to `at`; return it and the standard deviation.
+def _moments(support: NDArray[np.float64], base: int, at: int) -> tuple[float, float, float, float]:
+    """Return mean run and height of the supports from `base` to `at`, and sums of their squares and products."""
+    count = float(at - base + 1)
+    r, z, rr, rz = support[at, 1], support[at, 2], support[at, 3], support[at, 4]
+    if base > 0:
+        r, z = r - support[base - 1, 1], z - support[base - 1, 2]
+        rr, rz = rr - support[base - 1, 3], rz - support[base - 1, 4]
+    r, z = r / count, z / count
+    return r, z, rr - count * r * r, rz - count * r * z
+
+
+@kernel
+def _continue(support: NDArray[np.float64], base: int, at: int, before: float) -> tuple[float, float, float]:
+    """Fit a line (run, height, incline) to the supports from `base` to `at`.
 
     The incline is `before` where they are too close together for one.
     """
-    count = float(at - base + 1)
-    r, z, rr, rz, zz = support[at, 1], support[at, 2], support[at, 3], support[at, 4], support[at, 5]
-    if base > 0:
-        r, z, rr = r - support[base - 1, 1], z - support[base - 1, 2], rr - support[base - 1, 3]
-        rz, zz = rz - support[base - 1, 4], zz - support[base - 1, 5]
-    r, z = r / count, z / count
-    rr, rz, zz = rr - count * r * r, rz - count * r * z, zz - count * z * z
+    r, z, rr, rz = _moments(support, base, at)
     incline = min(max(rz / rr, -STEEPEST), STEEPEST) if rr > 0.5 else before
-    rest = max(zz - incline * rz, 0.0) / max(count - 2.0, 1.0)
     run = support[at, 0]
-    return (run, z + incline * (run - r), incline), math.sqrt(rest) if count >= MANY else 0.0
+    return run, z + incline * (run - r), incline
+
+
+@kernel
+def _roughness(support: NDArray[np.float64], base: int, at: int, incline: float) -> float:
+    """Return the standard deviation of the supports from `base` to `at` about a line of some incline [m]."""
+    count = float(at - base + 1)
+    _, z, _, rz = _moments(support, base, at)
+    zz = support[at, 5] - (support[base - 1, 5] if base > 0 else 0.0)
+    rest = max(zz - count * z * z - incline * rz, 0.0) / max(count - 2.0, 1.0)
+    return math.sqrt(rest) if count >= MANY else 0.0
 
 
 @kernel
@@ -242,12 +276,12 @@ def _end_of_change(profile: NDArray[np.float64], k: int, line: tuple[float, floa
 
 
 @kernel
-def _agree(breaks: Breaks) -> None:
+def agree(breaks: Breaks) -> None:
     """Keep the breaks that a neighbouring profile has, too, and reduce belief there."""
     rows, count = breaks.kind.shape
     wide, bins, alone = breaks.width, breaks.reliability.shape[1], []
     for row in range(rows):
-        for k in range(count):
+        for k in range(count if breaks.broken[row] else 0):
             if breaks.kind[row, k] == LEVEL:
                 continue
             begin, end = breaks.begin[row, k], (breaks.end[row, k] + 1) * wide
@@ -266,7 +300,7 @@ def _has_break(breaks: Breaks, side: int, k: int, row: int) -> bool:
     """Tell whether a profile has a break upwards, or downwards, as bin `k` of `row` has, and where it has."""
     wide, is_step = breaks.width, breaks.kind[row, k] == STEP
     begin, end = breaks.begin[row, k], (breaks.end[row, k] + 1) * wide
-    for j in range(breaks.kind.shape[1]):
+    for j in range(breaks.kind.shape[1] if breaks.broken[side] else 0):
         kind = breaks.kind[side, j]
         overlaps = breaks.begin[side, j] < end and (breaks.end[side, j] + 1) * wide > begin
         if overlaps and kind != LEVEL and (kind == STEP) == is_step:

@@ -67,15 +67,15 @@ def polar_causes(
         before = s
         ground, clearance = limits.ground[s >> ROW_BITS], limits.clearance[s >> ROW_BITS]
         first, last = rays.starts[s], rays.starts[s + 1]
-        top = _find_slopes(rays.table[first:last], rays.point[first:last], ground, polar.step, numbers, slopes)
+        top = _find_slopes(rays, (first, last), ground, polar.step, numbers, slopes)
         _name_causes(slopes, ground, clearance, view[s], top, causes[s])
     return causes
 
 
 @vector
 def _find_slopes(
-    table: NDArray[np.float32],
-    point: NDArray[np.int32],
+    rays: Rays,
+    sector: tuple[int, int],
     ground: NDArray[np.float32],
     step: float,
     numbers: RayNumbers,
@@ -91,16 +91,16 @@ def _find_slopes(
     below, before = np.float32(-numbers.below_ground), np.float32(2 * numbers.range_noise)
     growth, most, zero, one = np.float32(2 * numbers.noise_growth), np.float32(bins), np.float32(0.0), np.float32(1.0)
     passed, silent, meets = 0, 0, 0
-    for n in range(table.shape[0]):  # from the lowest slope up: the first to reach a bin is the lowest
-        slope, run, above = table[n, 0], table[n, 1], table[n, 2]
+    for n in range(sector[0], sector[1]):  # from the lowest slope up: the first to reach a bin is the lowest
+        slope, run, above = rays.slope[n], rays.run[n], rays.above[n]
         here = run * per_metre
         if here < 1:
             continue
-        if point[n] < 0 or above < below:
+        if rays.point[n] < 0 or above < below:
             while meets < bins and slope >= ground[meets]:
                 meets += 1
             end = int(min(here, most))
-            if point[n] >= 0:  # from under the ground: as if stopped where the ray meets it
+            if rays.point[n] >= 0:  # from under the ground: as if stopped where the ray meets it
                 for k in range(meets, end):
                     slopes[2, k] = max(slopes[2, k], ground[k])
                 continue

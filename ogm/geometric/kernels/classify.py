@@ -44,59 +44,93 @@ def classify_rays(
     int
         First bin that no ray reaches.
     """
-    first, row, profile, step = rays.starts[s], s >> ROW_BITS, s >> PROFILE_BITS, np.float32(polar.step)
-    per_metre = np.float32(1.0 / polar.step)
-    noise, growth = np.float32(numbers.range_noise), np.float32(numbers.noise_growth)
-    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
-    below = np.float32(-numbers.below_ground)
-    zero, one, two = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-    bins, far_out = np.float32(polar.bins), np.float32(1e6)
-    clearance, near, far, end = limits.clearance[row], 0, polar.bins, 0
+    first, row, profile = rays.starts[s] & 0x7FFFFFFF, s >> ROW_BITS, s >> PROFILE_BITS
+    _find_ends(rays, first, rays.starts[s + 1], polar, numbers, found)
+    if breaks.broken[profile]:
+        _find_broken(rays, first, rays.starts[s + 1], profile, polar, breaks, numbers, found)
+    ground, clearance, near, far, meets, end = limits.ground[row], limits.clearance[row], 0, polar.bins, 0, 0
     for n in range(rays.starts[s + 1] - first):
-        slope, run, above = rays.table[first + n, 0], rays.table[first + n, 1], rays.table[first + n, 2]
-        found.kind[n], found.start[n], found.stop[n] = NONE, 0, 0
-        # This ray, and all that are flatter, are below clearance between these bins only
-        while far > 0 and not clearance[far - 1] > slope:
-            far -= 1
-        while near < far and not clearance[near] > slope:
-            near += 1
-        if run < step:
+        kind = found.kind[n]
+        if kind == NONE:
             continue
-        here = min(run * per_metre, bins)
-        kind, reach = OBSTACLE, here
-        if rays.point[first + n] < 0:
-            kind = NO_RETURN
-        elif above >= high:
-            kind = OVERHEAD
-        elif above > low:
-            reach = min(max((run - two * (noise + growth * run * run)) * per_metre, zero), bins)
-            found.block[n] = int(reach)
-        else:
-            kind, reach = GROUND, min(here + one, bins)
-            k = int(min(run * per_metre, far_out)) // breaks.width
-            if k < breaks.kind.shape[1]:
-                k &= 0x7FFFFFFF
-                broken, height = breaks.kind[profile, k], slope * run
-                if broken == STEP and height > breaks.limit[profile, k]:
-                    kind = FACE_OF_STEP
-                elif broken == HOLE and height < breaks.limit[profile, k]:
-                    kind, reach = DEEP, np.float32(breaks.begin[profile, k])
-            if above < below and kind != DEEP:
-                continue
-        stop = min(int(reach), far)
-        while stop > near and not clearance[stop - 1] > slope:
+        slope = rays.slope[first + n]
+        # This ray, and all that are flatter, are below clearance between these bins only
+        if far > 0 and not clearance[(far - 1) & 0x7FFF] > slope:
+            far = _last_below(clearance, far, slope)
+        while near < far and not clearance[near & 0x7FFF] > slope:
+            near += 1
+        stop = min(found.stop[n], far)
+        while stop > near and not clearance[(stop - 1) & 0x7FFF] > slope:
             stop -= 1
-        if kind == NO_RETURN:
-            stop = _above_ground(limits.ground[row], slope, near, stop)
-        found.kind[n], found.start[n], found.stop[n] = kind, near, stop
+        if kind == NO_RETURN:  # up to the ground, which steeper rays meet no nearer
+            meets = max(meets, near)
+            while meets < polar.bins and slope >= ground[meets & 0x7FFF]:
+                meets += 1
+            stop = min(stop, meets)
+        found.start[n], found.stop[n] = near, stop
         end = max(end, stop)
     return end
 
 
 @kernel
-def _above_ground(ground: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> int:
-    """Return the first bin, from `start` to `stop`, in whose middle a ray is below the ground."""
-    for k in range(start, stop):
-        if slope < ground[k]:
-            return k
-    return stop
+def _last_below(clearance: NDArray[np.float32], far: int, slope: np.float32) -> int:
+    """Return the end of the last bin, of those up to `far`, in which a ray is below clearance; 0 if it is in none."""
+    while far >= 8:  # in eights, on the vector units
+        begin, below = (far - 8) & 0x7FFF, 0
+        for k in range(8):
+            below += int(clearance[begin + k] > slope)
+        if below > 0:
+            break
+        far -= 8
+    while far > 0 and not clearance[(far - 1) & 0x7FFF] > slope:
+        far -= 1
+    return far
+
+
+@kernel
+def _find_ends(rays: Rays, first: int, last: int, polar: PolarGrid, numbers: RayNumbers, found: SectorRays) -> None:
+    """Fill in what rays hit on ground without breaks, and the first bin after their end, also as the obstacle's bin."""
+    first, step, per_metre = first & 0x7FFFFFFF, np.float32(polar.step), np.float32(1.0 / polar.step)
+    noise, growth = np.float32(numbers.range_noise), np.float32(numbers.noise_growth)
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
+    below = np.float32(-numbers.below_ground)
+    zero, one, two, bins = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(polar.bins)
+    for n in range(last - first):
+        run, above = rays.run[first + n], rays.above[first + n]
+        here = min(run * per_metre, bins)
+        before = min(max((run - two * (noise + growth * run * run)) * per_metre, zero), bins)
+        kind = NONE if above < below else GROUND
+        kind = OBSTACLE if above > low else kind
+        kind = OVERHEAD if above >= high else kind
+        kind = NO_RETURN if rays.point[first + n] < 0 else kind
+        kind = NONE if run < step else kind
+        reach = min(here + one, bins) if kind == GROUND else here
+        stop = np.int32(before if kind == OBSTACLE else reach)
+        found.kind[n], found.start[n], found.stop[n], found.block[n] = kind, 0, stop, stop
+
+
+@kernel
+def _find_broken(
+    rays: Rays,
+    first: int,
+    last: int,
+    profile: int,
+    polar: PolarGrid,
+    breaks: Breaks,
+    numbers: RayNumbers,
+    found: SectorRays,
+) -> None:
+    """Fill in which rays hit the faces of steps, and which end in holes."""
+    step, per_metre, far_out = np.float32(polar.step), np.float32(1.0 / polar.step), np.float32(1e6)
+    low, below = np.float32(numbers.obstacle_height), np.float32(-numbers.below_ground)
+    first, inverse = first & 0x7FFFFFFF, 2**32 // breaks.width + 1
+    for n in range(last - first):
+        slope, run, above = rays.slope[first + n], rays.run[first + n], rays.above[first + n]
+        k = ((int(min(run * per_metre, far_out)) * inverse) >> 32) & 0x7FFFFFFF  # divided by the width
+        if (rays.point[first + n] < 0) | (run < step) | (above > low) | (k >= breaks.kind.shape[1]):
+            continue
+        broken, height = breaks.kind[profile, k], slope * run
+        if broken == STEP and height > breaks.limit[profile, k] and above >= below:
+            found.kind[n] = FACE_OF_STEP
+        elif broken == HOLE and height < breaks.limit[profile, k]:
+            found.kind[n], found.stop[n] = DEEP, breaks.begin[profile, k]

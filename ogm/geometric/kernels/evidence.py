@@ -5,6 +5,7 @@ cone with its tip in the sensor. Ground shows by beams one behind another, on a 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,13 +54,13 @@ def ground_evidence(points: Points, origin: NDArray[np.float32], sensor_height: 
     (N,) uint8
         1 for a return that shows the ground, else 0; of length 0 if the scan as a whole shows it.
     """
-    count = points.x.shape[0]
-    farthest, beams = np.empty((SECTORS, BINS), np.int32), np.empty((BINS, 3))
+    count, beams = points.x.shape[0], np.empty((BINS, 3))
+    farthest, runs = np.empty(BINS, np.int64), np.empty(BINS, np.float32)
     stride = (count // SAMPLE) | 1  # odd: firings have an even number of beams
-    _find_farthest(points, origin, stride, farthest)
-    seen, used = 0, 0
+    places, seen, used = _sort_returns(points, origin, stride), 0, 0
     for s in range(SECTORS):
-        found, links = _find_beams(points, origin, farthest[s], beams), 0
+        _find_farthest(places, s, farthest, runs)
+        found, links = _find_beams(points, origin, farthest, beams), 0
         for k in range(found - 1):
             links += int(_is_link(beams[k], beams[k + 1], sensor_height))
         used += int(found > 0)
@@ -70,22 +71,53 @@ def ground_evidence(points: Points, origin: NDArray[np.float32], sensor_height: 
         return np.empty(0, np.uint8)
 
     if stride > 1:
-        _find_farthest(points, origin, 1, farthest)
-    reach, shows = np.zeros((SECTORS, BINS), np.float32), np.empty(BINS, np.bool_)
+        places = _sort_returns(points, origin, int(np.int64(1)))  # a constant would be compiled once more
+    shown, shows, reach = np.zeros(count, np.uint8), np.empty(BINS, np.bool_), np.empty(BINS, np.float32)
     for s in range(SECTORS):
-        found, k = _find_beams(points, origin, farthest[s], beams), -1
+        _find_farthest(places, s, farthest, runs)
+        found, k = _find_beams(points, origin, farthest, beams), -1
         _find_chain(beams[:found], sensor_height, shows)
         for b in range(BINS):  # one or two of a beam
-            if farthest[s, b] >= 0:
-                slope, run, _ = _ray(points, origin, farthest[s, b])
+            if farthest[b] >= 0:
+                slope, run, _ = _ray(points, origin, farthest[b])
                 while k + 1 < found and slope >= beams[k + 1, 0]:
                     k += 1
-                reach[s, b] = REAR * run if shows[k] else np.float32(np.inf)
-    shown = np.zeros(count, np.uint8)
-    for n in range(count):
-        s, b, run = _place(points, origin, n)
-        shown[n] = run >= reach[s, b]
+                reach[b] = REAR * run if shows[k] else np.float32(np.inf)
+            else:  # returns at the sensor itself have no run
+                reach[b] = np.float32(0.0)
+        for m in range(places.starts[s], places.starts[s + 1]):
+            shown[places.point[m]] = places.run[m] >= reach[places.bin[m]]
     return shown
+
+
+class _Places(NamedTuple):
+    """Returns by sectors."""
+
+    point: NDArray[np.int32]  # (K,) number of the return
+    bin: NDArray[np.int32]  # (K,) of its slope
+    run: NDArray[np.float32]  # (K,) [m]
+    starts: NDArray[np.int32]  # (SECTORS + 1,) where each sector begins
+
+
+@kernel
+def _sort_returns(points: Points, origin: NDArray[np.float32], stride: int) -> _Places:
+    """Return every `stride`-th return, sorted by sector."""
+    count = (points.x.shape[0] + stride - 1) // stride
+    sector, bins, runs = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.float32)
+    for m in range(count):
+        sector[m], bins[m], runs[m] = _place(points, origin, (m * stride) & 0x7FFFFFFF)
+    starts = np.zeros(SECTORS + 2, np.int32)
+    for m in range(count):
+        starts[(sector[m] & 0xFF) + 2] += 1
+    for s in range(SECTORS):
+        starts[s + 2] += starts[s + 1]
+    places = _Places(np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.float32), starts[:-1])
+    for m in range(count):
+        s = (sector[m] & 0xFF) + 1
+        to = starts[s] & 0x7FFFFFFF
+        starts[s] += 1
+        places.point[to], places.bin[to], places.run[to] = m * stride, bins[m], runs[m]
+    return places
 
 
 @kernel
@@ -106,19 +138,19 @@ def _place(points: Points, origin: NDArray[np.float32], n: int) -> tuple[int, in
 
 
 @kernel
-def _find_farthest(points: Points, origin: NDArray[np.float32], stride: int, farthest: NDArray[np.int32]) -> None:
-    """Fill in the index of the farthest return of each bin among every `stride`-th return; -1 without any."""
-    runs = np.zeros(farthest.shape, np.float32)
-    farthest[:] = -1
-    for n in range(0, points.x.shape[0], stride):
-        s, b, run = _place(points, origin, n)
-        if run > runs[s, b]:
-            runs[s, b], farthest[s, b] = run, n
+def _find_farthest(places: _Places, s: int, farthest: NDArray[np.int64], runs: NDArray[np.float32]) -> None:
+    """Fill in number and run of the farthest return of each bin of a sector; -1 and 0 without any."""
+    for b in range(BINS):
+        farthest[b], runs[b] = -1, 0
+    for m in range(places.starts[s], places.starts[s + 1]):
+        b = places.bin[m] & (BINS - 1)
+        if places.run[m] > runs[b]:
+            runs[b], farthest[b] = places.run[m], places.point[m]
 
 
 @kernel
 def _find_beams(
-    points: Points, origin: NDArray[np.float32], farthest: NDArray[np.int32], beams: NDArray[np.float64]
+    points: Points, origin: NDArray[np.float32], farthest: NDArray[np.int64], beams: NDArray[np.float64]
 ) -> int:
     """Fill in slope, run and rise of each beam's farthest return in a sector, from the lowest up; return the number."""
     found = 0
@@ -163,7 +195,7 @@ def _find_chain(beams: NDArray[np.float64], sensor_height: float, shows: NDArray
         run, rise = beams[k, 1], beams[k, 2]
         links = k + 1 < count and not _is_wall(beams, k + 1) and _is_link(beams[k], beams[k + 1], sensor_height)
         if k == 0:  # the surface of three beams leads to the ground under the sensor
-            more = count > 2 and not _is_wall(beams, 2) and _is_link(beams[1], beams[2], sensor_height)
+            more = count > 2 and not _is_wall(beams, k + 2) and _is_link(beams[1], beams[2], sensor_height)
             if links and more:
                 slope = (beams[1, 2] - rise) / (beams[1, 1] - run)
                 shows[0] = rise - slope * run <= level
@@ -185,19 +217,17 @@ def shown_points(points: Points, shown: NDArray[np.uint8]) -> NDArray[np.float32
 
 
 @kernel
-def raise_unshown(above: NDArray[np.float32], shown: NDArray[np.uint8], numbers: RayNumbers) -> None:
-    """Take heights above ground to those of obstacles, for returns that do not show the ground.
+def raise_unshown(above: np.float32, numbers: RayNumbers) -> np.float32:
+    """Return the height of a return that does not show the ground, as that of an obstacle.
 
     Heights from `PLANE` on are raised to the lowest that marks, and those at the clearance lowered below it.
     """
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
-    for n in range(shown.shape[0]):
-        if shown[n]:
-            continue
-        if above[n] > PLANE and above[n] <= low:
-            above[n] = np.nextafter(low, np.float32(np.inf))
-        elif above[n] >= high and above[n] < high + LEAST:
-            above[n] = np.nextafter(high, np.float32(0))
+    if above > PLANE and above <= low:
+        above = np.nextafter(low, np.float32(np.inf))
+    elif above >= high and above < high + LEAST:
+        above = np.nextafter(high, np.float32(0))
+    return above
 
 
 @kernel
@@ -208,6 +238,9 @@ def mark_own_cells(
     low, high, inverse = numbers.obstacle_height, numbers.clearance, np.float32(1.0 / cells.resolution)
     for n in range(points.x.shape[0]):
         u, v = (points.x[n] - np.float32(cells.x0)) * inverse, (points.y[n] - np.float32(cells.y0)) * inverse
-        inside = u >= 0 and u < hits.shape[0] and v >= 0 and v < hits.shape[1]
+        inside = u >= 0 and u < hits.shape[1] and v >= 0 and v < hits.shape[2]
         if inside and above[n] > np.float32(low) and above[n] < np.float32(high):
-            hits[int(u), int(v)] = max(hits[int(u), int(v)], 1)
+            i, j, total = int(u), int(v), 0
+            for k in range(hits.shape[0]):
+                total += hits[k, i, j]
+            hits[0, i, j] += int(total == 0)

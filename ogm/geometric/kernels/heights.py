@@ -33,9 +33,7 @@ from ogm.jit import kernel
 __all__ = ["PARTS", "WIDTH", "height_cells"]
 
 GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5, 6  # layers
-BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, FREE, USED, DOUBT, ROW, PARTS = (
-    WIDTH * k for k in range(6, 20)
-)
+BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, FREE, USED, ROOF, PARTS = (WIDTH * k for k in range(6, 19))
 BLOCK = 0.64  # [m] side of the blocks of cells over which roughness is taken, and gaps are filled
 SLOPE_REACH, STEP_REACH = 0.5, 0.35  # [m] on either side of a cell
 STANDS = np.float32(0.5)  # [m] above the ground up to which the lowest return of an obstacle shows that it stands there
@@ -80,28 +78,31 @@ def height_cells(
     bulges = find_bulges(mended, max(int(BULGE_REACH * per_metre + 0.5), 1))
     mended = mended_surface(ground.height, valid, bulges, (x, y), scale, place, under)
     away = ground.height - mended
-    fine = _between(ny, y, scale, mended.shape[1])
+    base, shift = _stretched(mended, y, scale, ny), _stretched(away, y, scale, ny)
 
     # Means and variances of the returns about it in blocks, and the distance to the nearest block
     size = max(int(BLOCK / side + 0.5), 1)
     blocks = np.zeros((5, max((nx + size - 1) // size, 2), max((ny + size - 1) // size, 2)), np.float32)
     for i in range(nx):
-        _interpolate(away, (i + 0.5) * scale + x, fine, part, SHIFT)
+        _interpolate(shift, (i + 0.5) * scale + x, part, SHIFT)
         add_row(out, valid, i, part, SHIFT, size, blocks)
     finish_blocks(blocks, np.float32(size * side))
-    coarse = _between(ny, 0.0, 1.0 / size, blocks.shape[2])
+    means, spreads = _stretched(blocks[0], 0.0, 1.0 / size, ny), _stretched(blocks[1], 0.0, 1.0 / size, ny)
+    gaps = _stretched(blocks[2], 0.0, 1.0 / size, ny)
 
     # Layers of each row, and the highest and lowest surface along it
-    along, across = rises(mended, np.float32(scale)), rises(mended.T.copy(), np.float32(scale)).T.copy()
+    along = _stretched(rises(mended, np.float32(scale)), y, scale, ny)
+    across = _stretched(rises(mended.T.copy(), np.float32(scale)).T.copy(), y, scale, ny)
+    roofs = _stretched(bulges, y, scale, ny)
     near, reach = np.float32(0.75 * size * side), max(int(STEP_REACH / side + 0.5), 1)
     for i in range(nx):
-        _interpolate(mended, (i + 0.5) * scale + x, fine, part, BASE)
-        _interpolate(away, (i + 0.5) * scale + x, fine, part, SHIFT)
-        _interpolate(blocks[0], (i + 0.5) / size, coarse, part, MEAN)
-        _interpolate(blocks[1], (i + 0.5) / size, coarse, part, SPREAD)
-        _interpolate(blocks[2], (i + 0.5) / size, coarse, part, GAP)
-        _interpolate(across, (i + 0.5) * scale + x, fine, part, RISE)
-        _interpolate(bulges, (i + 0.5) * scale + x, fine, part, DOUBT)
+        _interpolate(base, (i + 0.5) * scale + x, part, BASE)
+        _interpolate(shift, (i + 0.5) * scale + x, part, SHIFT)
+        _interpolate(means, (i + 0.5) / size, part, MEAN)
+        _interpolate(spreads, (i + 0.5) / size, part, SPREAD)
+        _interpolate(gaps, (i + 0.5) / size, part, GAP)
+        _interpolate(across, (i + 0.5) * scale + x, part, RISE)
+        _interpolate(roofs, (i + 0.5) * scale + x, part, ROOF)
         for j in range(ny & 0x7FFF):
             part[COUNTS + j], part[SUMS + j] = out[COUNT, i, j], out[SUM, i, j]
             part[TOPS + j], part[HANGS + j] = out[TOP, i, j], out[HANG, i, j]
@@ -121,7 +122,7 @@ def height_cells(
     # Steps and slopes, and no value where the ground is unknown
     bound = max(int(SLOPE_REACH / side + 0.5), 1)
     for i in range(nx):
-        _interpolate(along, (i + 0.5) * scale + x, fine, part, RISE)
+        _interpolate(along, (i + 0.5) * scale + x, part, RISE)
         steps_of_row(wide, i, reach, part, out[STEP])
         slopes_of_row(out[GROUND], i, bound, np.float32(side), part, out[SLOPE])
     _hide_unknown(out)
@@ -131,8 +132,8 @@ def height_cells(
 def _hide_unknown(out: NDArray[np.float32]) -> None:
     """Leave ground, variance and slope without value where the variance is `FAR`."""
     nan = np.float32(np.nan)
-    for layer in (GROUND, SLOPE, VARIANCE):
-        for i in range(out.shape[1]):
+    for i in range(out.shape[1]):
+        for layer in (GROUND, SLOPE, VARIANCE):
             for j in range(out.shape[2]):
                 out[layer, i, j] = out[layer, i, j] if out[VARIANCE, i, j] < FAR else nan
 
@@ -149,7 +150,7 @@ def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
         prior, noise = spread + NOISE, spread if spread > NOISE else NOISE
         weight = used * prior / (used * prior + noise)
         within = WITHIN * spread if used > zero else zero
-        known = ((gap <= near) | ((gap <= MAX_GAP) & (free > OBSERVED))) & (part[DOUBT + j] < half)
+        known = ((gap <= near) | ((gap <= MAX_GAP) & (free > OBSERVED))) & (part[ROOF + j] < half)
         variance = (one - weight) * prior + within + FLOOR + BEND * BEND * gap * gap
         highest = top + shift if top > zero else zero
         stands, surface = (top > zero) & (hang < STANDS), base + own
@@ -163,31 +164,27 @@ def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
 
 
 @kernel
-def _between(count: int, corner: float, scale: float, size: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the first of the two coarse cells that each cell of a row lies between, and the weight of the second."""
-    first, weight = np.empty(count, np.int32), np.empty(count, np.float32)
+def _stretched(values: NDArray[np.float32], corner: float, scale: float, count: int) -> NDArray[np.float32]:
+    """Return coarse values at the middles of cells along each row, as `kernels.surface.sample` interpolates."""
+    mx, my = values.shape
+    first, share = np.empty(count, np.int32), np.empty(count, np.float32)
     for j in range(count):
-        v = min(max((j + 0.5) * scale + corner - 0.5, 0.0), size - 1.0)
-        first[j] = min(int(v), size - 2)
-        weight[j] = v - first[j]
-    return first, weight
+        v = min(max((j + 0.5) * scale + corner - 0.5, 0.0), my - 1.0)
+        first[j] = min(int(v), my - 2)
+        share[j] = v - first[j]
+    result = np.empty((mx, count), np.float32)
+    for k in range(mx):
+        for j in range(count):
+            l = first[j] & 0x7FFFFFFF  # noqa: E741
+            result[k, j] = values[k, l] + (values[k, l + 1] - values[k, l]) * share[j]
+    return result
 
 
 @kernel
-def _interpolate(
-    values: NDArray[np.float32],
-    at: float,
-    between: tuple[NDArray[np.int32], NDArray[np.float32]],
-    part: NDArray[np.float32],
-    start: int,
-) -> None:
-    """Fill in a row of cells by coarse values, as `kernels.surface.sample` does."""
-    first, weight = between
-    u = min(max(at - 0.5, 0.0), values.shape[0] - 1.0)
-    k, start = min(int(u), values.shape[0] - 2) & 0xFFFF, start & 0x7FFFF
+def _interpolate(rows: NDArray[np.float32], at: float, part: NDArray[np.float32], start: int) -> None:
+    """Fill in a row of cells between two of `_stretched`."""
+    u = min(max(at - 0.5, 0.0), rows.shape[0] - 1.0)
+    k, start = min(int(u), rows.shape[0] - 2) & 0xFFFF, start & 0x7FFFF
     share = np.float32(u - k)
-    for l in range(values.shape[1] & 0x7FFF):  # noqa: E741
-        part[ROW + l] = values[k, l] + (values[k + 1, l] - values[k, l]) * share
-    for j in range(first.shape[0] & 0x7FFF):
-        l = first[j] & 0x7FFF  # noqa: E741
-        part[start + j] = part[ROW + l] + (part[ROW + l + 1] - part[ROW + l]) * weight[j]
+    for j in range(rows.shape[1] & 0x7FFF):
+        part[start + j] = rows[k, j] + (rows[k + 1, j] - rows[k, j]) * share

@@ -83,16 +83,18 @@ def azimuth(x: np.float32, y: np.float32) -> np.float32:
 
 
 @vector
-def polar_coordinates(points: Points, origin: NDArray[np.float32], sectors: int, work: WorkSpace) -> None:
-    """Fill sector, slope (rise over run) and run [m] of each point from the sensor, without branches."""
+def polar_coordinates(
+    points: Points, origin: NDArray[np.float32], sectors: int, first: int, last: int, work: WorkSpace
+) -> None:
+    """Fill sector, slope (rise over run) and run [m] of some points from the sensor, without branches."""
     x, y, z = points
     sx, sy, sz = origin
-    to_sector, last = np.float32(sectors / (2 * math.pi)), np.int32(sectors - 1)
+    to_sector, top = np.float32(sectors / (2 * math.pi)), np.int32(sectors - 1)
     sector, slope, run = work.sector, work.slope, work.run
-    for n in range(x.shape[0]):
+    for n in range(first & 0x7FFFFFFF, last & 0x7FFFFFFF):  # a mask shows the compiler that an index is not negative
         dx, dy, dz = x[n] - sx, y[n] - sy, z[n] - sz
         r = np.sqrt(dx * dx + dy * dy)
-        sector[n] = min(np.int32(azimuth(dx, dy) * to_sector), last)
+        sector[n] = min(np.int32(azimuth(dx, dy) * to_sector), top)
         slope[n] = dz / max(r, np.float32(1e-30))
         run[n] = r
 

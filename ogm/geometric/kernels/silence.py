@@ -73,7 +73,7 @@ def _count_surfaces(
     for s in range(polar.sectors):
         ground, k = limits.ground[s >> ROW_BITS], 0
         for n in range(rays.starts[s], rays.starts[s + 1]):
-            slope, run = rays.table[n, 0], rays.table[n, 1] * per_metre
+            slope, run = rays.slope[n], rays.run[n] * per_metre
             if rays.point[n] >= 0:
                 if run >= 1:
                     seen[int(min(run, last)) & 0x7FFF] += 1

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ogm.geometric.kernels.arguments import Cells, GroundLimits, Points, Surface
 from ogm.jit import kernel
 
-__all__ = ["fill", "ground_heights", "lower_envelope", "sample", "sample_many"]
+__all__ = ["corner_heights", "fill", "ground_heights", "lower_envelope", "sample", "sample_corners", "sample_many"]
 
 
 @kernel
@@ -22,6 +22,33 @@ def sample(surface: Surface, x: np.float32, y: np.float32) -> np.float32:
     a, b = u - np.float32(i), v - np.float32(j)
     low = height[i, j] + (height[i, j + 1] - height[i, j]) * b
     high = height[i + 1, j] + (height[i + 1, j + 1] - height[i + 1, j]) * b
+    between: np.float32 = low + (high - low) * a
+    return between
+
+
+@kernel
+def corner_heights(surface: Surface) -> NDArray[np.float32]:
+    """Return, for each cell and its next neighbours, what `sample` needs of their heights, (4 (gx - 1) (gy - 1),)."""
+    height, place = surface.height, 0
+    corners = np.empty(4 * (height.shape[0] - 1) * (height.shape[1] - 1), np.float32)
+    for i in range(height.shape[0] - 1):
+        for j in range(height.shape[1] - 1):
+            corners[place], corners[place + 1] = height[i, j], height[i, j + 1] - height[i, j]
+            corners[place + 2], corners[place + 3] = height[i + 1, j], height[i + 1, j + 1] - height[i + 1, j]
+            place += 4
+    return corners
+
+
+@kernel
+def sample_corners(corners: NDArray[np.float32], surface: Surface, x: np.float32, y: np.float32) -> np.float32:
+    """Do `sample` by the result of `corner_heights`."""
+    nx, ny, half, zero = surface.height.shape[0], surface.height.shape[1], np.float32(0.5), np.float32(0.0)
+    u = min(max((x - surface.x0) * surface.per_metre - half, zero), np.float32(nx - 1))
+    v = min(max((y - surface.y0) * surface.per_metre - half, zero), np.float32(ny - 1))
+    i, j = min(np.int32(u), np.int32(nx - 2)), min(np.int32(v), np.int32(ny - 2))
+    a, b = u - np.float32(i), v - np.float32(j)
+    place = ((i * (ny - 1) + j) & 0x1FFFFFFF) << 2
+    low, high = corners[place] + corners[place + 1] * b, corners[place + 2] + corners[place + 3] * b
     between: np.float32 = low + (high - low) * a
     return between
 
@@ -98,26 +125,28 @@ def ground_heights(
 def _lowest_returns(
     points: Points, ground_point: tuple[float, float, float], cells: Cells, shape: tuple[int, int], limits: GroundLimits
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the cell of each point (-1 outside), and the lowest return of each cell above the steepest descent."""
+    """Return the cell of each point (nx * ny outside), and each cell's lowest return above the steepest descent."""
     x, y, z = points
     nx, ny = shape
     x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
     gx, gy = np.float32(ground_point[0]), np.float32(ground_point[1])
-    bottom = np.float32(ground_point[2] - limits.low_tolerance)
+    bottom, zero = np.float32(ground_point[2] - limits.low_tolerance), np.float32(0.0)
     steepest = np.float32(limits.max_descent * limits.max_descent)
-    lowest = np.full(nx * ny, np.inf, np.float32)
-    cell = np.empty(x.shape[0], np.int32)
-    for n in range(x.shape[0]):
+    wide, long, outside = np.float32(nx), np.float32(ny), np.int32(nx * ny)
+    lowest = np.full(nx * ny + 1, np.inf, np.float32)
+    cell, shallow = np.empty(x.shape[0], np.int32), np.empty(x.shape[0], np.bool_)
+    for n in range(x.shape[0]):  # without branches
         u, v = (x[n] - x0) * inverse, (y[n] - y0) * inverse
-        cell[n] = -1
-        if u >= 0 and u < nx and v >= 0 and v < ny:
-            c = (int(u) * ny + int(v)) & 0x7FFFFFFF
-            cell[n] = c
-            if z[n] < lowest[c]:
-                dx, dy, depth = x[n] - gx, y[n] - gy, bottom - z[n]
-                if depth <= 0 or depth * depth <= steepest * (dx * dx + dy * dy):
-                    lowest[c] = z[n]
-    return cell, lowest.reshape((nx, ny))
+        inside = (u >= 0) & (u < wide) & (v >= 0) & (v < long)
+        cell[n] = np.int32(u if inside else zero) * np.int32(ny) + np.int32(v if inside else zero)
+        cell[n] = cell[n] if inside else outside
+        dx, dy, depth = x[n] - gx, y[n] - gy, bottom - z[n]
+        shallow[n] = (depth <= 0) | (depth * depth <= steepest * (dx * dx + dy * dy))
+    for n in range(x.shape[0]):
+        c = cell[n] & 0x7FFFFFFF
+        if z[n] < lowest[c] and shallow[n]:
+            lowest[c] = z[n]
+    return cell, lowest[: nx * ny].reshape((nx, ny))
 
 
 @kernel
@@ -129,16 +158,24 @@ def _layer_means(
     The layer above it is taken where the layers below and above that one have less than a tenth of its returns.
     """
     nx, ny = lowest.shape
-    flat = lowest.reshape(-1)
-    total, count = np.zeros((nx * ny, 3), np.float32), np.zeros((nx * ny, 3), np.float32)
-    for n in range(z.shape[0]):
-        if cell[n] >= 0:
-            c = cell[n] & 0x7FFFFFFF
-            above = z[n] - flat[c]
-            layer = above * layers_per_metre
-            if layer >= 0 and layer < 3:
-                total[c, int(layer) & 3] += above
-                count[c, int(layer) & 3] += np.float32(1.0)
+    flat = np.full(nx * ny + 1, np.inf, np.float32)  # the last is of points outside
+    for i in range(nx):
+        for j in range(ny):
+            flat[i * ny + j] = lowest[i, j]
+    places, heights, kept = np.empty(z.shape[0], np.int32), np.empty(z.shape[0], np.float32), 0
+    for n in range(z.shape[0]):  # without branches: obstacles and ground may alternate
+        c = cell[n] & 0x7FFFFFFF
+        above = z[n] - flat[c]
+        layer = above * layers_per_metre
+        inside = (layer >= 0) & (layer < 3)
+        k = kept & 0x7FFFFFFF
+        places[k], heights[k] = (c << 2) + np.int32(layer if inside else np.float32(0.0)), above
+        kept += int(inside)
+    total, count = np.zeros((nx * ny, 4), np.float32), np.zeros((nx * ny, 4), np.float32)
+    sums, counts = total.reshape(-1), count.reshape(-1)
+    for k in range(kept):
+        sums[places[k] & 0x7FFFFFFF] += heights[k]
+        counts[places[k] & 0x7FFFFFFF] += np.float32(1.0)
     height, weight = np.zeros((nx, ny), np.float32), np.zeros((nx, ny), np.float32)
     for i in range(nx):
         for j in range(ny):

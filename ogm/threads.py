@@ -1,9 +1,13 @@
 """Loops divided among threads, for kernels that release the GIL."""
 
+import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
+
+Result = TypeVar("Result")
 
 
 def spans(size: int, parts: int) -> list[tuple[int, int]]:
@@ -31,16 +35,26 @@ class Threads:
         if self._pool is not None:
             self._pool.shutdown()
 
-    def run(self, function: Callable[[int], None]) -> None:
-        """Call a function with 0, 1, ... in one thread each, and wait for all of them."""
+    def run(self, function: Callable[[int], Result]) -> list[Result]:
+        """Call a function with 0, 1, ... in one thread each, wait for all, and return the results."""
         others = [self._pool.submit(function, k) for k in range(1, self.count)] if self._pool else []
         try:
-            function(0)
+            first = function(0)
         finally:
-            for other in others:
-                other.result()
+            wait(others)
+        return [first, *(other.result() for other in others)]
 
     def divide(self, size: int, function: Callable[[tuple[int, int]], None]) -> None:
         """Call a function with the parts of [0, size), one per thread."""
         parts = spans(size, self.count)
         self.run(lambda k: function(parts[k]))
+
+
+@cache
+def shared_threads(count: int) -> Threads:
+    """Return threads that live as long as the process: to start one takes up to milliseconds."""
+    return Threads(count)
+
+
+if hasattr(os, "register_at_fork"):  # a child has none of its parent's threads
+    os.register_at_fork(after_in_child=shared_threads.cache_clear)
