@@ -95,7 +95,7 @@ def test_a_matrix_of_points_becomes_an_array() -> None:
 
 @each("stamp", [np.float32(1.7e9), np.float32(20_000.0), np.float16(10.0)])
 def test_coarse_stamps_are_refused(stamp: np.floating) -> None:
-    refused("stamp must be known to a millisecond, .* give a float64", Scan, POINTS, stamp=stamp)
+    refused("stamp must resolve a millisecond, .* give a float64", Scan, POINTS, stamp=stamp)
     assert Scan(POINTS, stamp=np.float32(100.0)).stamp == 100.0
 
 
