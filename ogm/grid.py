@@ -392,7 +392,7 @@ class EvidentialGrid(SavedGrid):
 
     @property
     def in_plane(self) -> bool:
-        """Whether cells are free in the plane of a laser only: maps keep obstacles that other sensors see outside it."""
+        """Whether free holds in the plane of a laser only: maps keep obstacles that other sensors see outside it."""
         return False
 
     @property

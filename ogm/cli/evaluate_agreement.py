@@ -1,4 +1,4 @@
-"""``ogm evaluate --agreement``: methods compared with each other, without truth."""
+"""``ogm evaluate --agreement``: compare methods with each other, without truth."""
 
 import shlex
 import sys

@@ -1,4 +1,4 @@
-"""``ogm evaluate --beams``: maps of planar scans without truth, by the beams of scans that are left out."""
+"""``ogm evaluate --beams``: evaluate maps of planar scans without truth, by beams of held-out scans."""
 
 import shlex
 import sys
@@ -31,7 +31,7 @@ def evaluate_dataset_beams(
         progress=lambda splits: ticked(splits, "evaluating", len(splits)),
     )
     if errors:
-        complain(f"{len(errors)} of {len(dataset)} scans are left out, the first: {errors[0]}")
+        complain(f"{len(errors)} of {len(dataset)} scans are skipped, the first: {errors[0]}")
     path = write_beam_report(folder, result, command=shlex.join(["ogm", *sys.argv[1:]]))
     echoes, silent = int(result.echoes.sum()), int(result.no_echoes.sum())
     title = f"{dataset.name}: {echoes} beams with echo and {silent} without, of {len(result.frames)} scans"
