@@ -293,7 +293,7 @@ def test_pictures_that_do_not_fit_are_left_out_evenly(made: Any, tmp_path: Path)
     size = sum(len(data) for pictures in views.values() for data in pictures.values()) * 4 / 3
     path = tmp_path / "report.html"
     for most, kept in ((size, range(6)), (0.55 * size, (0, 2, 5)), (0, (0,))):
-        write_page(path, record, views, most=int(most))
+        write_page(path, record, views, max_bytes=int(most))
         found = Page(path.read_text("utf-8"))
         assert found.data["pictures"] == list(kept)
         assert sorted(name for name in found.scripts if name.startswith("pictures-")) == [f"pictures-{k}" for k in kept]
