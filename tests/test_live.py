@@ -244,7 +244,7 @@ def test_a_port_is_free_again_and_one_in_use_is_refused_in_words() -> None:
 def test_a_client_that_never_finishes_its_handshake_does_not_hold_up_the_end(
     begun: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ogm.live.foxglove_server.PATIENCE", 0.3)
+    monkeypatch.setattr("ogm.live.foxglove_server.CLOSING_TIME", 0.3)
     publisher = FoxglovePublisher(port=0)
     with socket.create_connection((publisher.host, publisher.port)) as client:
         client.sendall(begun)
