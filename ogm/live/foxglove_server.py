@@ -101,7 +101,7 @@ class FoxglovePublisher:
     def close(self) -> None:
         """End all connections and free the port, within 2 s.
 
-        Silent connections, such as of a port scan, are closed by a thread that does not delay the end of the process.
+        Silent connections (port scans) are closed by a thread that does not delay the end of the process.
         An interrupted ``with`` block does not wait.
         """
         self._close(CLOSING_TIME)

@@ -33,7 +33,7 @@ class NewestFrames:
         self._closed = False
 
     def put(self, frame: Frame, due: float | None = None) -> None:
-        """Queue a frame, whose scan has been read; an older frame of its sensor is dropped.
+        """Queue a frame with its scan already read; an older frame of its sensor is dropped.
 
         Parameters
         ----------

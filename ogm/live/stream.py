@@ -84,7 +84,7 @@ def receive_frames(
     ------
     Frame
         Scan, stamp and pose; rows without a point (0, 0, 0 or not finite) are dropped. A connection starts a new
-        sequence if its first stamp is not after the last stamp, such as of a restarted driver.
+        sequence if its first stamp is not after the last stamp, for example after a restart of the driver.
     """
     stop, count, sequence, last = stop or Event(), 0, 1, -math.inf
     listener.setblocking(False)
