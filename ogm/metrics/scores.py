@@ -93,7 +93,7 @@ kl_e1_scaled | KL, E = 1, e/10 | lower | kl_e1 with a tenth of the grid's eviden
 kl_e10_reverse | reverse KL, E = 10 | lower | mean KL[truth || grid], truth of evidence 10 [nats]
 kl_e1_reverse | reverse KL, E = 1 | lower | mean KL[truth || grid], truth of evidence 1 [nats]
 legacy_kl | released code's KL | lower | categorical KL of clipped evidence, as in the EviLOG code [nats]
-legacy_accuracy | released code's accuracy |  | share of cells predicted unknown, called accuracy in the EviLOG code
+legacy_accuracy | released code's accuracy |  | share of cells predicted unknown, the accuracy of the EviLOG code
 """  # name | title | better | description
 # By name: title, direction of better values, description
 METRICS = {name: Metric(*rest) for name, *rest in (row.split(" | ") for row in _TABLE.splitlines())}
