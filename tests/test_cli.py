@@ -235,7 +235,7 @@ def test_info_reads_what_ogm_writes(tmp_path: Path) -> None:
         assert completed("info", tmp_path / name).output
     (tmp_path / "report" / "report.json").write_text("[]")
     (tmp_path / "world" / "zarr.json").write_text("{")
-    for name, text in {"report": "wanted an object", "world": "zarr.json", "none": "there is no"}.items():
+    for name, text in {"report": "wanted a JSON object", "world": "zarr.json", "none": "there is no"}.items():
         refused_command(text, "info", tmp_path / name)
 
 

@@ -134,7 +134,7 @@ def test_after_three_jumps_the_map_begins_anew_and_the_old_one_is_kept(scans: Pa
     result = ogm("fuse", scans, "--poses", kitti(tmp_path / "p.txt", off), "--out", tmp_path / "m.npz", *SMALL)
     assert result.exit_code == 2
     assert "6 mapped, 2 skipped" in result.output
-    assert "1, after jumps of the pose" in result.output
+    assert "1, after jumps of pose or stamp" in result.output
     before, after = (EvidentialGrid.load(tmp_path / name) for name in ("m.before-jump-1.npz", "m.npz"))
     assert before.at(WALL + 0.25, 1.0).occupied > 0.9
     assert after.at(500 + WALL + 0.25, 1.0).occupied > 0.9
@@ -275,9 +275,9 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--poses", "{far}", "--window", "fixed"), "give --window rolling, or a coarser --resolution"),
         (("{folder}", "--poses", "{poses}"), "holds no scans"),
         (("{scans}", "--sequence", "1"), "--sequence must be one of drive"),
-        (("{scans}/scan_5.bin", "--sequence", "1"), "--sequence picks one of several drives"),
+        (("{scans}/scan_5.bin", "--sequence", "1"), "--sequence selects a drive by name"),
         (("{data}", "--sequence", "7"), "--sequence must be one of sequence 0, got 7"),
-        (("{data}", "--deskew"), "not (or not all) distorted"),
+        (("{data}", "--deskew"), "or not in all scans"),
     ])  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2_before_the_work(
     scans: Path, data: Path, tmp_path: Path, words: tuple[str, ...], message: str
@@ -378,12 +378,12 @@ def test_each_drive_has_the_files_that_it_has_alone(sequences: Path, tmp_path: P
         assert (drive / "p.png").read_bytes() == (alone / "p.png").read_bytes()
         assert EvidentialGrid.load(drive / "m.npz") == EvidentialGrid.load(alone / "m.npz")
     result = ogm("fuse", sequences, "--each-drive", *words, "--rule", "dempster")
-    assert "by other options" in result.output
+    assert "of other frames or options" in result.output
 
 
 @each("words, message", [
         (("--workers", 2), "are for --each-drive"),
-        (("--each-drive", "--sequence", "00"), "are of one drive"),
+        (("--each-drive", "--sequence", "00"), "are for one drive"),
         (("--each-drive", "--out", "a/m.npz", "--picture", "b/p.png"), "lie in one folder, got a, b"),
     ])  # fmt: skip
 def test_options_of_many_drives_that_exclude_others(

@@ -119,7 +119,7 @@ def test_what_cannot_be_shown_is_refused(call, ell: EvidentialGrid) -> None:
 def test_save_picture_is_atomic_and_refuses_other_formats(tmp_path: Path, ell: EvidentialGrid) -> None:
     plot.save_picture(tmp_path / "a.png", ell)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    refused(r"saved as \.png", plot.save_picture, tmp_path / "a.jpg", ell)
+    refused(r"must end in \.png", plot.save_picture, tmp_path / "a.jpg", ell)
     refused("no folder", plot.save_picture, tmp_path / "none" / "a.png", ell, error=FileNotFoundError)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 

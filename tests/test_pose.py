@@ -109,7 +109,7 @@ def test_a_trajectory_of_one_pose_has_one_time() -> None:
     trajectory = Trajectory([3.0], [pose(1, 2)])
     np.testing.assert_array_equal(trajectory.at(3.0), pose(1, 2))
     np.testing.assert_array_equal(trajectory.at([3.0, 3.0]), [pose(1, 2)] * 2)
-    refused("one time only", trajectory.at, [3.0, 3.1])
+    refused("the one time", trajectory.at, [3.0, 3.1])
 
 
 def test_what_is_no_trajectory_is_refused() -> None:

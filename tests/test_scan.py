@@ -292,7 +292,7 @@ def test_a_scan_can_be_read_where_its_mount_is_not_known() -> None:
     for scan in (frame.scan, frame.scan.select(slice(1))):
         refused("no scan shows the ground", ConstantModel(), scan)
     assert run_model(ConstantModel(Mount(2.0)), frame).free.max() == pytest.approx(0.2)
-    refused("the mount of the sensor is not known", ConstantModel(), Scan(POINTS))
+    refused("the mount of the sensor is unknown", ConstantModel(), Scan(POINTS))
 
 
 # --- Models ---------------------------------------------------------------------------------------

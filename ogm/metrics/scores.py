@@ -54,9 +54,9 @@ from50_iou_free | IoU free, from 0.50 m | higher | likewise; also without kerbs,
 from50_iou_occupied | IoU occupied, from 0.50 m | higher | likewise
 from50_false_free | false free, from 0.50 m | lower | likewise
 from50_missed_occupied | missed occupied, from 0.50 m | lower | likewise
-free_recall_1 | free recall at 1 % | higher | share of free cells above a threshold of Bel(free) that 1 % of \
-occupied cells exceed
-free_recall_01 | free recall at 0.1 % | higher | share of free cells above the threshold for 0.1 % of occupied cells
+free_recall_1 | free recall at 1 % | higher | share of free cells above the least threshold of Bel(free) that at most \
+1 % of occupied cells exceed
+free_recall_01 | free recall at 0.1 % | higher | free recall with at most 0.1 % of occupied cells
 ap_occupied_near | AP occupied, 1 cell | higher | average precision of P(occupied) on known cells, with a tolerance \
 of one cell
 ap_occupied | AP occupied | higher | average precision of P(occupied) on known cells

@@ -1,4 +1,4 @@
-"""Further layers of one scan by name, such as heights and causes of unknown cells.
+"""Further layers of a scan by name, such as heights and causes of unknown cells.
 
 >>> import numpy as np
 >>> from ogm import GridSpec, Mount, Scan, load_model
@@ -132,7 +132,7 @@ class ExplainedISM:
         return self.model.spec
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
-        """Return the grid of one scan, with causes."""
+        """Return the grid of a scan, with causes."""
         trace = _trace(self.model, scan := as_scan(scan))
         return self.model(scan) if trace is None else trace.grid.with_cause(unknown_causes(trace))
 

@@ -216,7 +216,7 @@ class ModelsByKind:
         return self.others.get(_kind(scan), self.first)
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
-        """Return the grid of one scan, by the model for its kind."""
+        """Return the grid of a scan, by the model for its kind."""
         scan = as_scan(scan)
         return self.part(scan)(scan)
 
@@ -253,7 +253,7 @@ class ReleasedISM:
         return self.model.spec
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
-        """Return the grid of one scan."""
+        """Return the grid of a scan."""
         scan = as_scan(scan)
         self._check(self.mount or scan.mount)
         return self.model(scan)

@@ -78,7 +78,7 @@ class RadarBySensor:
         return _model(self, scan.sensor)
 
     def __call__(self, scan: Scan) -> EvidentialGrid:
-        """Return the grid of one scan."""
+        """Return the grid of a scan."""
         return self.part(scan)(scan)
 
 

@@ -185,7 +185,7 @@ def test_each_scan_is_left_out_once_and_the_true_map_is_best() -> None:
         (dict(every=1), "every must be 2 or more"),
         (dict(p_random=0.0), "range_noise must be above 0 m and p_random"),
         (dict(frames=[]), "no scan has a pose"),
-        (dict(frames=room_drive(3)), "'room' has 3 scans with poses, wanted at least `every`, 5"),
+        (dict(frames=room_drive(3)), "'room' must have at least 5 scans with poses (`every`), got 3"),
         (dict(frames=room_drive(5, kind="depth")), "scan-0 is of 'depth'"),
         (dict(frames=room_drive(5, kind="")), "scan-0 is of a lidar or radar"),
     ],
@@ -200,7 +200,7 @@ def test_a_tilted_laser_and_a_dynamic_map_are_refused() -> None:
     lean = pose(pitch=0.2)
     leaning = [Frame(frame.scan, MOUNT, T_map_sensor=lean, name=frame.name, sequence="room") for frame in frames]
     refused("scan-0 is tilted by 11 degrees", evaluate_beams, leaning, {"true": room_map})
-    refused("predicted by static maps", FusedMap, None, "dynamic")
+    refused("must be of a static map", FusedMap, None, "dynamic")
 
 
 def test_a_scan_that_cannot_be_read_is_left_out() -> None:

@@ -312,7 +312,7 @@ def test_an_interrupted_command_writes_the_best_so_far(data: Path, monkeypatch: 
     (("--fit", "colour=0:1"), "ray has no parameter 'colour'"),
     (("--every", 0), "--every must be at least 1"),
     (("--base-rate", "half"), "--base-rate takes a number or data, got 'half'"),
-    (("--out", "ray.npz"), "--out writes .json"),
+    (("--out", "ray.npz"), "--out must end in .json"),
     (("--out", "nowhere/ray.json"), "there is no folder nowhere"),
 ])  # fmt: skip
 def test_the_command_reports_errors_in_one_line(

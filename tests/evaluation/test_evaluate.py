@@ -146,8 +146,8 @@ def test_methods_may_be_a_list_of_names() -> None:
     frames = [dataclasses.replace(FRAMES[0], truth=truth(0))]
     found = evaluate(["height-band"], frames, SPEC)
     assert found.methods == ("height-band",)
-    refused("a dict, name to method, or a list of models' names", evaluate, "ray", frames, SPEC, error=TypeError)
-    refused("a dict, name to method", evaluate, [Flat()], frames, SPEC, error=TypeError)
+    refused("a dict from name to method, or a list of names of models", evaluate, "ray", frames, SPEC, error=TypeError)
+    refused("a dict from name to method", evaluate, [Flat()], frames, SPEC, error=TypeError)
 
 
 def test_methods_are_compared_frame_by_frame() -> None:
@@ -260,7 +260,7 @@ def test_what_cannot_be_evaluated_is_refused() -> None:
     refused(
         "mine must be a callable with a .spec", evaluate, {"mine": lambda scan: scan}, FRAMES, SPEC, error=TypeError
     )
-    refused("there must be frames to evaluate", evaluate, {"mine": Flat()}, [], SPEC)
+    refused("`frames` must be numbers", evaluate, {"mine": Flat()}, [], SPEC)
     unlabelled = Frame(FRAMES[0].scan, FRAMES[0].mount, None, None, name="dark")
     refused("frame dark has no truth", evaluate, {"mine": Flat()}, [unlabelled], SPEC)
     fused = FusedMethod(Flat(), lambda: EvidentialMapper(SPEC))

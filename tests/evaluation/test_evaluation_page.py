@@ -241,7 +241,7 @@ def test_few_drives_are_stated(sequences: list[str], extent: str, intervals: str
 def test_parts_of_one_long_drive_are_stated() -> None:
     result = Evaluation((), SPEC, {}, (), np.zeros((0, 4)), (FrameInfo("", "a"),) * 100, {"towns": 1})
     assert describe_extent(result) == "100 frames of 1 drive in 1 town"
-    assert describe_intervals(result).endswith("4 parts of the one drive; they say nothing about other drives")
+    assert describe_intervals(result).endswith("4 parts of one drive; not valid for other drives")
 
 
 def test_of_two_that_were_not_compared_the_intervals_decide(record: dict[str, Any], page: Callable[..., Page]) -> None:
