@@ -3,10 +3,9 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rich.table import Table
 from typer import Argument, Option
 
-from ogm.cli.console import complain, out, report_errors, stderr, ticked
+from ogm.cli.console import complain, number_table, out, report_errors, stderr, ticked
 from ogm.cli.options import First, FolderAxes, TruthSources, check_first, parsed_axes
 
 if TYPE_CHECKING:
@@ -97,14 +96,8 @@ def _bounds(text: str) -> dict[str, tuple[float, float]]:
 
 
 def _print(fitted: "Calibration") -> None:
-    table = Table(box=None, pad_edge=False)
-    for head in (
-        f"{fitted.model}, {fitted.data['frames']} frames of {fitted.data['drives']} drives",
-        "before",
-        "after",
-        "+-",
-    ):
-        table.add_column(head, justify="left" if not table.columns else "right")
+    title = f"{fitted.model}, {fitted.data['frames']} frames of {fitted.data['drives']} drives"
+    table = number_table(title, "before", "after", "+-")
     for name, value in fitted.parameters.items():
         error = fitted.errors.get(name)
         table.add_row(name, f"{fitted.start[name]:.4g}", f"{value:.4g}", "" if error is None else f"{error:.2g}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import typer
 from rich.console import Console
-from rich.progress import track
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn, track
 from rich.table import Table
 from rich.text import Text
 
@@ -145,6 +145,21 @@ def print_facts(facts: Mapping[str, str]) -> None:
 def ticked(items: Iterable[T], title: str, total: int | None = None) -> Iterable[T]:
     """Iterate with a progress bar, which disappears at the end; `total` is for iterables without a length."""
     return track(items, title, total, console=stderr, transient=True)
+
+
+def progress_bar() -> Progress:
+    """Return a progress bar with counts and remaining time, which disappears at the end."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=stderr, transient=True)
+
+
+def number_table(first: str, *others: str) -> Table:
+    """Return an empty table with a left-aligned first column and right-aligned other columns."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column(Text(printable(first)))
+    for heading in others:
+        table.add_column(Text(printable(heading)), justify="right", overflow="fold")
+    return table
 
 
 @contextmanager

@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from rich.table import Table
 from rich.text import Text
 from typer import Argument, Option
 
-from ogm.cli.console import chosen_model, distinct, out, printable, report_errors, stderr, ticked
+from ogm.cli.console import chosen_model, distinct, number_table, out, printable, report_errors, stderr, ticked
 from ogm.cli.evaluate_agreement import evaluate_dataset_agreement
 from ogm.cli.evaluate_beams import evaluate_dataset_beams
 from ogm.cli.options import (
@@ -269,16 +268,12 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
     """Print the means of all methods, and pairwise comparisons of the last method."""
     names = list(record["methods"])
     out.print(printable(f"Means over {title}"), markup=False, soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
     if len(names) <= MAX_COLUMNS:
-        for name in distinct(names):
-            table.add_column(Text(printable(name)), justify="right", overflow="fold")
+        table = number_table("", *distinct(names))
         for metric in PRINTED:
             table.add_row(_heading(record, metric), *_column(record, metric))
     else:
-        for metric in BRIEF:
-            table.add_column(_heading(record, metric), justify="right")
+        table = number_table("", *(_heading(record, metric) for metric in BRIEF))
         columns = [_column(record, metric) for metric in BRIEF]
         for name, *row in zip(names, *columns, strict=True):
             table.add_row(Text(printable(name)), *row)
@@ -287,9 +282,7 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
     out.print(f"({legend}; report.html describes the metrics)", soft_wrap=True)
     for name in [pair for pair in record["paired"] if pair.startswith(f"{names[-1]} against ")][-MAX_COLUMNS:]:
         out.print(printable(f"\n{name}"), markup=False, soft_wrap=True)
-        table = Table(box=None, pad_edge=False)
-        for head in ("", "wins", "ties", "losses", "ratio of means"):
-            table.add_column(head, justify="left" if head == "" else "right")
+        table = number_table("", "wins", "ties", "losses", "ratio of means")
         for metric in COMPARED:
             paired = record["paired"][name][metric]
             counts = (str(paired[key]) for key in ("wins", "ties", "losses"))
@@ -305,10 +298,7 @@ def _print_motion(record: Mapping[str, Any]) -> None:
     if motion is None:
         return
     out.print("\nMotion of cells occupied in the scans, all frames together", soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
-    for name in distinct(list(motion["methods"])):
-        table.add_column(Text(printable(name)), justify="right", overflow="fold")
+    table = number_table("", *distinct(list(motion["methods"])))
     for metric in MOTION_HEADLINE:
         values = [method["micro"][metric] for method in motion["methods"].values()]
         cells = ["no value" if value is None else f"{value:.3f}" for value in values]

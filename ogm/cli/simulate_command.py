@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn, track
+from rich.progress import track
 from typer import Argument, Option
 
-from ogm.cli.console import out, print_facts, report_errors, stderr
+from ogm.cli.console import out, print_facts, progress_bar, report_errors, stderr
 
 if TYPE_CHECKING:
     from ogm.simulation.plan import DatasetPlan
@@ -156,8 +156,7 @@ def _make(path: Path, plan: "DatasetPlan", workers: int | None, scheduler: str |
     from ogm.simulation import dataset
     from ogm.simulation import workers as crew
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=stderr, transient=True) as display:
+    with progress_bar() as display:
         task = display.add_task("building the town and measuring a sample ...", total=None)
 
         def show(event: "Estimate | Made") -> None:

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, complain, out, print_facts, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, out, print_facts, progress_bar, report_errors, stderr
 from ogm.cli.fuse_command import UsualModel
 from ogm.cli.sensor_options import SensorOptions, sensor_options
 from ogm.extras import import_extra
@@ -205,8 +204,7 @@ class _progress:  # noqa: N801  a context manager
     """Progress bar; called with events of a build."""
 
     def __enter__(self) -> "_progress":
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._display = Progress(*columns, console=stderr, transient=True)
+        self._display = progress_bar()
         self._display.start()
         self._task = self._display.add_task("reading poses", total=None)
         self._skipped = 0

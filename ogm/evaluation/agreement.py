@@ -6,7 +6,6 @@
 >>> result.table()["ray, lite"]["kl"]                                                    # doctest: +SKIP
 """
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -21,12 +20,11 @@ from ogm.evaluation.result import FrameInfo
 from ogm.evaluation.runner import checked_frames
 from ogm.evaluation.statistics import Interval, drives_of, mean_interval
 from ogm.evaluation.tasks import FrameTask, Progress
-from ogm.evaluation.text import as_json, clean, text_table
+from ogm.evaluation.text import text_table, write_record
 from ogm.evidence import conflict, kl_divergence
 from ogm.grid import GridSpec
 from ogm.scan import Frame
 from ogm.state import predict_state
-from ogm.storage.files import atomic_write
 
 AGREEMENT_METRICS = {  # name: title, description
     "agreement": (
@@ -154,7 +152,4 @@ def write_agreement_report(folder: Path, result: AgreementEvaluation, *, command
     command : str
         Command of the evaluation, for the record.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path := folder / "agreement.json", "w") as file:
-        json.dump(as_json({"command": clean(command), **result.record()}), file, indent=1, allow_nan=False)
-    return path
+    return write_record(folder / "agreement.json", result.record(), command)

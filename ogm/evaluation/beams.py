@@ -1,7 +1,6 @@
 """Evaluation of maps without truth, by predicting the beams of held-out planar scans."""
 
 import itertools
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.statistics import Interval, ratio_interval
-from ogm.evaluation.text import as_json, clean
+from ogm.evaluation.text import write_record
 from ogm.evidence.map_rules import DYNAMIC, NUSS, SMOOTH
 from ogm.fusion import BinaryBayesMapper, echo_window, make_mapper, map_scans
 from ogm.fusion.pipeline import OnError, grid_pose, log_error
@@ -21,7 +20,6 @@ from ogm.metrics.beams import BeamNoise, BeamScores, PlanarBeams, score_beams
 from ogm.models.named import load_model, short_names
 from ogm.pose import inverse, tilt_of
 from ogm.scan import Frame, SensorModels
-from ogm.storage.files import atomic_write
 
 _SUMMED = ("log_likelihood", "ends_at", "passes_through", "ends_in_free", "no_echo_blocked")
 
@@ -174,10 +172,7 @@ def write_beam_report(folder: Path, result: BeamEvaluation, *, command: str = ""
     command : str
         Command of the evaluation, for the record.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path := folder / "beams.json", "w") as file:
-        json.dump(as_json({"command": clean(command), **result.record()}), file, indent=1, allow_nan=False)
-    return path
+    return write_record(folder / "beams.json", result.record(), command)
 
 
 def evaluate_beams(

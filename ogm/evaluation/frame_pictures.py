@@ -230,9 +230,7 @@ def draw_motion(grid: DynamicGrid, motion: Motion) -> bytes:
     ):
         for cell, velocity in zip(cells, velocities, strict=True):
             _arrow(pen, cell, velocity / grid.spec.resolution * SECONDS, grid.spec, (colour, width))
-    buffer = BytesIO()
-    picture.save(buffer, "WEBP", method=2, lossless=True, quality=50)
-    return buffer.getvalue()
+    return _encode(np.asarray(picture))
 
 
 def _true(motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

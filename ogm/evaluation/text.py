@@ -1,10 +1,14 @@
 """Conversion of numbers, counts and lists to text and JSON."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from ogm.storage.files import atomic_write
 
 
 def as_json(value: Any, digits: int = 7) -> Any:
@@ -20,6 +24,14 @@ def as_json(value: Any, digits: int = 7) -> Any:
     if not isinstance(value, float):
         return value
     return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+
+
+def write_record(path: Path, record: Mapping[str, Any], command: str) -> Path:
+    """Write a record and its command as JSON, create the folder, and return the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path, "w") as file:
+        json.dump(as_json({"command": clean(command), **record}), file, indent=1, allow_nan=False)
+    return path
 
 
 def clean(text: str) -> str:

@@ -182,7 +182,7 @@ def _draw_axes(
     (left, top), (wide, high), draw = corner, size, ImageDraw.Draw(picture)
     x_min, x_max, y_min, y_max = panel.spec.extent
     pixels = high / panel.spec.length  # per metre
-    step = _step(min(x_max - x_min, y_max - y_min) if first else y_max - y_min)
+    step = round_length((min(x_max - x_min, y_max - y_min) if first else y_max - y_min) / MIN_STEPS)
     for y in np.arange(np.ceil(y_min / step), np.floor(y_max / step) + 1) * step:
         column = left + (y_max - y) * pixels
         draw.line([(column, top + high), (column, top + high + 5)], INK)
@@ -200,10 +200,10 @@ def _draw_axes(
         picture.paste(INK, (at.margin, top), upright)
 
 
-def _step(length: float) -> float:
-    """Return the largest step of 1, 2 or 5 times a power of ten that fits `MIN_STEPS` times into a length [m]."""
-    power = 10.0 ** np.floor(np.log10(length / MIN_STEPS))
-    return float(max(digit * power for digit in (1, 2, 5) if digit * power <= length / MIN_STEPS))
+def round_length(limit: float) -> float:
+    """Return the largest of ..., 0.5, 1, 2, 5, 10, 20, ... m up to a limit [m]."""
+    power = 10.0 ** math.floor(math.log10(limit))
+    return max(digit * power for digit in (1, 2, 5) if digit * power <= limit)
 
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)

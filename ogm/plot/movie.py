@@ -11,7 +11,6 @@ Frames are written or spooled to disk one by one, so that memory is bounded.
 ...         movie.add(np.zeros((0, 4), np.float32), [plot.mass_panel(grid)] * 3, f"scan {k}", 0.1 * k)
 """
 
-import math
 import os
 import struct
 import tempfile
@@ -29,7 +28,7 @@ from PIL import GifImagePlugin, Image, ImageDraw
 from ogm import plot
 from ogm.grid import GridSpec
 from ogm.plot.colours import Colours, colours
-from ogm.plot.figures import draw_legend, draw_marks, draw_vehicle, font, legend_width, plain, scaled
+from ogm.plot.figures import draw_legend, draw_marks, draw_vehicle, font, legend_width, plain, round_length, scaled
 from ogm.plot.panels import APPEARED, BLACK, HIGHEST, LOWEST, NO_CONFLICT, WENT_AWAY, heading_colours, height_colours
 from ogm.storage.files import atomic_write
 
@@ -157,7 +156,7 @@ class Movie:
         draw_vehicle(draw, self.spec, (left, top), self.panel[1], 5)
         if left == GAP:
             pixels = self.panel[1] / self.spec.length  # per metre
-            metres = _round_length(self.spec.width / 3)
+            metres = round_length(self.spec.width / 3)
             x, y = left + 8, top + self.panel[1] - 9
             draw.line([(x, y), (x + metres * pixels, y)], INK, 2)
             draw.text((x, y - 5), f"{metres:g} m", INK, font(12), anchor="ls")
@@ -199,12 +198,6 @@ def _panel_size(spec: GridSpec, max_height: int) -> tuple[int, int]:
     shrink = min(1.0, max_height / rows, max_width / columns)
     scale = grow if shrink == 1.0 else shrink
     return max(1, round(columns * scale)), max(1, round(rows * scale))
-
-
-def _round_length(limit: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20, 50, ... m up to a limit [m]."""
-    power = 10.0 ** math.floor(math.log10(limit))
-    return max(digit * power for digit in (1, 2, 5) if digit * power <= limit)
 
 
 @contextmanager
