@@ -1,4 +1,4 @@
-"""Geometry and data of one grid: `GridSpec`, `EvidentialGrid` and `LayeredGrid`.
+"""Geometry and data of grids: `GridSpec`, `EvidentialGrid` and `LayeredGrid`.
 
 >>> import numpy as np
 >>> from ogm import EvidentialGrid, GridSpec
@@ -101,7 +101,7 @@ class GridSpec:
         resolution : float
             Side of a cell [m].
         center : (float, float)
-            x, y of the grid's middle [m].
+            x, y of the grid's centre [m].
 
         Raises
         ------
@@ -168,7 +168,7 @@ class GridSpec:
     def index(
         self, x: ArrayLike, y: ArrayLike, *, unbounded: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the cell that holds each point.
+        """Return the cell of each point.
 
         Parameters
         ----------
@@ -311,7 +311,7 @@ class SavedGrid(ShownInNotebooks):
         FileNotFoundError
             If the file does not exist.
         OgmError
-            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
+            If the file is damaged, of another kind or version, or has masses outside [0, 1].
         """
         with open_archive(path, cls.FORMAT) as arrays:
             return cls.of_arrays(arrays)
@@ -387,12 +387,12 @@ class EvidentialGrid(SavedGrid):
 
     @property
     def known(self) -> tuple[tuple[int, int], NDArray[np.float32]]:
-        """First cell and masses, (mx, my, 2), of a rectangle that holds all known cells."""
+        """First cell and masses, (mx, my, 2), of a rectangle that includes all known cells."""
         return (0, 0), self.mass
 
     @property
     def in_plane(self) -> bool:
-        """Whether free holds in the plane of a laser only: maps keep obstacles that other sensors see outside it."""
+        """Whether free is valid only in the plane of a laser: maps keep obstacles that other sensors detect outside."""
         return False
 
     @property
@@ -436,12 +436,12 @@ class EvidentialGrid(SavedGrid):
     @overload
     def at(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float32]: ...
     def at(self, x: ArrayLike, y: ArrayLike) -> Opinion | NDArray[np.float32]:
-        """Return the opinion or masses of the cells that hold the given points.
+        """Return the opinion or masses of the cells at the given points.
 
         Parameters
         ----------
         x, y : float or array
-            Coordinates [m], of one shape.
+            Coordinates [m], of equal shapes.
 
         Returns
         -------
@@ -468,8 +468,8 @@ class EvidentialGrid(SavedGrid):
         points : (..., 2) array
             x, y [m].
         method : {"nearest", "bilinear"}
-            "nearest": the masses of the cell that holds the point. "bilinear": bilinear interpolation between the
-            centres of the four nearest cells.
+            "nearest": the masses of the cell at the point. "bilinear": bilinear interpolation between the centres of
+            the four nearest cells.
 
         Returns
         -------
@@ -601,7 +601,7 @@ class CombinedGrid(EvidentialGrid):
 
 @dataclass(frozen=True, eq=False)
 class LayeredGrid(SavedGrid):
-    """Named layers of numbers on the cells of one grid, such as conflict, velocity and height.
+    """Named layers of numbers on the cells of a grid, such as conflict, velocity and height.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
     if array.shape != (4, 4):
         raise ValueError(f"{name} must be a 4x4 transform, got shape {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds NaN or inf: {array.tolist()}")
+        raise ValueError(f"{name} must be finite, got NaN or inf: {array.tolist()}")
     if not (np.abs(array[3] - _LAST_ROW) <= 1e-9).all():
         raise ValueError(f"the last row of {name} must be (0, 0, 0, 1), got {array[3].tolist()}")
     R = array[:3, :3]

@@ -1,4 +1,4 @@
-"""Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and the interface of sensor models.
+"""Input of the library: `Scan`, `Mount`, `Boxes`, their container `Frame`, and the interface of sensor models.
 
 >>> import numpy as np
 >>> from ogm import Mount, Scan
@@ -40,7 +40,7 @@ class Scan(ShownInNotebooks):
     Parameters
     ----------
     points : (N, 4) float32
-        x, y, z [m], intensity [0, 1] (0 where the sensor has none). An (N, 3) array gets intensities of 0,
+        x, y, z [m], intensity [0, 1] (0 for sensors without intensity). An (N, 3) array gets intensities of 0,
         float64 becomes float32.
     stamp : float, optional
         Time of the sweep [s], on the clock of the recording.
@@ -67,7 +67,7 @@ class Scan(ShownInNotebooks):
     max_range : float, optional
         Greatest range of the sensor, above 0 [m]: a beam without echo is free at most up to it. None if unknown.
     beam_width : float, optional
-        Full angle of one beam, above 0 and at most 2 pi [rad]. None if unknown.
+        Full angle of a beam, above 0 and at most 2 pi [rad]. None if unknown.
 
     Raises
     ------
@@ -329,7 +329,7 @@ class Boxes:
     Parameters
     ----------
     center : (B, 3) float64
-        Middles x, y, z [m].
+        Centres x, y, z [m].
     size : (B, 3) float64
         Length, width, height [m], above 0.
     yaw : (B,) float64
@@ -443,13 +443,13 @@ class Frame:
     truth : Truth, optional
         True states of the cells around the sensor.
     T_map_sensor : (4, 4) float64, optional
-        Pose of the sensor; frames of one sequence share a map frame. None if unknown.
+        Pose of the sensor; frames of a sequence share a map frame. None if unknown.
     stamp : float, optional
         Time of the scan [s]. None if unknown.
     name : str
         Name of the frame, unique in its dataset.
     sequence : str
-        Frames of one sequence follow each other in time; "" for a single frame.
+        Frames with the same sequence are ordered in time; "" for a single frame.
     """
 
     scan: Scan
@@ -536,7 +536,7 @@ class InverseSensorModel(Protocol):
         ...
 
     def __call__(self, scan: Scan) -> EvidentialGrid:
-        """Return the evidential grid of one scan."""
+        """Return the evidential grid of a scan."""
         ...
 
 

@@ -98,7 +98,7 @@ class Motion:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Cells whose velocity is known, (nx, ny)."""
+        """Cells with a known velocity, (nx, ny)."""
         return np.asarray(~np.isnan(self.velocity).any(axis=-1))
 
     @property
@@ -202,9 +202,9 @@ class Truth:
         Returns
         -------
         Truth
-            Each cell has the state and motion of the original cell that holds its moved centre; velocities turn with
-            the scene. Cells from outside the original grid are `IGNORE`, with unknown motion. `ogm.truth.TRUTH_SPEC`
-            covers the 81.92 m x 56.32 m grid at any yaw.
+            Each cell has the state and motion of the original cell at its moved centre; velocities turn with the scene.
+            Cells from outside the original grid are `IGNORE`, with unknown motion. `ogm.truth.TRUTH_SPEC` covers the
+            81.92 m x 56.32 m grid at any yaw.
 
         Raises
         ------
@@ -289,7 +289,7 @@ class LazyTruth(Truth):
 
 
 def _cells(x: NDArray[np.float64], x0: float, resolution: float) -> NDArray[np.float64]:
-    """Return the cells that hold the coordinates `x`, which are overwritten; see `EPS_CELL`."""
+    """Return the cells at the coordinates `x`, which are overwritten; see `EPS_CELL`."""
     x -= x0
     x /= resolution
     x += EPS_CELL

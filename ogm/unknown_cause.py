@@ -32,7 +32,7 @@ class UnknownCause(IntEnum):
     OUTSIDE_VIEW = 1, "outside the view"
     """No beam points there, or the cell is beyond the range of the sensor; of a map: no scan has covered it."""
     BEHIND_OBSTACLE = 2, "behind an obstacle"
-    """An obstacle stops a beam that would pass the cell, or the ground drops out of the beam's sight before it."""
+    """An obstacle stops a beam that would pass the cell, or the cell lies below an edge that hides it from beams."""
     BETWEEN_BEAMS = 3, "between beams"
     """Between two rings or beams: none passes low enough, or too few do."""
     NO_ECHO = 4, "no echo"

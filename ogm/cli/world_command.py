@@ -177,7 +177,7 @@ def export(
     with WorldMap.open(url) as world:
         if path.suffix.lower() == ".zip" or not path.suffix:
             if extent is not None or level:
-                raise ValueError("--extent and --level are for grid files: .zip and folders hold the whole map")
+                raise ValueError("--extent and --level are for grid files: .zip and folders contain the whole map")
             if path.suffix:
                 world.copy_to(path)
             else:

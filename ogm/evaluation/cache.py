@@ -24,7 +24,7 @@ _MOTION: dict[str, Any] = {  # parts of a FrameMotion
 
 
 class FrameResult(NamedTuple):
-    """Result of one frame.
+    """Result of a frame.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Pictures of one evaluated frame and its motion, small enough for hundreds of them in a report."""
+"""Pictures of an evaluated frame and its motion, small enough for hundreds of them in a report."""
 
 from collections.abc import Sequence
 from io import BytesIO

@@ -176,7 +176,7 @@ class PrecomputedGrids:
         FileNotFoundError
             If the folder does not exist.
         ValueError
-            If it contains no grids, or two grids of one frame.
+            If it contains no grids, or two grids of the same frame.
         """
         if not folder.is_dir():
             raise FileNotFoundError(f"there is no folder {folder}; give a folder of precomputed grids")

@@ -27,7 +27,7 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")  # characters that HT
 
 
 def write_page(path: str | os.PathLike[str], record: Record, pictures: Pictures, max_bytes: int = MAX_BYTES) -> None:
-    """Write the record of an evaluation as one HTML page, in one step.
+    """Write the record of an evaluation as a single HTML page, in one step.
 
     Parameters
     ----------

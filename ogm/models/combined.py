@@ -83,7 +83,7 @@ class Combination:
         Parameters
         ----------
         masses : sequence of (..., 2) float32
-            Arrays of one shape, in the order of the models. Their values are not checked.
+            Arrays of equal shape, in the order of the models. Their values are not checked.
 
         Returns
         -------
@@ -271,7 +271,7 @@ def _checked_gates(given: Any, count: int) -> tuple[FreeGate, ...]:
 
 
 class _Numbers(NamedTuple):
-    """Numbers of one of two models for a kernel, in float32; the gate's slope is 1 / (high - low)."""
+    """Numbers of a model for a kernel, in float32; the gate's slope is 1 / (high - low)."""
 
     free: np.float32
     occupied: np.float32

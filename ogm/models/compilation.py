@@ -1,6 +1,6 @@
 """Compilation of kernels in a second process, which halves the time of a first call on two cores.
 
-The kernels of the default model and of its maps take half a minute of one core, once per installation. While a command
+The kernels of the default model and of its maps take half a minute of a core, once per installation. While a command
 compiles the kernels of its current step, another process compiles the longest kernels of later steps: `ogm.jit` lets
 one process compile each kernel, and the others load it from disk.
 """

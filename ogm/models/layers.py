@@ -30,7 +30,7 @@ from ogm.planning import costmap, distance_to_obstacles
 from ogm.scan import InverseSensorModel, Scan, as_scan
 
 LayerFunction = Callable[[Any], Mapping[str, NDArray[np.float32]]]
-"""Returns layers of one scan, (nx, ny) each, from its trace; `RayTrace.grid` holds the masses of the whole model."""
+"""Returns layers of one scan, (nx, ny) each, from its trace; `RayTrace.grid` has the masses of the whole model."""
 
 COST_REACH = 2.0  # [m] from the inscribed radius, up to which obstacles cause costs
 COST_SCALING = 2.0  # [1/m] costs halve every 0.35 m

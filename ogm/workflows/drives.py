@@ -23,7 +23,7 @@ FuseDrive = Callable[[Sequence[Frame], Path], Mapping[str, Any]]
 
 
 class FusedDrive(NamedTuple):
-    """Result of one drive.
+    """Result of a drive.
 
     Attributes
     ----------

@@ -48,5 +48,5 @@ def listed(items: Sequence[str], limit: int = 5) -> str:
 
 
 def without_numbers(text: str) -> str:
-    """Replace every number in a text by 0, so that errors of one kind are equal."""
+    """Replace every number in a text by 0, so that errors of the same kind are equal."""
     return re.sub(r"[0-9.eE+-]*[0-9]", "0", text)

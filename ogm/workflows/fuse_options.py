@@ -97,7 +97,7 @@ class Outputs:
 
 @dataclass(frozen=True)
 class FuseOptions:
-    """Options to fuse a drive; the defaults are those of ``ogm fuse`` for lidars.
+    """Options to fuse a drive, with the defaults of ``ogm fuse`` for lidars.
 
     Parameters
     ----------

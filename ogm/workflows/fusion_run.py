@@ -305,5 +305,5 @@ def _shares(grid: EvidentialGrid) -> str:
 
 
 def _shortened(name: str, width: int = 28) -> str:
-    """Return the end of a name, at most `width` characters; names of one drive differ at their end."""
+    """Return the end of a name, at most `width` characters; names in a drive differ at their end."""
     return name if len(name) <= width else f"...{name[3 - width :]}"

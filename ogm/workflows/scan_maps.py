@@ -19,7 +19,7 @@ from ogm.storage.files import check_writable, error_text
 
 
 class ScanMap(NamedTuple):
-    """Grid of one scan and computing time of the model [s], or None, 0 and the text of the error."""
+    """Grid of a scan and computing time of the model [s], or None, 0 and the text of the error."""
 
     frame: Frame
     grid: EvidentialGrid | None
