@@ -78,8 +78,7 @@ class DynamicGrid(SavedGrid):
         Parameters as in the constructor; arrays must be float32 of the right shapes and are not copied.
         """
         grid = object.__new__(cls)
-        for name, value in {"spec": spec, "mass": mass, "velocity": velocity, "covariance": covariance}.items():
-            object.__setattr__(grid, name, value)
+        grid.__dict__.update(spec=spec, mass=mass, velocity=velocity, covariance=covariance)
         return grid
 
     def check(self) -> None:

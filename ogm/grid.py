@@ -79,9 +79,7 @@ class GridSpec:
             raise ValueError(
                 f"a grid must lie within {_MAX_COORDINATE:g} m, got the origin {origin} m, cells of {resolution} m"
             )
-        object.__setattr__(self, "resolution", resolution)
-        object.__setattr__(self, "shape", (int(shape[0]), int(shape[1])))
-        object.__setattr__(self, "origin", (float(origin[0]), float(origin[1])))
+        self.__dict__.update(resolution=resolution, shape=(int(shape[0]), int(shape[1])), origin=origin)
 
     @classmethod
     def centered(
@@ -372,8 +370,7 @@ class EvidentialGrid(SavedGrid):
         copied.
         """
         grid = object.__new__(cls)
-        object.__setattr__(grid, "spec", spec)
-        object.__setattr__(grid, "mass", mass)
+        grid.__dict__.update(spec=spec, mass=mass)
         return grid
 
     def check(self) -> None:
@@ -594,8 +591,7 @@ class CombinedGrid(EvidentialGrid):
     def of_parts(cls, spec: GridSpec, parts: Sequence[NDArray[np.float32]], combine: Combine) -> Self:
         """Return the grid combined from `parts`, which are not checked."""
         grid = cls.trusted(spec, combine(parts))
-        object.__setattr__(grid, "parts", tuple(parts))
-        object.__setattr__(grid, "combine", combine)
+        grid.__dict__.update(parts=tuple(parts), combine=combine)
         return grid
 
 

@@ -259,8 +259,7 @@ class Trajectory:
             raise ValueError(f"stamps must increase, but stamps[{k}]={t[k]} is followed by {t[k + 1]}")
         for k, matrix in enumerate(T):
             check_pose(matrix, name=f"poses[{k}]")
-        object.__setattr__(self, "stamps", t)
-        object.__setattr__(self, "poses", T)
+        self.__dict__.update(stamps=t, poses=T)
 
     def __len__(self) -> int:
         return len(self.stamps)

@@ -281,9 +281,7 @@ class Mount:
             raise ValueError(
                 f"ego_footprint must be finite x_min <= x_max, y_min <= y_max [m], got {self.ego_footprint}"
             )
-        object.__setattr__(self, "sensor_height", float(self.sensor_height))
-        object.__setattr__(self, "T_vehicle_sensor", T)
-        object.__setattr__(self, "ego_footprint", box)
+        self.__dict__.update(sensor_height=float(self.sensor_height), T_vehicle_sensor=T, ego_footprint=box)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Mount):
@@ -373,9 +371,7 @@ class Boxes:
                 f"box {k} ({label[k]}) must be finite, with length, width and height above 0 m, got center "
                 f"{center[k].tolist()}, size {size[k].tolist()}, yaw {yaw[k]}; drop it, or correct the label"
             )
-        columns = {"center": center, "size": size, "yaw": yaw, "velocity": velocity}
-        for name, value in {**columns, "label": label, "track": track}.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(center=center, size=size, yaw=yaw, velocity=velocity, label=label, track=track)
 
     @classmethod
     def empty(cls) -> Self:

@@ -91,9 +91,9 @@ def test_default_names_replace_no_other_grid(scan: Path, tmp_path: Path, monkeyp
     for _ in range(2):
         assert "written wall.npz, wall.png" in completed(*words, *SMALL).output
     before = [Path(name).read_bytes() for name in ("wall.npz", "wall.png")]
-    refused_command("wall.npz is there already, of something else: give --out and --picture", *words)
+    refused_command("wall.npz exists and is no result of this command: give --out and --picture", *words)
     Path("wall.npz").unlink()
-    refused_command("wall.png is there already", *words, *SMALL)
+    refused_command("wall.png exists and is no result", *words, *SMALL)
     assert Path("wall.png").read_bytes() == before[1]
 
 
@@ -254,10 +254,10 @@ def test_info_on_dynamic_and_layered_grids(tmp_path: Path) -> None:
         (("info", "none.npz"), "none.npz"),
         (("map", "{scan}", "--length", "10.0"), "use 9.92 m or 10.08 m"),
         (("map", "{scan}", "--axes", "upside-down"), "upside-down"),
-        (("map", "{scan}", "--out", "{folder}/x.txt"), "ends in .npz"),
-        (("map", "{scan}", "--out", "{folder}/x.npz", "--picture", "{folder}/x.jpg"), "ends in .png"),
+        (("map", "{scan}", "--out", "{folder}/x.txt"), "end in .npz"),
+        (("map", "{scan}", "--out", "{folder}/x.npz", "--picture", "{folder}/x.jpg"), "end in .png"),
         (("map", "{scan}", "{empty}", "--out", "{folder}/x.npz"), "give a folder"),
-        (("map", "{scan}", "--ism", "height-band-released", "--sensor-height", "2"), "built in"),
+        (("map", "{scan}", "--ism", "height-band-released", "--sensor-height", "2"), "fixed sensor height"),
         (("map", "{scan}", "--sensor-height", "-1"), "sensor_height"),
         (("map", "{scan}", "{scan}"), "share a name"),
         (("map", "{empty}"), "empty.bin"),

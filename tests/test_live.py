@@ -554,7 +554,7 @@ def changed(at: int, new: bytes) -> bytes:
 
 
 WRONG = {
-    b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(200): r"a message begins with b'GET ', wanted b'OGM1'",
+    b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(200): r"a message must begin with b'OGM1', got b'GET '",
     changed(4, struct.pack("<I", stream.MAX_POINTS + 1)): "at most 4194304 points, got 4194305",
     changed(4, b"\xff" * 4): "announces 4294967295 points",
     changed(8, struct.pack("<d", math.nan)): "the stamp nan s, wanted 0 to",

@@ -334,7 +334,7 @@ def test_the_wheel_has_forward_up_and_left_left() -> None:
 
 def test_arrows_point_where_things_go_in_a_figure() -> None:
     panel = plot.dynamic_panel(street())
-    assert panel.title == "heading of what moves, arrows: 1 s"
+    assert panel.title == "heading of moving cells, arrows: 1 s"
     ends = panel.arrows[:, 1::-1] + panel.arrows[:, :1:-1]
     assert sorted(np.round(ends, 5).tolist()) == [[1.0, 17.0], [1.2, -6.0], [3.0, 3.0]]  # y, x [m]
     with_arrows, without = (np.asarray(plot.show(one)) for one in (panel, panel._replace(arrows=panel.arrows[:0])))

@@ -11,12 +11,9 @@ from ogm.cli.console import print_facts, report_errors
 MapFile = Annotated[Path, Argument(help="Map: .npz, .yaml, .tif, .nc, .zarr, .mcap, .db3, .bag.", metavar="MAP")]
 OutFile = Annotated[Path, Argument(help="Output file; its ending selects the format, its folder is created.")]
 InflationRadius = Annotated[float, Option(help="Distance from obstacles beyond which cells cost nothing [m].")]
-Unknown = Annotated[
-    str, Option(help="Treat unknown cells as unknown, inflated, obstacle or free.", metavar="TREATMENT")
-]
+Unknown = Annotated[str, Option(help="Treat unknown cells as unknown, inflated, obstacle or free.", metavar="STATE")]
 Message = Annotated[
-    str | None,
-    Option(help="Message of logs: costmap (nav2_msgs), occupancy-grid, grid-map, foxglove-grid. [default: costmap]"),
+    str | None, Option(help="In logs: costmap (nav2_msgs), occupancy-grid, grid-map, foxglove-grid. [default: costmap]")
 ]
 Mode = Annotated[str | None, Option(help="Mode of .yaml: scale, raw or trinary. [default: scale]")]
 

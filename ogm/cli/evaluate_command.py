@@ -106,8 +106,7 @@ def evaluate(
         Option(help="Folder of precomputed grids (.npz, .npy, .png) named after the frames; may be repeated."),
     ] = None,
     resample: Annotated[
-        Literal["area", "nearest", "cautious"] | None,
-        Option(help="Resample --grids with other cells by this method. [default: refuse them]"),
+        Literal["area", "nearest", "cautious"] | None, Option(help="Resample other cells of --grids. [default: refuse]")
     ] = None,
     split: Annotated[
         str | None,

@@ -47,12 +47,9 @@ RadarReliability = Annotated[
     ),
 ]
 Rule = Annotated[
-    str | None,
-    Option(help=f"Combination rule: {', '.join(MAP_RULES)}. [default: {REVISE}, and {SMOOTH} for planar lasers]"),
+    str | None, Option(help=f"Rule: {', '.join(MAP_RULES)}. [default: {REVISE}, and {SMOOTH} for planar lasers]")
 ]
-Dynamic = Annotated[
-    bool, Option("--dynamic", help="Separate moving from static objects, with velocities: --rule dynamic.")
-]
+Dynamic = Annotated[bool, Option("--dynamic", help="Separate moving from static, with velocities: --rule dynamic.")]
 Particles = Annotated[int | None, Option(help="Number of particles of a dynamic map. [default: 200000]")]
 HalfLife = Annotated[
     float | None,

@@ -35,12 +35,8 @@ TruthSources = Annotated[
         metavar="SOURCE[,SOURCE]...",
     ),
 ]
-IntensityMax = Annotated[
-    float | None, Option(help="Intensity in the file that is scaled to 1. [default: by the format]")
-]
-TimeUnit = Annotated[
-    float | None, Option(help="Unit of the points' times [s]. [default: 1e-9 for whole numbers, else 1]")
-]
+IntensityMax = Annotated[float | None, Option(help="Intensity that is scaled to 1. [default: by the format]")]
+TimeUnit = Annotated[float | None, Option(help="Unit of time [s]. [default: 1e-9 for whole numbers, else 1]")]
 Length = Annotated[float | None, Option(help="Extent of a scan's grid along x [m]. [default: about 81.92]")]
 Width = Annotated[float | None, Option(help="Extent of a scan's grid along y [m]. [default: about 56.32]")]
 Resolution = Annotated[float, Option(help="Side of a cell [m].")]
@@ -57,9 +53,7 @@ Sensor = Annotated[
         metavar="SENSOR",
     ),
 ]
-FixedFrame = Annotated[
-    str | None, Option("--frame", help="Fixed frame in a log. [default: first of map, odom, world, root]")
-]
+FixedFrame = Annotated[str | None, Option("--frame", help="Fixed frame of a log. [default: map, odom, world, root]")]
 First = Annotated[int | None, Option(help="Use the first N scans only. [default: all]", metavar="N")]
 InscribedRadius = Annotated[float, Option(help="Radius of the largest circle within the footprint [m].")]
 CostScaling = Annotated[float, Option(help="Decrease of costs with distance, cost_scaling_factor of nav2 [1/m].")]

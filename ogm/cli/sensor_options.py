@@ -17,9 +17,7 @@ _OPTIONS: dict[str, Any] = {  # name: type with its option
         Path | None,
         Option("--sensors", help="Sensor setup of the vehicle, from `ogm check --write` (.yaml).", metavar="FILE"),
     ],
-    "sensor_height": Annotated[
-        float | None, Option(help="Height of the sensor above ground [m]. [default: stated, or estimated]")
-    ],
+    "sensor_height": Annotated[float | None, Option(help="Height above ground [m]. [default: stated, or estimated]")],
     "sensor_position": Annotated[
         tuple[float, float, float] | None,
         Option(help="Position x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),

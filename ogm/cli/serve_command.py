@@ -38,8 +38,7 @@ Host = Annotated[
     str, Option(help="Address of the server. Addresses other than loopback expose the map to the network.")
 ]
 InflationRadius = Annotated[
-    float | None,
-    Option(help="Add the field cost to /map: distance from obstacles beyond which cells cost nothing [m]."),
+    float | None, Option(help="Add the field cost to /map: distance beyond which obstacles cost nothing [m].")
 ]
 Layers = Annotated[
     str | None, Option(help="Further layer to serve: cause, the reason why cells are unknown, as /cause.")

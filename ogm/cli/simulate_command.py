@@ -31,9 +31,7 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[int | None, Option(help="Random seed. [default: 1]")] = None,
-    validation: Annotated[
-        int | None, Option(help="Validation samples, with other traffic. [default: samples / 10, or 1]")
-    ] = None,
+    validation: Annotated[int | None, Option(help="Samples of other traffic. [default: samples / 10, or 1]")] = None,
     test: Annotated[int | None, Option(help="Test samples, in another town. [default: samples / 100]")] = None,
     sequences: Annotated[int | None, Option(help="Sequences of 10 s at 10 Hz, 100 samples each. [default: 0]")] = None,
     lidar: Annotated[
@@ -58,9 +56,7 @@ def simulate(
             "none makes scans without truth, for maps, in a sixth of the time. [default: aimed]"
         ),
     ] = None,
-    bad_weather: Annotated[
-        float | None, Option(help="Share of samples in rain, fog or on wet roads. [default: 0]")
-    ] = None,
+    bad_weather: Annotated[float | None, Option(help="Share of rain, fog or wet roads. [default: 0]")] = None,
     in_motion: Annotated[float | None, Option(help="Share of samples distorted by ego motion. [default: 0]")] = None,
     towns: Annotated[int | None, Option(help="Towns for training and validation. [default: 1]")] = None,
     test_towns: Annotated[int | None, Option(help="Towns for test samples. [default: 1]")] = None,

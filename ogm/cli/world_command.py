@@ -39,9 +39,7 @@ Trust = Annotated[float, Option("--drive-reliability", help="Reliability of each
 Tile = Annotated[int, Option(help="Cells along a side of a tile, a power of two, of a new map.")]
 Crs = Annotated[str | None, Option(help="Coordinate reference system of the poses, such as EPSG:25832, of a new map.")]
 SubMaps = Annotated[float, Option("--submap-length", help="Length of the path covered by a sub-map [m].")]
-Extent = Annotated[
-    tuple[float, float, float, float] | None, Option(help="Extent x_min x_max y_min y_max [m]. [default: all]")
-]
+Extent = Annotated[tuple[float, float, float, float] | None, Option(help="x_min x_max y_min y_max [m]. [default: all]")]
 Level = Annotated[int, Option(help="Level: cells of 2**LEVEL times the side.", min=0)]
 DriveName = Annotated[str | None, Option("--drive", help="Name of the drive; `ogm world info` lists the names.")]
 
@@ -163,9 +161,7 @@ def info(url: Url) -> None:
 @report_errors
 def export(
     url: Url,
-    path: Annotated[
-        Path, Argument(help="Output: .tif, .yaml, .npz, .nc, .zarr, .png; .zip (whole map); or a new folder.")
-    ],
+    path: Annotated[Path, Argument(help="File: .tif, .yaml, .npz, .nc, .zarr, .png; .zip (whole map); new folder.")],
     extent: Extent = None,
     level: Level = 0,
 ) -> None:

@@ -1,9 +1,9 @@
 """Statistics over frames: intervals of means and ratios, and paired comparisons of two methods.
 
-Frames of one drive are alike, so that drives are the independent units. The spread of a mean is estimated by leaving
-out one drive at a time (jackknife), and its interval is Student's. One long drive is cut into parts that replace the
-drives; the interval is then valid only for this drive. ``benchmarks/interval_coverage.py`` measures the coverage of the
-intervals.
+Frames of a drive are alike, so that drives are the independent units. The spread of a mean is estimated by the
+jackknife, without one drive at a time, and its interval is Student's. A single long drive is cut into parts that
+replace the drives; the interval is then valid only for this drive. ``benchmarks/interval_coverage.py`` measures the
+coverage of the intervals.
 """
 
 from collections.abc import Callable, Sequence

@@ -104,7 +104,7 @@ def accumulate_prediction(
     ndimage = import_extra("scipy.ndimage", "evaluate")  # here, as it would double the import time
 
     if truth.motion is None:
-        raise ValueError("the truth must have motion: open a dataset with velocities of objects")
+        raise ValueError("the truth must have motion, got none: open a dataset with velocities of objects")
     shape = predicted.spec.shape
     for name, array in (("truth", truth.state), ("occupied", occupied), ("moving_now", moving_now)):
         if array is not None and array.shape != shape:

@@ -192,14 +192,12 @@ class CombinedISM:
             raise ValueError(f"keep_hits must be the index of a model, 0 to {len(models) - 1}, got {self.keep_hits}")
         reliability = _checked_reliability(self.reliability, len(models))
         gates = _checked_gates(self.free_gates, len(models))
-        object.__setattr__(self, "models", models)
-        shared = (
+        shared = tuple(
             next((k for k, other in enumerate(models[:n]) if _takes(model, other)), None)
             for n, model in enumerate(models)
         )
-        object.__setattr__(self, "_shared", tuple(shared))
-        weights = tuple(zip(reliability, gates, strict=True))
-        object.__setattr__(self, "combination", Combination(self.rule, weights, self.keep_hits))
+        combination = Combination(self.rule, tuple(zip(reliability, gates, strict=True)), self.keep_hits)
+        self.__dict__.update(models=models, _shared=shared, combination=combination)
 
     @property
     def spec(self) -> GridSpec:

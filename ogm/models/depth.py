@@ -1,4 +1,4 @@
-"""Sensor model of depth cameras: `RayISM` with parameters for a limited view.
+"""Sensor model of depth cameras: `RayISM` with parameters for a narrow view.
 
 >>> from ogm import GridSpec, Mount
 >>> from ogm.models.depth import depth_model

@@ -88,7 +88,7 @@ def test_a_table_has_means_of_methods_and_leaves_out_rows_without_a_value() -> N
     missing = sum(np.isnan([one[metric] for one in table.values()]).all() for metric in METRICS)
     assert missing > 0
     lines = str(result).splitlines()
-    assert lines[-1] == f"({missing} metrics without a value in any of these frames)"
+    assert lines[-1] == f"({missing} metrics without a value in these frames)"
     assert len(lines) == 2 + len(METRICS) - missing
 
 
@@ -264,7 +264,7 @@ def test_what_cannot_be_evaluated_is_refused() -> None:
     unlabelled = Frame(FRAMES[0].scan, FRAMES[0].mount, None, None, name="dark")
     refused("frame dark has no truth", evaluate, {"mine": Flat()}, [unlabelled], SPEC)
     fused = FusedMethod(Flat(), lambda: EvidentialMapper(SPEC))
-    message = "map fuses frames that follow each other, .* but frame 0 stands alone"
+    message = "map fuses sequences of frames .* but frame 0 has no sequence"
     refused(message, evaluate, {"map": fused}, FRAMES, SPEC)
 
 
@@ -284,7 +284,7 @@ def test_the_released_model_refuses_what_it_cannot_do() -> None:
     name = "height-band-released"
     refused("even number of cells along x and y, got 7 x 7", load_model, name, SPEC)
     even = GridSpec.centered(length=8, width=8, resolution=1)
-    refused("computes on the CPU, got device='cuda'", load_model, name, even, device="cuda")
+    refused("runs on the CPU only, got device='cuda'", load_model, name, even, device="cuda")
     model, message = load_model(name, even), "points in the frame of a level sensor and a grid around the sensor"
     for mount in (Mount(1.7, pose(1.0, z=1.7)), Mount(1.7, pose(z=1.7), points_in="vehicle")):
         refused(message, load_model, name, even, mount)

@@ -289,7 +289,7 @@ def test_bad_input_is_refused() -> None:
         (np.zeros((3, 4), np.float32), "a float array of shape"),
         (np.zeros((3, 3), np.int64), "must be a float array"),
         (np.full((3, 3), -1.0), "at least 0 m, got -1"),
-        (np.full((3, 3), np.nan), "at least 0, got nan"),
+        (np.full((3, 3), np.nan), "at least 0 m, got nan"),
     ):
         refused(message, accumulate, mass, state, distance)
     refused("height_cm must have the cells' shape", accumulate, mass, state, None, np.zeros((3, 4), np.uint8))
