@@ -225,7 +225,9 @@ def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: P
     result = fused(drive, tmp_path / "data.zarr")
     assert result.exit_code == 2
     assert "is no grid of ogm" in result.output
-    refused_command("would replace the input", "fuse", drive / "0.bin", drive / "m.bag", "--out", drive / "m.bag", *SMALL)
+    refused_command(
+        "would replace the input", "fuse", drive / "0.bin", drive / "m.bag", "--out", drive / "m.bag", *SMALL
+    )
     result = fused(drive, tmp_path / "m.png", "--picture", tmp_path / "m.png")
     assert "both be written" in result.output
     result = fused(drive, tmp_path / "m.npz", "--message", "grid-map")

@@ -106,7 +106,7 @@ def test_titles_that_do_not_fit_are_cut_and_signs_that_the_font_lacks_replaced(e
 
 def test_axes_have_round_numbers() -> None:
     for length, step in ((7.0, 1.0), (10.0, 2.0), (81.92, 20.0), (56.32, 10.0), (0.9, 0.2), (3000.0, 500.0)):
-        assert plot.figures._step(length) == pytest.approx(step)
+        assert plot.figures.round_length(length / plot.figures.MIN_STEPS) == pytest.approx(step)
 
 
 @each("call", [plot.show, lambda *a, **k: plot.save_picture("x.png", *a, **k)])

@@ -4,9 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.progress import track
-
-from ogm.cli.console import out, stderr
+from ogm.cli.console import out, ticked
 from ogm.cli.options import check_first
 
 if TYPE_CHECKING:
@@ -70,13 +68,11 @@ def with_known_poses(
     from ogm.datasets import with_poses
     from ogm.workflows import posed
 
-    def ticked(numbers: Iterable[int]) -> Iterable[int]:
-        return track(
-            list(numbers), odometry or ("matching scans" if match else "reading stamps"), console=stderr, transient=True
-        )
+    def progress(numbers: Iterable[int]) -> Iterable[int]:
+        return ticked(list(numbers), odometry or ("matching scans" if match else "reading stamps"))
 
     if poses is not None:
-        dataset = with_poses(dataset, poses, calib, rate, ticked)
-    dataset, how = posed(dataset, odometry, rate, first, ticked, match)
+        dataset = with_poses(dataset, poses, calib, rate, progress)
+    dataset, how = posed(dataset, odometry, rate, first, progress, match)
     out.print(f"poses: {how}", markup=False, soft_wrap=True)
     return dataset

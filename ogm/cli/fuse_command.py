@@ -4,11 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import track
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, complain, out, print_facts, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, out, print_facts, report_errors, ticked
 from ogm.cli.drive import check_pose_options, pick_drive, print_sensor, with_known_poses
 from ogm.cli.options import File
 from ogm.cli.sensor_options import SensorOptions, sensor_options
@@ -225,7 +224,7 @@ def fuse(
         outputs,
         replace(options, match=False),
         tell=complain,
-        progress=lambda steps: track(steps, "mapping", len(dataset), console=stderr, transient=True),
+        progress=lambda steps: ticked(steps, "mapping", len(dataset)),
     )
     print_facts(run.facts())
     written = (f"{name} {path}" for name, path in outputs.given().items())
@@ -262,7 +261,7 @@ def _fuse_each(
     code, done, rows = 0, 0, dict[str, Any]()
     made = fuse_drives(drives, fuse_one, folder, workers=workers, scheduler=scheduler)
     try:
-        for drive in track(made, "fusing drives", len(drives), console=stderr, transient=True):
+        for drive in ticked(made, "fusing drives", len(drives)):
             done += not drive.error
             code = max(code, 2 if drive.error else drive.facts["code"])
             for text in [drive.error] if drive.error else drive.facts["messages"]:

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.progress import track
 from typer import Argument, Option
 
-from ogm.cli.console import out, print_facts, progress_bar, report_errors, stderr
+from ogm.cli.console import out, print_facts, progress_bar, report_errors, stderr, ticked
 
 if TYPE_CHECKING:
     from ogm.simulation.plan import DatasetPlan
@@ -173,11 +172,7 @@ def _finish(store: "Store", path: Path, export: Path | None) -> None:
     sheet = path / "contact-sheet.png"
     contact_sheet(sheet, store)
     if export is not None:
-        exchange.export(
-            store,
-            export,
-            tick=lambda numbers, name: track(numbers, f"exporting {name}", console=stderr, transient=True),
-        )
+        exchange.export(store, export, tick=lambda numbers, name: ticked(numbers, f"exporting {name}"))
     facts = store.describe()
     shown = ("training", "validation", "test", "sequences", "radars", "size")
     print_facts({name: facts[name] for name in shown if not facts.get(name, "0 ").startswith("0 ")})
