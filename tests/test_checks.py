@@ -164,7 +164,11 @@ def _falling(cloud: Any, k: int) -> None:
 @each("change, kind, text", [
         (_switched, "intensities", "their scale changes: in 3 of 6 scans they are at least 248 times smaller"),
         (_saturated, "intensities", "25 % of the points have the greatest intensity: they are saturated"),
-        (_decibels, "intensities", "all 6 scans have negative intensities (decibels?), with the range scaled to 0 to 1"),
+        (
+            _decibels,
+            "intensities",
+            "all 6 scans have negative intensities (decibels?), with the range scaled to 0 to 1",
+        ),
         (_same_rings, "rings", "all points of a scan have the same"),
         (_numbers, "rings", "in a scan, but lidars have at most 256: check the field"),
         (_crossed, "rings", "their numbers do not follow elevation in all 6 scans"),
