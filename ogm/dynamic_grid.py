@@ -151,9 +151,7 @@ class DynamicGrid(SavedGrid):
         return cls(layers.spec, mass, velocity, covariance)
 
     def __repr__(self) -> str:
-        shares = (
-            f"{name} {float(getattr(self, name).mean()):.1%}" for name in ("free", "static", "dynamic", "unknown")
-        )
+        shares = (f"{name} {getattr(self, name).mean():.1%}" for name in ("free", "static", "dynamic", "unknown"))
         return f"DynamicGrid({self.spec}: {', '.join(shares)})"
 
     def __eq__(self, other: object) -> bool:

@@ -30,7 +30,7 @@ Sampling = Literal["nearest", "bilinear"]
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
 _MAX_CELLS = 2**28  # 2 GiB of masses; files that announce more are refused before they are unpacked
 _MIN_CELL, _MAX_CELL = 1e-6, 1e6  # [m] side of a cell: beyond, products of lengths leave the range of float32
-_MAX_COORDINATE = 1e10  # [m], at which float64 resolves 2 micrometres
+_MAX_XY = 1e10  # [m], at which float64 resolves 2 micrometres
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,8 @@ class GridSpec:
             raise ValueError(f"shape {self.shape} has more than {_MAX_CELLS} cells; use larger or fewer cells")
         if len(origin) != 2 or not np.isfinite(origin).all():
             raise ValueError(f"origin must be two finite numbers (x, y) [m], got {self.origin}")
-        if max(abs(corner) + n * resolution for corner, n in zip(origin, shape, strict=True)) > _MAX_COORDINATE:
-            raise ValueError(
-                f"a grid must lie within {_MAX_COORDINATE:g} m, got the origin {origin} m, cells of {resolution} m"
-            )
+        if max(abs(corner) + n * resolution for corner, n in zip(origin, shape, strict=True)) > _MAX_XY:
+            raise ValueError(f"grids must lie within {_MAX_XY:g} m, got origin {origin} m, cells of {resolution} m")
         self.__dict__.update(resolution=resolution, shape=(int(shape[0]), int(shape[1])), origin=origin)
 
     @classmethod
@@ -353,9 +351,7 @@ class EvidentialGrid(SavedGrid):
         if mass.dtype.kind != "f":
             raise TypeError(f"mass must be a float array, got dtype {mass.dtype}; convert it with .astype('float32')")
         if mass.ndim != 3 or mass.shape[-1] != 2:
-            raise ValueError(
-                f"mass must have 2 states (free, occupied) on its last axis and shape (nx, ny, 2), got {mass.shape}"
-            )
+            raise ValueError(f"mass must have shape (nx, ny, 2) with the states free and occupied, got {mass.shape}")
         if mass.shape[:2] != self.spec.shape:
             raise ValueError(f"mass has {mass.shape[:2]} cells, but the spec has {self.spec.shape}")
         mass = mass.astype(np.float32, copy=False)

@@ -72,7 +72,7 @@ def test_impossible_specs_are_refused() -> None:
 
 def test_specs_beyond_sense_are_refused() -> None:
     for spec in ((1e6, (2**14, 3), (0, 0)), (1.0, (2, 2), (1e11, 0)), (1.0, (2, 2), (0, -1e300))):
-        refused("a grid must lie within 1e.10 m", GridSpec, *spec)
+        refused("grids must lie within 1e.10 m", GridSpec, *spec)
     for resolution in (1e-6, 1e6):
         assert (
             RadarISM(GridSpec.centered(3 * resolution, 3 * resolution, resolution), Mount(1.0))(

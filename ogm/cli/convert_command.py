@@ -31,7 +31,7 @@ Extent = Annotated[
 Side = Annotated[float | None, Option(help="Resample to cells of this side [m]; free areas never grow.")]
 Layer = Annotated[str | None, Option(help="Write one layer of GRID as occupancy, such as for map_server.")]
 LayerValues = Annotated[
-    tuple[float, float] | None, Option(help="Values of free and occupied cells in --layer. [default: 0 100]")
+    tuple[float, float] | None, Option(help="Values of free and occupied in --layer. [default: 0 100]")
 ]
 Message = Annotated[
     str | None,

@@ -22,9 +22,7 @@ Poses = Annotated[File, Option(help="Poses of the sensor: KITTI, KITTI-360, TUM 
 Calibration = Annotated[File, Option(help="KITTI's calib.txt, for poses of its camera.")]
 Odometry = Annotated[str | None, Option(help="Estimate the poses from the scans: kiss-icp or small-gicp.")]
 SavePoses = Annotated[File, Option(help="Write the poses of the mapped scans (.csv, or .txt for TUM).")]
-Match = Annotated[
-    bool, Option("--match", help="For planar lasers: refine the poses, used as odometry, by scan matching.")
-]
+Match = Annotated[bool, Option("--match", help="For planar lasers: refine poses, used as odometry, by scan matching.")]
 Rate = Annotated[float, Option(help="Rate of scans without stamps [Hz], if the poses have none either.")]
 Drive = Annotated[str | None, Option(help="Drive of a dataset: its name or number. [default: the first]")]
 _MODELS = (
@@ -57,16 +55,12 @@ HalfLife = Annotated[
         "lasers: inf]"
     ),
 ]
-Continue = Annotated[
-    File, Option("--continue", help="Continue a saved map of this place (.npz with its full state; .tif, ...).")
-]
+Continue = Annotated[File, Option("--continue", help="Continue a saved map (.npz with its full state; .tif, ...).")]
 Window = Annotated[
     str | None,
     Option(help="rolling: follows the vehicle. fixed: covers the drive. [default: rolling; planar lasers: fixed]"),
 ]
-SideOfCell = Annotated[
-    float | None, Option("--resolution", help="Side of a cell [m]. [default: 0.16; planar lasers: 0.05]")
-]
+SideOfCell = Annotated[float | None, Option("--resolution", help="Cell side [m]. [default: 0.16; planar lasers: 0.05]")]
 Out = Annotated[
     File,
     Option(
@@ -80,9 +74,7 @@ Message = Annotated[
     Option(help="Message of logs: occupancy-grid, or with masses grid-map, foxglove-grid. [default: occupancy-grid]"),
 ]
 Picture = Annotated[File, Option(help="Last scan: points, measurement, map, conflict (.png). [default: map.png]")]
-Page = Annotated[
-    File, Option(help="Page for a browser (.html): map, conflict, causes of unknown cells, zoom, values of cells.")
-]
+Page = Annotated[File, Option(help="Page for a browser (.html): map, conflict, causes of unknown cells, zoom, values.")]
 EachDrive = Annotated[
     bool,
     Option(

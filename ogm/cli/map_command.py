@@ -199,9 +199,7 @@ def _check_replaced(dataset: "Dataset", spec: "GridSpec") -> None:
             if EvidentialGrid.load(grid).spec == spec:
                 continue
         if there:
-            raise ValueError(
-                f"{there[0]} exists and is no result of this command: give --out and --picture, or move it"
-            )
+            raise ValueError(f"{there[0]} exists and is no result of this command: give --out and --picture or move it")
 
 
 def _written(names: list[str], grids: Path | None, pictures: Path | None) -> str:

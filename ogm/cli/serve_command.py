@@ -28,21 +28,15 @@ if TYPE_CHECKING:
 SCAN_RATE = 10.0  # [Hz] rate of scans without stamps
 
 ScanPaths = Annotated[list[Path] | None, Argument(help="Scan files, a folder, a dataset, or a log.", metavar="SCANS")]
-Listen = Annotated[
-    str | None, Option(help="Receive scans and poses over TCP instead; see docs/live.md.", metavar="[HOST:]PORT")
-]
+Listen = Annotated[str | None, Option(help="Receive scans and poses by TCP; see docs/live.md.", metavar="[HOST:]PORT")]
 Rate = Annotated[float | None, Option(help="Speed of playback: 2 plays twice as fast. [default: 1]")]
 Duration = Annotated[float | None, Option(help="Stop after this time [s]. [default: at the end, or Ctrl-C]")]
 Port = Annotated[int, Option(help="Port of the Foxglove WebSocket; 0 takes any free port.")]
-Host = Annotated[
-    str, Option(help="Address of the server. Addresses other than loopback expose the map to the network.")
-]
+Host = Annotated[str, Option(help="Address of the server; any other than loopback exposes the map to the network.")]
 InflationRadius = Annotated[
     float | None, Option(help="Add the field cost to /map: distance beyond which obstacles cost nothing [m].")
 ]
-Layers = Annotated[
-    str | None, Option(help="Further layer to serve: cause, the reason why cells are unknown, as /cause.")
-]
+Layers = Annotated[str | None, Option(help="Further layer to serve: cause, the causes of unknown cells, as /cause.")]
 Every = Annotated[float, Option(help="Interval between printed counts and latencies [s].")]
 
 
@@ -120,9 +114,7 @@ def serve(
     mapper = make_mapper(rule or REVISE, rolling_window(spec), half_life)
     if layers is not None:
         if layers != CAUSE_LAYER or not isinstance(mapper, EvidentialMapper):
-            raise ValueError(
-                f"--layers takes only cause, for evidential maps; got {layers} with --rule {rule or REVISE}"
-            )
+            raise ValueError(f"--layers must be cause, for evidential maps; got {layers} with --rule {rule or REVISE}")
         model = ExplainedISM(model)
     if warning := adding_rule_warning(rule or REVISE):
         _print(warning)

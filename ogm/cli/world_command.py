@@ -81,9 +81,7 @@ def build(
     from ogm.world import WorldMap, build_world
 
     if poses is not None and len(poses) != len(datasets):
-        raise ValueError(
-            f"--poses must be given once per dataset, or not at all, got {len(poses)} for {len(datasets)} datasets"
-        )
+        raise ValueError(f"--poses must be given once per dataset, or not at all, got {len(poses)} for {len(datasets)}")
     options.check_first(first)
     import_extra("zarr", "world")  # before scans are read
     spec = GridSpec.centered(length, width, resolution)
@@ -111,9 +109,7 @@ def build(
     with world, _progress() as show:
         build_world(world, drives, model, length=submap_length, workers=workers, scheduler=scheduler, progress=show)
         if not world.tiles():
-            raise ValueError(
-                f"{out_url} stays empty: no scan has evidence on the grid; `ogm map` of one scan states the reason"
-            )
+            raise ValueError(f"{out_url} stays empty: no scan has evidence on the grid; `ogm map` of a scan states why")
         world.build_overviews()
         _print(world)
         _print_contradictions(world)

@@ -177,9 +177,7 @@ def _open_cache(out: Path, task: FrameTask, settings: Mapping[str, Any], stack: 
     if out.exists() and not out.is_dir():
         raise ValueError(f"the report needs a folder, but {out} is a file; give another `out`")
     if out.resolve() in {(path if path.is_dir() else path.parent).resolve() for path in files}:
-        raise ValueError(
-            f"{out} contains the evaluated data, and pictures of the report would mix with it; give another `out`"
-        )
+        raise ValueError(f"{out} contains the evaluated data, which the report would mix with; give another `out`")
     states = {
         "states": {name: method.state() for name, method in methods.items()},
         "versions": package_versions(),

@@ -112,8 +112,4 @@ def model_class(name: str) -> Any:
 
 def default_parameters(name: str) -> dict[str, float]:
     """Return the adjustable parameters of a geometric model with their defaults."""
-    return {
-        parameter.name: parameter.default
-        for parameter in fields(model_class(name))
-        if isinstance(parameter.default, float)
-    }
+    return {number.name: number.default for number in fields(model_class(name)) if isinstance(number.default, float)}

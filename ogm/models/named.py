@@ -115,9 +115,7 @@ def load_model(
         beside = {_kind_of(part): load_model(part, spec, mount) for part in others}
         return ModelsByKind(load_model(first, spec, mount, drop_ego_returns=drop_ego_returns, device=device), beside)
     if str(device) != "cpu" and (name in (*GEOMETRIC, *RADAR_MODELS) or _is_fitted(name)):
-        raise ValueError(
-            f"{name} runs on the CPU only, got device={str(device)!r}: leave out device, or load a network"
-        )
+        raise ValueError(f"{name} runs on the CPU only, got device={str(device)!r}: leave device out or load a network")
     if name in RADAR_MODELS:
         return load_radar_model(name, spec, mount)
     if name == RELEASED:

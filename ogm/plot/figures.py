@@ -87,9 +87,7 @@ def _panels(items: Sequence[Shown], titles: Sequence[str]) -> list[Panel]:
         elif isinstance(item, DynamicGrid):
             panels.append(dynamic_panel(item, title))
         elif spec is None:
-            raise ValueError(
-                "points need an area: show them next to a grid, or give ogm.plot.points_panel(cloud, spec)"
-            )
+            raise ValueError("points need an area: show them next to a grid, or as ogm.plot.points_panel(cloud, spec)")
         else:
             panels.append(points_panel(item, spec, title))
     return panels

@@ -127,12 +127,8 @@ def write_view(
     if not shown:
         raise ValueError("there is nothing to show: the grid has no layers")
     facts = {"title": title or "grid", "made": f"{datetime.now():%Y-%m-%d %H:%M}", "tile": TILE, "layers": shown}
-    facts |= {
-        "roughest": ROUGHEST,
-        "resolution": grid.spec.resolution,
-        "shape": grid.spec.shape,
-        "origin": grid.spec.origin,
-    }
+    spec = grid.spec
+    facts |= {"roughest": ROUGHEST, "resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin}
     if T_grid_vehicle is not None:
         T = check_pose(T_grid_vehicle, "T_grid_vehicle")
         facts["vehicle"] = [float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0])]

@@ -79,9 +79,7 @@ def _check_rate(parts: list[list[float]]) -> Iterator[Finding]:
     if missing:
         text = f"about {missing} scans are missing in {len(gaps)} gaps, the longest of {gaps.max():.3g} s"
         yield Finding("lost data", "gaps", text, "record with a larger buffer" if gaps.max() < _LONG_GAP else "")
-    yield Finding(
-        "note", "rate", f"{1 / usual:.1f} Hz, {number} scans in {sum(np.ptp(stamps) for stamps in parts):.1f} s"
-    )
+    yield Finding("note", "rate", f"{1 / usual:.1f} Hz, {number} scans in {sum(map(np.ptp, parts)):.1f} s")
 
 
 def _check_jumps(dataset: Dataset) -> Iterator[Finding]:
