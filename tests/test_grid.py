@@ -225,7 +225,7 @@ def test_masses_are_checked_and_kept_as_float32() -> None:
     assert EvidentialGrid.trusted(SPEC, mass) == EvidentialGrid(SPEC, mass)
     assert (EvidentialGrid.vacuous(SPEC).unknown == 1).all()
     for bad, message in (
-        (np.zeros((6, 4, 3), np.float32), "2 states"),
+        (np.zeros((6, 4, 3), np.float32), "states free and occupied"),
         (np.zeros((4, 6, 2), np.float32), r"\(4, 6\) cells, but the spec has \(6, 4\)"),
         (np.full((6, 4, 2), 0.6, np.float32), "24 cells"),
         (np.full((6, 4, 2), -0.1), "renormalize"),
