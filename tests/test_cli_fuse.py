@@ -277,7 +277,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--sequence", "1"), "--sequence must be one of drive"),
         (("{scans}/scan_5.bin", "--sequence", "1"), "--sequence selects a drive by name"),
         (("{data}", "--sequence", "7"), "--sequence must be one of sequence 0, got 7"),
-        (("{data}", "--deskew"), "or not in all scans"),
+        (("{data}", "--deskew"), "distorted by motion in all scans"),
     ])  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2_before_the_work(
     scans: Path, data: Path, tmp_path: Path, words: tuple[str, ...], message: str

@@ -36,8 +36,7 @@ LayerValues = Annotated[
 Message = Annotated[
     str | None,
     Option(
-        help="Message of .mcap, .db3, .bag: occupancy-grid, costmap, or with all layers grid-map or foxglove-grid. "
-        "[default: occupancy-grid]"
+        help="Message of logs: occupancy-grid, costmap; with all layers grid-map, foxglove-grid. [default: the first]"
     ),
 ]
 Topic = Annotated[str | None, Option(help="Topic of a GRID in a log. [default: the only topic with grids, or /map]")]

@@ -55,28 +55,16 @@ Data = Annotated[
     ),
 ]
 Fused = Annotated[
-    str | None,
-    Option(
-        help=f"Evaluate each model also fused over time, by rules separated by commas: {', '.join(MAP_RULES)}.",
-        metavar="RULE[,RULE]...",
-    ),
+    str | None, Option(help=f"Also evaluate models fused over time: {', '.join(MAP_RULES)}.", metavar="RULE[,RULE]...")
 ]
 
 
 Beams = Annotated[
     bool,
-    Option(
-        "--beams",
-        help="Evaluate maps of planar lasers without truth, by the beams of held-out scans (every 5th, in turn).",
-    ),
+    Option("--beams", help="Evaluate planar maps without truth, by the beams of every 5th scan, held out in turn."),
 ]
 Agreement = Annotated[
-    bool,
-    Option(
-        "--agreement",
-        help="Compare methods with each other, without truth (folder of scans): agreement, conflict, KL in both "
-        "directions.",
-    ),
+    bool, Option("--agreement", help="Compare methods without truth, by agreement, conflict and KL in both directions.")
 ]
 SideOfCell = Annotated[
     float | None, Option("--resolution", help="With --beams: side of a cell [m]. [default: 0.05]", metavar="M")

@@ -38,10 +38,7 @@ UsualModel = Annotated[
 ]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]
 RadarReliability = Annotated[
-    float,
-    Option(
-        help="Reliability of radars used with a lidar, 0 to 1: discounts their masses, not their Doppler.", min=0, max=1
-    ),
+    float, Option(help="Reliability of radars used with a lidar, 0 to 1; does not affect Doppler.", min=0, max=1)
 ]
 Rule = Annotated[
     str | None, Option(help=f"Rule: {', '.join(MAP_RULES)}. [default: {REVISE}, and {SMOOTH} for planar lasers]")
@@ -50,10 +47,7 @@ Dynamic = Annotated[bool, Option("--dynamic", help="Separate moving from static,
 Particles = Annotated[int | None, Option(help="Number of particles of a dynamic map. [default: 200000]")]
 HalfLife = Annotated[
     float | None,
-    Option(
-        help="Time in which belief halves [s], or inf; in dynamic maps belief in static. [default: 2; bayes, planar "
-        "lasers: inf]"
-    ),
+    Option(help="Half-life of belief [s], or inf; in dynamic maps of static. [default: 2; bayes, planar lasers: inf]"),
 ]
 Continue = Annotated[File, Option("--continue", help="Continue a saved map (.npz with its full state; .tif, ...).")]
 Window = Annotated[
@@ -76,11 +70,7 @@ Message = Annotated[
 Picture = Annotated[File, Option(help="Last scan: points, measurement, map, conflict (.png). [default: map.png]")]
 Page = Annotated[File, Option(help="Page for a browser (.html): map, conflict, causes of unknown cells, zoom, values.")]
 EachDrive = Annotated[
-    bool,
-    Option(
-        "--each-drive",
-        help="Fuse every drive of every dataset in SCANS, each into its own subfolder of the outputs' folder.",
-    ),
+    bool, Option("--each-drive", help="Fuse every drive of all datasets, each into a subfolder of the outputs' folder.")
 ]
 MovieFile = Annotated[File, Option(help="Film of the drive in real time: .gif, .webp or .png (animated).")]
 

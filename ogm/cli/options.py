@@ -19,12 +19,7 @@ def check_first(first: int | None) -> None:
 
 File = Path | None
 Axes = Annotated[
-    Any,
-    Option(
-        parser=parsed_axes,
-        metavar="<str>",
-        help="Axes of the files: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.",
-    ),
+    Any, Option(parser=parsed_axes, metavar="<str>", help="Axes: flu (x forward, y left), kitti, ..., or +y,-x,+z.")
 ]
 FolderAxes = Annotated[str, Option(help="Axes of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")]
 TruthSources = Annotated[

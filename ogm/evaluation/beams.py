@@ -233,10 +233,7 @@ def evaluate_beams(
         raise ValueError("no scan has a pose, so that maps cannot be made: give a log with poses")
     for name, drive in drives.items():
         if len(drive) < every:
-            raise ValueError(
-                f"the drive {name!r} must have at least {every} scans with poses (`every`), got {len(drive)}: "
-                "leave it out"
-            )
+            raise ValueError(f"drive {name!r} needs {every} scans with poses or more, got {len(drive)}: leave it out")
     ordered = [frame for drive in drives.values() for frame in drive]
     beams = [planar_beams(frame) for frame in ordered]
     max_range = max(float(scan.distance.max(initial=0.0)) for scan in beams)
@@ -288,8 +285,7 @@ def planar_beams(frame: Frame) -> PlanarBeams:
         raise ValueError(f"{frame.name} must be a scan of a planar laser, got {kind}: select the laser's `topic`")
     if tilt_of(T) > MAX_TILT:
         raise ValueError(
-            f"the laser of {frame.name} must be tilted by 5 degrees at most, got "
-            f"{math.degrees(tilt_of(T)):.0f} degrees: its beams leave the plane of the map"
+            f"the laser of {frame.name} must be tilted by 5 degrees at most, got {math.degrees(tilt_of(T)):.0f} degrees"
         )
     origin = T[:2, 3].astype(np.float64)
     if frame.mount.points_in == "vehicle":

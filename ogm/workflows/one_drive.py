@@ -83,10 +83,7 @@ def fuse_drive(
     o = options or _default_options(dataset)
     dataset = posed(dataset, o.odometry, o.rate, o.first, match=o.match)[0]
     if o.deskew and not dataset.motion_distorted:
-        raise ValueError(
-            "`deskew` needs points that are distorted by motion, which this dataset does not have (or not "
-            "in all scans): leave it out"
-        )
+        raise ValueError("`deskew` needs points distorted by motion in all scans of the dataset: leave it out")
     if (warning := adding_rule_warning(o.rule)) and o.rule != map_defaults(dataset).rule:
         tell(warning)
     for finding in gravest(dataset, str(o.ism)):
