@@ -24,11 +24,7 @@ Axes = Annotated[
 FolderAxes = Annotated[str, Option(help="Axes of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")]
 TruthSources = Annotated[
     str | None,
-    Option(
-        help="Sources of a recording's truth, separated by commas: boxes, classes, map, aggregated. "
-        "[default: all that the recording has]",
-        metavar="SOURCE[,SOURCE]...",
-    ),
+    Option(help="Sources of truth: boxes, classes, map, aggregated. [default: all]", metavar="SOURCE[,SOURCE]..."),
 ]
 IntensityMax = Annotated[float | None, Option(help="Intensity that is scaled to 1. [default: by the format]")]
 TimeUnit = Annotated[float | None, Option(help="Unit of time [s]. [default: 1e-9 for whole numbers, else 1]")]
