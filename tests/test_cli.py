@@ -313,4 +313,4 @@ def test_layers_are_written_beside_the_masses(scan: Path, tmp_path: Path) -> Non
     assert layers["cause"][layers.spec.index(0.1, 0.1)] == UnknownCause.NEAR_VEHICLE
     wall = layers.spec.index(8.1, 0.1)
     assert (layers["distance"][wall], layers["cost"][wall]) == (0, 254)
-    refused_command("there is no layer 'height'", *words, "--layers", "height")
+    refused_command("got 'height'", *words, "--layers", "height")

@@ -384,7 +384,7 @@ def test_each_drive_has_the_files_that_it_has_alone(sequences: Path, tmp_path: P
 @each("words, message", [
         (("--workers", 2), "are for --each-drive"),
         (("--each-drive", "--sequence", "00"), "are for one drive"),
-        (("--each-drive", "--out", "a/m.npz", "--picture", "b/p.png"), "lie in one folder, got a, b"),
+        (("--each-drive", "--out", "a/m.npz", "--picture", "b/p.png"), "must be in one folder, got a, b"),
     ])  # fmt: skip
 def test_options_of_many_drives_that_exclude_others(
     scans: Path, tmp_path: Path, words: tuple[object, ...], message: str, monkeypatch: pytest.MonkeyPatch

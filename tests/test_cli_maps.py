@@ -295,7 +295,7 @@ def test_maps_are_merged_cut_and_made_coarser(tmp_path: Path) -> None:
     for message, words in (
         ("--merge-pose and --rule belong to --merge", ("--rule", "dempster")),
         ("there is no layer 'step'", ("--layer", "step")),
-        ("there is no rule 'bayes'", ("--merge", tmp_path / "a.npz", "--rule", "bayes")),
+        ("--rule must be one of", ("--merge", tmp_path / "a.npz", "--rule", "bayes")),
         ("has no cell of the map", ("--extent", 50, 60, 0, 1)),
     ):
         refused_command(message, "convert", tmp_path / "b.tif", tmp_path / "e.npz", *words)

@@ -1,4 +1,4 @@
-"""Truth from the agreement of many scans of one area, and combination of several truths."""
+"""Truth from the agreement of many scans of an area, and combination of several truths."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ def truth_from_scans(
     min_scans: int = 2,
     moving: NDArray[np.bool_] | None = None,
 ) -> Truth:
-    """Return the truth from several scans of one area, without moving objects.
+    """Return the truth from several scans of an area, without moving objects.
 
     A cell is
 
@@ -149,7 +149,7 @@ def combine_truths(
     boxes : Truth, optional
         Truth of `truth_from_boxes`.
     uncertain, unobserved : (nx, ny) bool, optional
-        Cells, such as of boxes with few returns, and under the ego vehicle.
+        Cells, such as under boxes with few returns, and under the ego vehicle.
 
     Returns
     -------
