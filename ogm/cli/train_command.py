@@ -160,9 +160,7 @@ def export_command(
     with weights_of(source) as path:
         network, description = load_any_network(path)
         if scans is not None and not isinstance(network, PillarNetwork):
-            raise ValueError(
-                f"--int8 needs a network for lidars, got {source}: leave it out"
-            )
+            raise ValueError(f"--int8 needs a network for lidars, got {source}: leave it out")
         _quiet()
         with stderr.status("exporting ..."):
             facts = export_onnx(network, out_path, description=description, weights=path)
