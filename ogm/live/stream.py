@@ -186,7 +186,7 @@ class _Connection:
         if count > MAX_POINTS:
             raise OgmError(f"a message must have at most {MAX_POINTS} points, got {count}")
         if not (0 <= numbers[0] < LATEST and all(map(math.isfinite, numbers))):
-            raise OgmError(f"a message must have a stamp from 0 to 2**31 s and a finite pose, got {numbers}")
+            raise OgmError(f"a message must have a finite pose and a stamp from 0 to 2**31 s, got {numbers[0]} s")
         self.sends = True
         self._points = np.empty(4 * count, "<f4")
         if count:
