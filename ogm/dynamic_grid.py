@@ -1,4 +1,4 @@
-"""`DynamicGrid`: belief in free, static and dynamic for every cell, and the velocity of what is dynamic.
+"""`DynamicGrid`: belief in free, static and dynamic for every cell, and the velocity of dynamic cells.
 
 >>> import numpy as np
 >>> from ogm import GridSpec
@@ -34,19 +34,19 @@ class DynamicGrid(SavedGrid):
     ----------
     spec : GridSpec
     mass : (nx, ny, 3) float array
-        Masses of free, of occupied by something static and of occupied by something dynamic, in [0, 1]; their sum is at
-        most 1, and what is missing to 1 is the mass of unknown. Kept as float32.
+        Masses of free, static and dynamic, in [0, 1]. Their sum is at most 1; unknown is 1 minus the sum. Kept as
+        float32.
     velocity : (nx, ny, 2) float array
-        Mean velocity over ground of what is dynamic, along the grid's x and y [m/s]; NaN where dynamic is 0.
+        Mean velocity over ground of the dynamic mass, along the grid's x and y [m/s]; NaN where dynamic is 0.
     covariance : (nx, ny, 2, 2) float array
-        Of that velocity [m²/s²]; NaN as `velocity`.
+        Covariance of the velocity [m²/s²]; NaN where dynamic is 0.
 
     Raises
     ------
     TypeError
         If an array is not of floats, or masked.
     ValueError
-        If a shape does not fit `spec`, or masses are NaN, negative, or part of a sum above 1 by more than 1e-6.
+        If a shape does not fit `spec`, a mass is NaN or negative, or a sum of masses exceeds 1 by more than 1e-6.
     """
 
     FORMAT: ClassVar[str] = "ogm.DynamicGrid/1"
@@ -73,17 +73,16 @@ class DynamicGrid(SavedGrid):
     def trusted(
         cls, spec: GridSpec, mass: NDArray[np.float32], velocity: NDArray[np.float32], covariance: NDArray[np.float32]
     ) -> "DynamicGrid":
-        """Make a grid without checking its arrays: for kernels whose results are masses by construction.
+        """Make a grid without checks, for results of kernels that are masses by construction.
 
         Parameters as in the constructor; arrays must be float32 of the right shapes and are not copied.
         """
         grid = object.__new__(cls)
-        for name, value in {"spec": spec, "mass": mass, "velocity": velocity, "covariance": covariance}.items():
-            object.__setattr__(grid, name, value)
+        grid.__dict__.update(spec=spec, mass=mass, velocity=velocity, covariance=covariance)
         return grid
 
     def check(self) -> None:
-        """Raise what the constructor would: for grids of `trusted`, or whose arrays were changed. Writers call it."""
+        """Check the arrays as the constructor does: for grids of `trusted` or with changed arrays, before writing."""
         type(self)(self.spec, self.mass, self.velocity, self.covariance)
 
     @property
@@ -93,12 +92,12 @@ class DynamicGrid(SavedGrid):
 
     @property
     def static(self) -> NDArray[np.float32]:
-        """Mass of occupied by something static, (nx, ny) in [0, 1]."""
+        """Mass of occupied by a static object, (nx, ny) in [0, 1]."""
         return self.mass[..., 1]
 
     @property
     def dynamic(self) -> NDArray[np.float32]:
-        """Mass of occupied by something dynamic, (nx, ny) in [0, 1]."""
+        """Mass of occupied by a dynamic object, (nx, ny) in [0, 1]."""
         return self.mass[..., 2]
 
     @property
@@ -108,7 +107,7 @@ class DynamicGrid(SavedGrid):
 
     @property
     def unknown(self) -> NDArray[np.float32]:
-        """Mass of the whole frame, (nx, ny) in [0, 1]: what the others leave of 1."""
+        """Mass of unknown, (nx, ny) in [0, 1]: 1 - free - occupied, at least 0."""
         unknown: NDArray[np.float32] = np.maximum(1 - self.free - self.occupied, 0)
         return unknown
 
@@ -123,7 +122,7 @@ class DynamicGrid(SavedGrid):
         return np.arctan2(self.velocity[..., 1], self.velocity[..., 0])
 
     def to_evidential(self) -> EvidentialGrid:
-        """Return the masses of free and occupied alone."""
+        """Return the masses of free and occupied, static and dynamic added."""
         return EvidentialGrid(self.spec, np.stack([self.free, self.occupied], axis=-1))
 
     def to_layers(self) -> LayeredGrid:
@@ -135,14 +134,14 @@ class DynamicGrid(SavedGrid):
 
     @classmethod
     def from_layers(cls, layers: LayeredGrid) -> Self:
-        """Return the grid that `to_layers` made layers of; unknown and further layers are not needed.
+        """Return the grid of the layers of `to_layers`; unknown and further layers are not needed.
 
         Raises
         ------
         KeyError
             If a layer is missing.
         ValueError
-            As the constructor.
+            See the constructor.
         """
         mass = np.stack([layers[name] for name in ("free", "static", "dynamic")], axis=-1)
         velocity = np.stack([layers[name] for name in ("velocity_x", "velocity_y")], axis=-1)
@@ -152,13 +151,11 @@ class DynamicGrid(SavedGrid):
         return cls(layers.spec, mass, velocity, covariance)
 
     def __repr__(self) -> str:
-        shares = (
-            f"{name} {float(getattr(self, name).mean()):.1%}" for name in ("free", "static", "dynamic", "unknown")
-        )
+        shares = (f"{name} {getattr(self, name).mean():.1%}" for name in ("free", "static", "dynamic", "unknown"))
         return f"DynamicGrid({self.spec}: {', '.join(shares)})"
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other has the same cells, masses, velocities and covariances; NaN equals NaN."""
+        """Return whether cells, masses, velocities and covariances are equal; NaN equals NaN."""
         if not isinstance(other, DynamicGrid):
             return NotImplemented
         return self.spec == other.spec and all(
@@ -169,7 +166,7 @@ class DynamicGrid(SavedGrid):
     __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
     def arrays(self) -> dict[str, ArrayLike]:
-        """Return the arrays of the file: ``mass``, ``velocity`` and ``covariance``, else those of `EvidentialGrid`."""
+        """Return the arrays of the file: see `EvidentialGrid.arrays`; with ``velocity`` and ``covariance``."""
         self.check()
         axes = "[ix (x forward), iy (y left), state, or x and y]; origin is the corner of cell (0, 0)"
         cells = {name: getattr(self, name) for name in ("mass", "velocity", "covariance")}

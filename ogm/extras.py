@@ -1,4 +1,4 @@
-"""Imports at first use: of packages that come with an extra, and of the names of a package."""
+"""Imports at first use: packages of extras, and names of a package."""
 
 import importlib
 import sys
@@ -8,12 +8,12 @@ from typing import Any
 
 
 def install_line(extra: str) -> str:
-    """Return the command that installs an extra: into the environment of a clone, or from the package index.
+    """Return the command that installs an extra, into the environment of a clone or from the package index.
 
     Parameters
     ----------
     extra : str
-        One or more, with commas between.
+        One or more extras, separated by commas.
     """
     clone = Path(__file__).parents[1]
     if (clone / "pyproject.toml").is_file():
@@ -22,19 +22,19 @@ def install_line(extra: str) -> str:
 
 
 def import_extra(module: str, extra: str) -> Any:
-    """Return a module that an extra of ogm installs, or raise an error with the command that adds it.
+    """Return a module of an extra, or raise an error with the install command.
 
     Parameters
     ----------
     module : str
-        Its dotted name.
+        Dotted name of the module.
     extra : str
-        As in ``pip install "ogm-toolkit[extra]"``.
+        Name of the extra, see ``pip install "ogm-toolkit[extra]"``.
 
     Raises
     ------
     ImportError
-        If it is missing.
+        If the module is missing.
     """
     try:
         return importlib.import_module(module)
@@ -44,14 +44,14 @@ def import_extra(module: str, extra: str) -> Any:
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:
-    """Return the ``__getattr__`` of a package whose names are imported when they are first used.
+    """Return a ``__getattr__`` that imports the names of a package at their first use.
 
     Parameters
     ----------
     package : str
-        Its dotted name.
+        Dotted name of the package.
     homes : mapping of str to str
-        Module of each name; that of a module is the module itself.
+        Module of each name; a submodule is its own module.
     """
 
     def load(name: str) -> object:

@@ -1,4 +1,4 @@
-"""Geometry and data of one grid: `GridSpec`, `EvidentialGrid` and `LayeredGrid`.
+"""Geometry and data of grids: `GridSpec`, `EvidentialGrid` and `LayeredGrid`.
 
 >>> import numpy as np
 >>> from ogm import EvidentialGrid, GridSpec
@@ -28,14 +28,14 @@ __all__ = ["CombinedGrid", "EvidentialGrid", "GridSpec", "LayeredGrid", "Partial
 Sampling = Literal["nearest", "bilinear"]
 
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
-_MAX_CELLS = 2**28  # 2 GiB of masses; a file that announces more is refused before it is unpacked
-_MIN_CELL, _MAX_CELL = 1e-6, 1e6  # [m] sides of cells: beyond, products of lengths leave the range of float32
-_MAX_PLACE = 1e10  # [m] of coordinates, in which float64 resolves 2 micrometres
+_MAX_CELLS = 2**28  # 2 GiB of masses; files that announce more are refused before they are unpacked
+_MIN_CELL, _MAX_CELL = 1e-6, 1e6  # [m] side of a cell: beyond, products of lengths leave the range of float32
+_MAX_XY = 1e10  # [m], at which float64 resolves 2 micrometres
 
 
 @dataclass(frozen=True)
 class GridSpec:
-    """Where the cells of a grid lie: a resolution, a number of cells and a corner. Holds no arrays.
+    """Geometry of a grid: resolution, number of cells and corner. Holds no arrays.
 
     Axes follow REP 103: x forward, y left. Cell ``(ix, iy)`` covers
     ``origin + resolution * [ix, ix + 1) x [iy, iy + 1)``.
@@ -52,7 +52,7 @@ class GridSpec:
     Raises
     ------
     ValueError
-        If the resolution is out of its range, a count is not a positive whole number, the grid has more than 2**28
+        If the resolution is out of range, a count is not a positive whole number, the grid has more than 2**28
         cells, or it reaches beyond 1e10 m.
     """
 
@@ -64,7 +64,7 @@ class GridSpec:
         try:
             resolution, shape, origin = float(self.resolution), tuple(self.shape), tuple(map(float, self.origin))
         except OverflowError as error:
-            raise ValueError("resolution and origin must be numbers that a float can hold [m]") from error
+            raise ValueError("resolution and origin must be numbers within the range of float64 [m]") from error
         if not (resolution > 0 and np.isfinite(resolution)):
             raise ValueError(f"resolution must be positive and finite [m], got {self.resolution}")
         if not _MIN_CELL <= resolution <= _MAX_CELL:
@@ -72,16 +72,12 @@ class GridSpec:
         if len(shape) != 2 or not all(0 < n < np.inf and n == int(n) for n in shape):
             raise ValueError(f"shape must be two positive whole numbers (nx, ny), got {self.shape}")
         if shape[0] * shape[1] > _MAX_CELLS:
-            raise ValueError(f"shape {self.shape} has more than {_MAX_CELLS} cells; use coarser or fewer cells")
+            raise ValueError(f"shape {self.shape} has more than {_MAX_CELLS} cells; use larger or fewer cells")
         if len(origin) != 2 or not np.isfinite(origin).all():
             raise ValueError(f"origin must be two finite numbers (x, y) [m], got {self.origin}")
-        if max(abs(place) + n * resolution for place, n in zip(origin, shape, strict=True)) > _MAX_PLACE:
-            raise ValueError(
-                f"a grid must lie within {_MAX_PLACE:g} m, got the origin {origin} m, cells of {resolution} m"
-            )
-        object.__setattr__(self, "resolution", resolution)
-        object.__setattr__(self, "shape", (int(shape[0]), int(shape[1])))
-        object.__setattr__(self, "origin", (float(origin[0]), float(origin[1])))
+        if max(abs(corner) + n * resolution for corner, n in zip(origin, shape, strict=True)) > _MAX_XY:
+            raise ValueError(f"grids must lie within {_MAX_XY:g} m, got origin {origin} m, cells of {resolution} m")
+        self.__dict__.update(resolution=resolution, shape=(int(shape[0]), int(shape[1])), origin=origin)
 
     @classmethod
     def centered(
@@ -101,12 +97,12 @@ class GridSpec:
         resolution : float
             Side of a cell [m].
         center : (float, float)
-            x, y of the grid's middle [m].
+            x, y of the grid's centre [m].
 
         Raises
         ------
         ValueError
-            If an extent is no whole number of cells; the message names the nearest extents that are.
+            If an extent is no whole number of cells; the message names the nearest possible extents.
 
         Examples
         --------
@@ -160,7 +156,7 @@ class GridSpec:
 
     @property
     def cell_centers(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Coordinates of the cells' middles [m]: x as (nx, 1) and y as (1, ny), ready to broadcast."""
+        """Coordinates of cell centres [m]: x as (nx, 1) and y as (1, ny), ready to broadcast."""
         x = self.origin[0] + (np.arange(self.shape[0]) + 0.5) * self.resolution
         y = self.origin[1] + (np.arange(self.shape[1]) + 0.5) * self.resolution
         return x[:, None], y[None, :]
@@ -168,15 +164,15 @@ class GridSpec:
     def index(
         self, x: ArrayLike, y: ArrayLike, *, unbounded: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the cell that holds each point.
+        """Return the cell of each point.
 
         Parameters
         ----------
         x, y : float or array
             Coordinates [m].
         unbounded : bool
-            Whether points may lie outside the grid: their cells are numbered on, below 0 and from ``shape``, and must
-            not index an array, which would read another cell.
+            Whether points may lie outside the grid. Their indices are below 0 or at least ``shape``; do not index an
+            array with them.
 
         Returns
         -------
@@ -185,21 +181,21 @@ class GridSpec:
         Raises
         ------
         ValueError
-            If a point lies outside the grid, unless `unbounded`, or is not finite. `contains` tells which.
+            If a point is not finite, or lies outside the grid without `unbounded`; see `contains`.
         """
         ix, iy = self._floored(x, y)
         bad = ~(np.isfinite(ix) & np.isfinite(iy)) if unbounded else ~self._are_cells(ix, iy)
         if bad.any():
-            px, py = (np.broadcast_to(one, bad.shape)[bad].flat[0] for one in (x, y))
+            px, py = (np.broadcast_to(coordinates, bad.shape)[bad].flat[0] for coordinates in (x, y))
             x0, x1, y0, y1 = self.extent
             raise ValueError(
-                f"({px}, {py}) m lies outside the grid, as {np.count_nonzero(bad)} of {bad.size} points: "
-                f"x in [{x0}, {x1}), y in [{y0}, {y1}) m; leave out points that `contains` does not"
+                f"{np.count_nonzero(bad)} of {bad.size} points lie outside the grid, the first at ({px}, {py}) m: "
+                f"x in [{x0}, {x1}), y in [{y0}, {y1}) m; keep the points for which `contains` is true"
             )
         return ix.astype(np.int64), iy.astype(np.int64)
 
     def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Return for each point whether it lies in a cell of the grid (the far edges are outside)."""
+        """Return whether each point lies in a cell of the grid (the far edges are outside)."""
         return self._are_cells(*self._floored(x, y))
 
     def _floored(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -226,7 +222,7 @@ def sampled_opinions(
     masses: Callable[[NDArray[np.float64]], NDArray[np.float32]],
     method: Sampling,
 ) -> Opinion | NDArray[np.float32]:
-    """Return the opinions at points of a map that is any function of its cells; see `EvidentialGrid.opinion_at`.
+    """Return opinions at points of a map given as a function of its cells; see `EvidentialGrid.opinion_at`.
 
     Parameters
     ----------
@@ -237,7 +233,7 @@ def sampled_opinions(
     resolution : float
         Side of a cell [m].
     masses : function
-        Takes cells, whole numbers (..., 2), to their masses of free and occupied, (..., 2): 0 beyond the map.
+        Takes indices of cells, (..., 2), to masses of free and occupied, (..., 2): 0 beyond the map.
     method : {"nearest", "bilinear"}
     """
     xy = np.asarray(points, np.float64)
@@ -260,7 +256,7 @@ def sampled_opinions(
 
 
 class ShownInNotebooks:
-    """Mixin: a notebook shows the value as a small picture and a table of facts."""
+    """Mixin: notebooks show the value as a small picture and a table of facts."""
 
     def _repr_png_(self) -> bytes | None:
         from ogm.plot.notebook import png
@@ -274,44 +270,44 @@ class ShownInNotebooks:
 
 
 class SavedGrid(ShownInNotebooks):
-    """Mixin of grids: an ``.npz`` file that explains itself, lossless, and read without unpickling."""
+    """Mixin: lossless, self-describing ``.npz`` files, read without unpickling."""
 
     FORMAT: ClassVar[str]
     spec: GridSpec
 
     def arrays(self) -> dict[str, ArrayLike]:
-        """Return the arrays of the file, checked: ``resolution`` and ``origin`` [m], ``axes``, and the cells."""
+        """Return the checked arrays of the file: ``resolution`` and ``origin`` [m], ``axes``, and the cells."""
         raise NotImplementedError
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Return the grid of the arrays of a file."""
+        """Return the grid stored in the arrays of a file."""
         raise NotImplementedError
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the grid, lossless and in one step, to an ``.npz`` file: see `docs/formats.md`.
+        """Write the grid to an ``.npz`` file, lossless and in one step: see `docs/formats.md`.
 
-        `ogm.io.write_grid` also writes a stamp, a place in a frame, and further layers.
+        `ogm.io.write_grid` also writes a stamp, a pose and further layers.
 
         Raises
         ------
         ValueError
             If the path has another ending, or the numbers are no masses.
         OSError
-            If the file cannot be written; a file that is there stays whole until the new one is.
+            If the file cannot be written; an existing file is replaced only by a complete new file.
         """
         write_archive(path, self.FORMAT, **self.arrays())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a grid that `save` wrote.
+        """Read a grid written by `save`.
 
         Raises
         ------
         FileNotFoundError
-            If there is no such file.
+            If the file does not exist.
         OgmError
-            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
+            If the file is damaged, of another kind or version, or has masses outside [0, 1].
         """
         with open_archive(path, cls.FORMAT) as arrays:
             return cls.of_arrays(arrays)
@@ -321,7 +317,7 @@ class SavedGrid(ShownInNotebooks):
 
 
 def spec_of_arrays(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> GridSpec:
-    """Return the cells of a file by its arrays ``resolution`` and ``origin``."""
+    """Return the spec of a file with arrays ``resolution`` and ``origin``."""
     return GridSpec(float(arrays["resolution"]), (shape[0], shape[1]), tuple(arrays["origin"].tolist()))
 
 
@@ -333,15 +329,15 @@ class EvidentialGrid(SavedGrid):
     ----------
     spec : GridSpec
     mass : (nx, ny, 2) float array
-        Masses of free and occupied in [0, 1]; their sum is at most 1, and what is missing to 1 is the mass of
-        unknown. Kept as float32; an array that is float32 already is not copied.
+        Masses of free and occupied in [0, 1]. Their sum is at most 1; unknown is 1 minus the sum. Kept as float32;
+        a float32 array is not copied.
 
     Raises
     ------
     TypeError
         If `mass` is not a float array, or a masked array.
     ValueError
-        If the shape does not fit `spec`, or a mass is NaN, negative or part of a sum above 1 by more than
+        If the shape does not fit `spec`, a mass is NaN or negative, or a sum of masses exceeds 1 by more than
         1e-6. Nothing is repaired: see `ogm.evidence.renormalize`.
     """
 
@@ -355,53 +351,50 @@ class EvidentialGrid(SavedGrid):
         if mass.dtype.kind != "f":
             raise TypeError(f"mass must be a float array, got dtype {mass.dtype}; convert it with .astype('float32')")
         if mass.ndim != 3 or mass.shape[-1] != 2:
-            raise ValueError(
-                f"mass must have 2 states (free, occupied) on its last axis and shape (nx, ny, 2), got {mass.shape}"
-            )
+            raise ValueError(f"mass must have shape (nx, ny, 2) with the states free and occupied, got {mass.shape}")
         if mass.shape[:2] != self.spec.shape:
-            raise ValueError(f"mass is for {mass.shape[:2]} cells, but the spec has {self.spec.shape}")
+            raise ValueError(f"mass has {mass.shape[:2]} cells, but the spec has {self.spec.shape}")
         mass = mass.astype(np.float32, copy=False)
         check_mass(mass)
         object.__setattr__(self, "mass", mass)
 
     @classmethod
     def trusted(cls, spec: GridSpec, mass: NDArray[np.float32]) -> Self:
-        """Make a grid without checking the masses: for kernels whose results are masses by construction.
+        """Make a grid without checks, for results of kernels that are masses by construction.
 
         Parameters as in the constructor; `mass` must be float32 of shape ``(*spec.shape, 2)`` and is not
         copied.
         """
         grid = object.__new__(cls)
-        object.__setattr__(grid, "spec", spec)
-        object.__setattr__(grid, "mass", mass)
+        grid.__dict__.update(spec=spec, mass=mass)
         return grid
 
     def check(self) -> None:
-        """Raise what the constructor would: for grids of `trusted`, or whose array was changed. Writers call it."""
+        """Check the masses as the constructor does: for grids of `trusted` or with changed masses, before writing."""
         EvidentialGrid(self.spec, self.mass)
 
     @classmethod
     def vacuous(cls, spec: GridSpec) -> Self:
-        """Return the grid without any evidence: unknown = 1 everywhere."""
+        """Return a grid without evidence: unknown = 1 everywhere."""
         return cls(spec, np.zeros((*spec.shape, 2), np.float32))
 
     @property
     def known(self) -> tuple[tuple[int, int], NDArray[np.float32]]:
-        """First cell and masses, (mx, my, 2), of a rectangle beyond which every cell is unknown."""
+        """First cell and masses, (mx, my, 2), of a rectangle that includes all known cells."""
         return (0, 0), self.mass
 
     @property
     def in_plane(self) -> bool:
-        """Whether free cells are so in the plane of a laser alone: maps keep what other sensors see above and below."""
+        """Whether free is valid only in the plane of a laser: maps keep obstacles that other sensors detect outside."""
         return False
 
     @property
     def cause(self) -> NDArray[np.uint8] | None:
-        """Codes of `ogm.UnknownCause`, (nx, ny), if the model was asked why cells are unknown: `ExplainedISM`."""
+        """Codes of `ogm.UnknownCause`, (nx, ny), in grids of `ogm.models.ExplainedISM`, else None."""
         return self.__dict__.get("_cause")
 
     def with_cause(self, cause: NDArray[np.uint8]) -> Self:
-        """Return the same grid with the reasons why its cells are unknown, (nx, ny)."""
+        """Return the grid with codes of `ogm.UnknownCause`, (nx, ny)."""
         grid = object.__new__(type(self))
         grid.__dict__.update(self.__dict__, _cause=cause)
         return grid
@@ -418,7 +411,7 @@ class EvidentialGrid(SavedGrid):
 
     @property
     def unknown(self) -> NDArray[np.float32]:
-        """Mass of the whole frame, (nx, ny) in [0, 1]: 1 - free - occupied, rounding below 0 shown as 0."""
+        """Mass of unknown, (nx, ny) in [0, 1]: 1 - free - occupied, at least 0."""
         return unknown(self.mass)
 
     @property
@@ -436,12 +429,12 @@ class EvidentialGrid(SavedGrid):
     @overload
     def at(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float32]: ...
     def at(self, x: ArrayLike, y: ArrayLike) -> Opinion | NDArray[np.float32]:
-        """Return what the cells that hold some points believe.
+        """Return the opinion or masses of the cells at the given points.
 
         Parameters
         ----------
         x, y : float or array
-            Coordinates [m], of one shape.
+            Coordinates [m], of equal shapes.
 
         Returns
         -------
@@ -461,15 +454,15 @@ class EvidentialGrid(SavedGrid):
     @overload
     def opinion_at(self, points: NDArray[Any], method: Sampling = "nearest") -> NDArray[np.float32]: ...
     def opinion_at(self, points: ArrayLike, method: Sampling = "nearest") -> Opinion | NDArray[np.float32]:
-        """Return the opinion at any points: unknown outside of the grid, where `at` is an error.
+        """Return the opinion at any points; points outside the grid are unknown (an error in `at`).
 
         Parameters
         ----------
         points : (..., 2) array
             x, y [m].
         method : {"nearest", "bilinear"}
-            "nearest": the masses of the cell that holds the point. "bilinear": the mean of those of the four cells
-            whose centres are around it, weighted by its place between them.
+            "nearest": the masses of the cell at the point. "bilinear": bilinear interpolation between the centres of
+            the four nearest cells.
 
         Returns
         -------
@@ -479,7 +472,7 @@ class EvidentialGrid(SavedGrid):
         Raises
         ------
         ValueError
-            If the shape is another, a coordinate is not finite, or `method` is not one of the choices.
+            If `points` has another shape, a coordinate is not finite, or `method` is unknown.
         """
 
         def masses(cell: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -490,11 +483,11 @@ class EvidentialGrid(SavedGrid):
         return sampled_opinions(points, self.spec.origin, self.spec.resolution, masses, method)
 
     def __repr__(self) -> str:
-        free, occupied, unknown = (float(one.mean()) for one in (self.free, self.occupied, self.unknown))
+        free, occupied, unknown = (float(mass.mean()) for mass in (self.free, self.occupied, self.unknown))
         return f"EvidentialGrid({self.spec}: free {free:.1%}, occupied {occupied:.1%}, unknown {unknown:.1%})"
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other is a grid of the same cells with the same masses."""
+        """Return whether both grids have the same cells and masses."""
         if not isinstance(other, EvidentialGrid):
             return NotImplemented
         return self.spec == other.spec and np.array_equal(self.mass, other.mass)
@@ -502,7 +495,7 @@ class EvidentialGrid(SavedGrid):
     __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """Give numpy the masses, (nx, ny, 2); without a copy where none is asked for or needed."""
+        """Return the masses for numpy, (nx, ny, 2); copied only if `copy` or `dtype` requires it."""
         return np.array(self.mass, dtype, copy=copy)
 
     def arrays(self) -> dict[str, ArrayLike]:
@@ -518,29 +511,29 @@ class EvidentialGrid(SavedGrid):
 
 
 class PartialGrid(EvidentialGrid):
-    """A grid that is known in a rectangle of cells alone: its masses are made when they are read, and are read-only.
+    """A grid known within a rectangle only; its full array of masses is made at the first access, read-only.
 
-    So a scan that reaches a few metres costs a map the cells that it reaches. Made by `of`.
+    A scan of short range thus costs a map only the cells within its reach. Made by `of`.
     """
 
     @classmethod
     def of(cls, spec: GridSpec, corner: tuple[int, int], mass: NDArray[np.float32], *, in_plane: bool = False) -> Self:
-        """Return a grid by the masses of a rectangle.
+        """Return a grid with the masses of a rectangle.
 
         Parameters
         ----------
         spec : GridSpec
-            Of the whole grid.
+            Cells of the whole grid.
         corner : (int, int)
             First cell of the rectangle.
         mass : (mx, my, 2) float32
-            Masses in it, trusted; every other cell is unknown.
+            Masses of the rectangle, not checked; all other cells are unknown.
         in_plane : bool
             See `EvidentialGrid.in_plane`.
         """
         (i, j), (mx, my) = corner, mass.shape[:2]
         if not (0 <= i <= spec.shape[0] - mx and 0 <= j <= spec.shape[1] - my):
-            raise ValueError(f"the rectangle of {mx} x {my} cells from {corner} on lies beyond the grid {spec.shape}")
+            raise ValueError(f"the rectangle of {mx} x {my} cells from {corner} on exceeds the grid {spec.shape}")
         grid = object.__new__(cls)
         grid.__dict__.update(spec=spec, _known=((i, j), mass), _in_plane=in_plane)
         return grid
@@ -570,7 +563,7 @@ Combine = Callable[[Sequence[NDArray[np.float32]]], NDArray[np.float32]]
 
 @dataclass(frozen=True, eq=False)
 class CombinedGrid(EvidentialGrid):
-    """A grid whose masses are combined from those of several models, which it keeps: maps fuse each by itself.
+    """A grid combined from the masses of several models, which it keeps: maps fuse each model separately.
 
     Parameters
     ----------
@@ -579,35 +572,34 @@ class CombinedGrid(EvidentialGrid):
     parts : tuple of (nx, ny, 2) float32
         Masses of each model.
     combine : function
-        Takes masses of each model, (..., 2), to combined ones: ``combine(parts)`` is `mass`.
+        Takes the masses of each model, (..., 2), to combined masses: ``combine(parts)`` is `mass`.
     """
 
     parts: tuple[NDArray[np.float32], ...]
     combine: Combine
 
     def check(self) -> None:
-        """Raise what the constructor of `EvidentialGrid` would, for the masses and those of each model."""
+        """Check the combined masses and the masses of each model; see `EvidentialGrid.check`."""
         for mass in (self.mass, *self.parts):
             EvidentialGrid(self.spec, mass)
 
     @classmethod
     def of_parts(cls, spec: GridSpec, parts: Sequence[NDArray[np.float32]], combine: Combine) -> Self:
-        """Return the grid of some masses, which are not checked."""
+        """Return the grid combined from `parts`, which are not checked."""
         grid = cls.trusted(spec, combine(parts))
-        object.__setattr__(grid, "parts", tuple(parts))
-        object.__setattr__(grid, "combine", combine)
+        grid.__dict__.update(parts=tuple(parts), combine=combine)
         return grid
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredGrid(SavedGrid):
-    """Named layers of numbers on the cells of one grid: conflict, velocity, height, and whatever is no mass.
+    """Named layers of numbers on the cells of a grid, such as conflict, velocity and height.
 
     Parameters
     ----------
     spec : GridSpec
     layers : mapping of str to (nx, ny) float32
-        NaN where a cell has no value, as where an array is masked. Converted to float32.
+        NaN in cells without a value; masked values become NaN. Converted to float32.
 
     Raises
     ------
@@ -640,7 +632,7 @@ class LayeredGrid(SavedGrid):
     def arrays(self) -> dict[str, ArrayLike]:
         """Return the arrays of the file: ``layers`` (L, nx, ny), ``names``, ``axes``, ``resolution`` and ``origin``."""
         layers = np.array([*self.layers.values()], np.float32).reshape(len(self.layers), *self.spec.shape)
-        if layers.nbytes > current_limits().grid:  # such a file could not be read again
+        if layers.nbytes > current_limits().grid:  # readers would refuse the file
             raise too_large("the layers", layers.nbytes, "grid")
         axes = "[layer, ix (x forward), iy (y left)]; origin is the corner of cell (0, 0)"
         return {"names": np.array([*self.layers], np.str_), "axes": axes, **self._place(), "layers": layers}
@@ -652,11 +644,11 @@ class LayeredGrid(SavedGrid):
         return cls(spec, dict(zip(arrays["names"].tolist(), arrays["layers"], strict=True)))
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other has the same cells and the same layers; NaN equals NaN."""
+        """Return whether both have the same cells and layers; NaN equals NaN."""
         if not isinstance(other, LayeredGrid):
             return NotImplemented
         same = self.spec == other.spec and self.layers.keys() == other.layers.keys()
-        return same and all(np.array_equal(one, other[name], equal_nan=True) for name, one in self.layers.items())
+        return same and all(np.array_equal(layer, other[name], equal_nan=True) for name, layer in self.layers.items())
 
     __hash__: ClassVar[None] = None  # type: ignore[assignment]
 

@@ -23,10 +23,10 @@ __all__ = [
     "matrix_to_vector", "pose", "quaternion_to_matrix", "rotate", "tilt_of", "transform_points", "vector_to_matrix",
 ]  # fmt: skip
 
-LATEST = 1e11  # [s], year 5138: larger stamps count something smaller than seconds, and float64 holds no microseconds
-_FINEST = 1e-3  # [s] between two stamps of a type, above which maps do not age and speeds are not known
+LATEST = 1e11  # [s], year 5138: larger stamps are in a smaller unit, and float64 does not resolve microseconds there
+_MAX_STEP = 1e-3  # [s] between two stamps of a type; with larger steps maps do not age and speeds are unknown
 _LAST_ROW, _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
-_TOLERANCE = 1e-4  # departure of R'R from the identity that a text file with four decimals still meets
+_TOLERANCE = 1e-4  # departure of R'R from the identity, met by a text file with four decimals
 
 
 def pose(
@@ -55,19 +55,19 @@ def pose(
 
 
 def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
-    """Return `T` as a float64 array, or raise an error that states why it is no rigid transform.
+    """Return `T` as a float64 array, or raise an error if it is no rigid transform.
 
     Parameters
     ----------
     T : (4, 4) array
     name : str
-        Its name in the error.
+        Name of `T` in the error.
 
     Raises
     ------
     ValueError
-        If it is not of real numbers, the shape is not (4, 4), a number is not finite, the last row is not
-        (0, 0, 0, 1), or the upper left 3x3 block is not a rotation (scaled, sheared or mirrored).
+        If the numbers are not real or not finite, the shape is not (4, 4), the last row is not (0, 0, 0, 1), or the
+        upper left 3x3 block is not a rotation (scaled, sheared or mirrored).
     """
     given = np.asarray(T)
     if given.dtype.kind not in "fiu":
@@ -76,11 +76,11 @@ def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
     if array.shape != (4, 4):
         raise ValueError(f"{name} must be a 4x4 transform, got shape {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds NaN or inf: {array.tolist()}")
+        raise ValueError(f"{name} must be finite, got NaN or inf: {array.tolist()}")
     if not (np.abs(array[3] - _LAST_ROW) <= 1e-9).all():
         raise ValueError(f"the last row of {name} must be (0, 0, 0, 1), got {array[3].tolist()}")
     R = array[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):  # such are refused
+    with np.errstate(over="ignore", invalid="ignore"):  # refused below
         error, handed = float(np.abs(R.T @ R - _IDENTITY).max()), float(np.linalg.det(R))
     if not error <= _TOLERANCE or handed < 0:
         raise ValueError(
@@ -91,26 +91,26 @@ def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
 
 
 def check_stamp(stamp: float, name: str = "stamp") -> float:
-    """Return a time as a float, or raise an error that states why it is none in seconds.
+    """Return a stamp as a float, or raise an error if it is no time in seconds.
 
     Parameters
     ----------
     stamp : float
-        [s]
+        Time [s].
     name : str
-        Its name in the error.
+        Name of `stamp` in the error.
 
     Raises
     ------
     ValueError
-        If it is no real number, not finite, or beyond `LATEST`: then it counts milliseconds or nanoseconds. Also if
-        numbers of its type (float32, float16) are more than a millisecond apart there.
+        If it is no real number, not finite, or beyond `LATEST` (milliseconds or nanoseconds), or if its type
+        (float32, float16) does not resolve a millisecond at this value.
     """
     if isinstance(stamp, bool | np.bool_) or not isinstance(stamp, int | float | np.integer | np.floating):
         raise ValueError(f"{name} must be a number of seconds, got {stamp!r} ({type(stamp).__name__})")
-    if isinstance(stamp, np.floating) and np.isfinite(stamp) and np.spacing(abs(stamp)) > _FINEST:
+    if isinstance(stamp, np.floating) and np.isfinite(stamp) and np.spacing(abs(stamp)) > _MAX_STEP:
         raise ValueError(
-            f"{name} must be known to a millisecond, got {stamp} s as {stamp.dtype}, in steps of "
+            f"{name} must resolve a millisecond, got {stamp} s as {stamp.dtype}, in steps of "
             f"{float(np.spacing(abs(stamp))):g} s: give a float64"
         )
     if not abs(stamp) <= LATEST:
@@ -120,7 +120,7 @@ def check_stamp(stamp: float, name: str = "stamp") -> float:
 
 
 def _short(number: float) -> str:
-    """Return a number for an error; whole ones of Python can have thousands of digits."""
+    """Return a number for an error text; integers of Python can have thousands of digits."""
     return str(number) if abs(number) < 10**30 or number != number else ("-" if number < 0 else "") + "more than 1e30"
 
 
@@ -139,7 +139,7 @@ def tilt_of(T: NDArray[np.float64]) -> float:
 
 
 def levelling(T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation that takes sensor coordinates to axes with z along that of the map.
+    """Return the rotation from sensor axes to axes with z along the map's z.
 
     Parameters
     ----------
@@ -149,20 +149,20 @@ def levelling(T: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns
     -------
     (3, 3) float64
-        The smallest rotation; for tilts above 120 degrees the one that keeps the heading of the x axis.
+        The smallest rotation; for tilts above 120 degrees the rotation that keeps the heading of the x axis.
     """
     R = T[:3, :3]
     if R[2, 2] < -0.5:
         yaw = np.arctan2(R[1, 0], R[0, 0])
         turned: NDArray[np.float64] = vector_to_matrix((0.0, 0.0, -yaw)) @ R
         return turned
-    axis = np.cross(R[2], (0.0, 0.0, 1.0))  # of the turn from the map's z axis, in the sensor's frame, to z
+    axis = np.cross(R[2], (0.0, 0.0, 1.0))  # from the map's z axis in the sensor frame to z
     sine = float(np.linalg.norm(axis))
     return vector_to_matrix(axis / sine * tilt_of(T)) if sine > 1e-12 else np.eye(3)
 
 
 def transform_points(T: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:
-    """Take points through a transform; what stands behind x, y, z (intensity, ...) is kept.
+    """Transform points; columns after x, y, z (intensity, ...) are kept.
 
     Parameters
     ----------
@@ -187,13 +187,13 @@ def transform_points(T: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:
 def rotate(R: NDArray[np.float64], xyz: NDArray[Any]) -> NDArray[np.float64]:
     """Return ``R @ xyz``, computed by one core.
 
-    BLAS spreads products of this shape over threads, whose waiting costs ten times what the product does.
+    BLAS spreads products of this shape over threads; waiting for them takes ten times as long as the product.
 
     Parameters
     ----------
     R : (3, 3) array
     xyz : (3, N) float array
-        Points or directions, as rows of x, y and z.
+        Points or directions as rows x, y and z.
 
     Returns
     -------
@@ -204,7 +204,7 @@ def rotate(R: NDArray[np.float64], xyz: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) -> NDArray[np.float64]:
-    """Interpolate 2 poses or more: positions on a straight line, rotations on the shortest arc (slerp)."""
+    """Interpolate between two or more poses; see `Trajectory.at`."""
     times = np.asarray(at, np.float64)
     if times.size and not (times.min() >= t[0] and times.max() <= t[-1]):
         raise ValueError(
@@ -224,7 +224,7 @@ def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses with the times they were taken at.
+    """Poses and their times.
 
     Parameters
     ----------
@@ -257,16 +257,15 @@ class Trajectory:
         if not (np.diff(t) > 0).all():
             k = int(np.argmin(np.diff(t)))
             raise ValueError(f"stamps must increase, but stamps[{k}]={t[k]} is followed by {t[k + 1]}")
-        for k, one in enumerate(T):
-            check_pose(one, name=f"poses[{k}]")
-        object.__setattr__(self, "stamps", t)
-        object.__setattr__(self, "poses", T)
+        for k, matrix in enumerate(T):
+            check_pose(matrix, name=f"poses[{k}]")
+        self.__dict__.update(stamps=t, poses=T)
 
     def __len__(self) -> int:
         return len(self.stamps)
 
     def at(self, stamps: ArrayLike) -> NDArray[np.float64]:
-        """Return the poses at some times: (4, 4) for one time, (M, 4, 4) for M.
+        """Return the poses at given times [s]: (4, 4) for one time, (M, 4, 4) for M.
 
         Positions are interpolated on a straight line, rotations on the shortest arc (slerp).
 
@@ -278,7 +277,7 @@ class Trajectory:
         if len(self) == 1:
             times = np.asarray(stamps, np.float64)
             if not (times == self.stamps[0]).all():
-                raise ValueError(f"the trajectory has one time only, {self.stamps[0]} s, asked for {times.tolist()}")
+                raise ValueError(f"the trajectory has the one time {self.stamps[0]} s, got {times.tolist()} s")
             return np.broadcast_to(self.poses[0], (*times.shape, 4, 4)).copy()
         return _interpolate(self.stamps, self.poses, stamps)
 
@@ -286,7 +285,7 @@ class Trajectory:
 def matrix_to_quaternion(R: ArrayLike) -> NDArray[np.float64]:
     """Return unit quaternions x, y, z, w of rotations, (..., 3, 3) to (..., 4), with w of 0 or more.
 
-    By the greatest of the four, so that no digits are lost (Shepperd 1978).
+    Computed by the greatest of the four, so that no digits are lost (Shepperd 1978).
     """
     R = np.asarray(R, np.float64)
     trace = np.trace(R, axis1=-2, axis2=-1)

@@ -1,4 +1,4 @@
-"""Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and the interface of sensor models.
+"""Input of the library: `Scan`, `Mount`, `Boxes`, their container `Frame`, and the interface of sensor models.
 
 >>> import numpy as np
 >>> from ogm import Mount, Scan
@@ -40,17 +40,17 @@ class Scan(ShownInNotebooks):
     Parameters
     ----------
     points : (N, 4) float32
-        x, y, z [m], intensity [0, 1] (0 where the sensor has none). An (N, 3) array gets intensities of 0,
+        x, y, z [m], intensity [0, 1] (0 for sensors without intensity). An (N, 3) array gets intensities of 0,
         float64 becomes float32.
     stamp : float, optional
         Time of the sweep [s], on the clock of the recording.
     time : (N,) float64, optional
-        When each point was measured [s], counted from `stamp`.
+        Time of each point [s], relative to `stamp`.
     ring : (N,) uint16, optional
-        The laser that measured each point.
+        Number of the laser of each point.
     no_returns : (M, 3) float32, optional
-        Unit directions, in the frame of `points`, of beams without echo: from the sky, but also from what is
-        black or wet. None where that is unknown.
+        Unit directions of beams without echo, in the frame of `points`: towards the sky, but also towards black or
+        wet surfaces. None if unknown.
     doppler : (N,) float32, optional
         Radial velocity, positive away from the sensor [m/s]; NaN where unknown.
     rcs : (N,) float32, optional
@@ -60,15 +60,14 @@ class Scan(ShownInNotebooks):
     doppler_interval : float, optional
         Width of the interval of unambiguous Doppler [m/s]: radial velocities may be wrong by multiples of it.
     mount : Mount, optional
-        How the sensor is mounted. A `Frame` sets it; a sensor model with a mount of its own uses that instead.
+        Mount of the sensor, set by a `Frame`. A sensor model with its own mount ignores it.
     kind : {"", "planar", "depth", "cone"}
-        Kind of the sensor, for measurements whose points do not show it: a laser whose beams lie in one plane, x-y of
-        its own axes, a depth camera, or a sensor with one wide beam per point (ultrasound, infrared). "" for lidars
-        and radars.
+        Kind of the sensor: "planar" is a laser with all beams in its x-y plane, "depth" a depth camera, "cone" a
+        sensor with one wide beam per point (ultrasound, infrared), "" a lidar or radar.
     max_range : float, optional
-        Greatest range of the sensor, above 0 [m]: a beam without echo is free at most up to it. None where unknown.
+        Greatest range of the sensor, above 0 [m]: a beam without echo is free at most up to it. None if unknown.
     beam_width : float, optional
-        Full angle of one beam, above 0 and at most 2 pi [rad]. None where unknown.
+        Full angle of a beam, above 0 and at most 2 pi [rad]. None if unknown.
 
     Raises
     ------
@@ -101,10 +100,10 @@ class Scan(ShownInNotebooks):
         if self.kind not in KINDS:
             raise ValueError(f"kind must be one of {', '.join(map(repr, KINDS))}, got {self.kind!r}")
         if self.max_range is not None and not 0 < self.max_range < math.inf:
-            raise ValueError(f"max_range must be a range above 0 [m], got {self.max_range}; None if it is not known")
+            raise ValueError(f"max_range must be a range above 0 [m], got {self.max_range}; give None if unknown")
         if self.beam_width is not None and not 0 < self.beam_width <= 2 * math.pi:
             width = f"above 0, at most 2 pi [rad], got {self.beam_width}"
-            raise ValueError(f"beam_width must be an angle {width}; None if it is not known")
+            raise ValueError(f"beam_width must be an angle {width}; give None if unknown")
         if self.doppler_interval is not None and not 0 < self.doppler_interval < math.inf:
             raise ValueError(f"doppler_interval must be a width above 0 [m/s], got {self.doppler_interval}")
         if self.stamp is not None:
@@ -150,65 +149,65 @@ class Scan(ShownInNotebooks):
 
 
 class LazyScan(Scan):
-    """A scan whose mount is found at the first access, and kept; made by `of`. Pickled, it becomes a `Scan`."""
+    """A scan with a mount that is found at the first access and kept; made by `of`. Pickled, it becomes a `Scan`."""
 
     @classmethod
     def of(cls, scan: Scan, mount: Callable[[], "Mount"]) -> "LazyScan":
-        """Return a scan with a mount that is found when it is asked for.
+        """Return a scan with a mount that is found at the first access.
 
         Parameters
         ----------
         scan : Scan
         mount : function
-            Without arguments; returns the mount.
+            Takes no arguments and returns the mount.
         """
-        lazy = cls(**{one.name: getattr(scan, one.name) for one in fields(Scan) if one.name != "mount"})
+        lazy = cls(**{column.name: getattr(scan, column.name) for column in fields(Scan) if column.name != "mount"})
         del lazy.__dict__["mount"]
         lazy.__dict__.update(_scan=scan, _find=mount)
         return lazy
 
     @cached_property
     def mount(self) -> "Mount | None":
-        """How the sensor is mounted."""
+        """Mount of the sensor."""
         mount: Mount = self.__dict__["_find"]()
         return mount
 
     def select(self, keep: NDArray[Any] | slice) -> Scan:
-        """See `Scan.select`; the mount stays to be found."""
+        """See `Scan.select`; the mount is still found at the first access."""
         if "_scan" not in self.__dict__:  # a copy by `replace`, whose mount is known
             return super().select(keep)
         return LazyScan.of(self.__dict__["_scan"].select(keep), lambda: self.mount)  # type: ignore[arg-type,return-value]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Scan, tuple(getattr(self, one.name) for one in fields(Scan))
+        return Scan, tuple(getattr(self, column.name) for column in fields(Scan))
 
 
 def as_scan(scan: "Scan | ArrayLike") -> Scan:
-    """Return a scan; an (N, 4) or (N, 3) float array is one without extras.
+    """Return a scan as it is, or the scan of an (N, 4) or (N, 3) float array of points.
 
     Raises
     ------
     TypeError, ValueError
-        If it is neither; the message has the fix.
+        If it is neither; the message states the fix.
     """
     return scan if isinstance(scan, Scan) else Scan(scan)  # type: ignore[arg-type]
 
 
 def _column(given: Any, name: str, dtype: type[Any]) -> NDArray[Any]:
-    """Return a column of a scan in its type, or refuse numbers that the type does not hold."""
+    """Return a column converted to its type, or raise a ValueError for numbers beyond the range of the type."""
     raw = np.asarray(given)
     if raw.dtype.kind not in "fiu":
         raise ValueError(f"{name} must be numbers, got {raw.dtype}")
     if name == "time" and not np.isfinite(raw).all():
-        raise ValueError(f"time must be finite [s], time[{int(np.argmin(np.isfinite(raw)))}] is not; leave out times")
+        raise ValueError(f"time must be finite [s], time[{int(np.argmin(np.isfinite(raw)))}] is not; leave out time")
     short = raw.dtype in (np.uint8, np.uint16)
     if name == "ring" and not short and not ((raw >= 0) & (raw < 2**16) & (raw == np.floor(raw))).all():
-        raise ValueError(f"ring must be whole numbers from 0 to 65535, got {raw.min()} to {raw.max()}; leave out rings")
+        raise ValueError(f"ring must be whole numbers from 0 to 65535, got {raw.min()} to {raw.max()}; leave out ring")
     return raw.astype(dtype, copy=False)
 
 
 def _checked_points(points: Any) -> NDArray[np.float32]:
-    """Return points as (N, 4) float32, or refuse them with the fix."""
+    """Return points as (N, 4) float32, or raise an error that states the fix."""
     refuse_masked(points, "points")
     if not isinstance(points, np.ndarray):
         if hasattr(points, "detach"):
@@ -239,18 +238,18 @@ def _checked_points(points: Any) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """Where a sensor is mounted, and which part of the vehicle frame the ego vehicle covers.
+    """Pose of a sensor on its vehicle, and the footprint of the ego vehicle.
 
     Parameters
     ----------
     sensor_height : float
-        Of the sensor above the ground under it [m].
+        Height of the sensor above the ground under it [m].
     T_vehicle_sensor : (4, 4) array, optional
-        Pose of the sensor in the vehicle frame, which is the frame of measurement grids; identity by default:
-        the grid is centred on the sensor. It levels a pitched or rolled sensor.
+        Pose of the sensor in the vehicle frame, which is the frame of measurement grids. The default is the identity:
+        the grid is centred on the sensor. The pose levels a pitched or rolled sensor.
     ego_footprint : (x_min, x_max, y_min, y_max), optional
-        The ego vehicle in the vehicle frame [m]: returns in it are dropped, its cells stay unknown. By default
-        5.0 m x 2.2 m around the sensor; ``(0, 0, 0, 0)`` for none.
+        Rectangle of the ego vehicle in the vehicle frame [m]: returns in it are dropped, its cells stay unknown. By
+        default 5.0 m x 2.2 m around the sensor; ``(0, 0, 0, 0)`` for none.
     points_in : {"sensor", "vehicle"}
         Frame of the points. Rays start at the sensor in either case.
 
@@ -282,9 +281,7 @@ class Mount:
             raise ValueError(
                 f"ego_footprint must be finite x_min <= x_max, y_min <= y_max [m], got {self.ego_footprint}"
             )
-        object.__setattr__(self, "sensor_height", float(self.sensor_height))
-        object.__setattr__(self, "T_vehicle_sensor", T)
-        object.__setattr__(self, "ego_footprint", box)
+        self.__dict__.update(sensor_height=float(self.sensor_height), T_vehicle_sensor=T, ego_footprint=box)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Mount):
@@ -306,18 +303,18 @@ class Mount:
 
     @property
     def ground_point(self) -> tuple[float, float, float]:
-        """The ground under the sensor, x, y, z in the vehicle frame [m]."""
+        """Point on the ground under the sensor, x, y, z in the vehicle frame [m]."""
         x, y, z = (float(value) for value in self.origin)
         return x, y, z - self.sensor_height
 
     @property
     def T_vehicle_points(self) -> NDArray[np.float64]:
-        """(4, 4): takes points, as they come, to the vehicle frame."""
+        """Transform (4, 4) from the frame of the points, see `points_in`, to the vehicle frame."""
         return self.T_vehicle_sensor if self.points_in == "sensor" else np.eye(4)
 
     @property
     def T_sensor_level(self) -> NDArray[np.float64]:
-        """(4, 4): takes the levelled frame around the sensor, parallel to the vehicle's, to the sensor frame."""
+        """Transform (4, 4) to the sensor frame, from the frame at the sensor parallel to the vehicle frame."""
         T = np.eye(4)
         T[:3, :3] = self.T_vehicle_sensor[:3, :3].T
         return T
@@ -330,17 +327,17 @@ class Boxes:
     Parameters
     ----------
     center : (B, 3) float64
-        Middles x, y, z [m].
+        Centres x, y, z [m].
     size : (B, 3) float64
         Length, width, height [m], above 0.
     yaw : (B,) float64
         Direction of the length, about z [rad].
     velocity : (B, 2) float64, optional
-        Over ground, along x and y [m/s]; NaN where unknown.
+        Velocity over ground along x and y [m/s]; NaN where unknown.
     label : sequence of B str, optional
-        Class of each object, in the words of its data set.
+        Class of each object, as named by its dataset.
     track : sequence of B str, optional
-        The same name in two frames of a sequence is the same object; "" where unknown.
+        Name of each object, the same in all frames of a sequence; "" where unknown.
 
     Raises
     ------
@@ -374,13 +371,11 @@ class Boxes:
                 f"box {k} ({label[k]}) must be finite, with length, width and height above 0 m, got center "
                 f"{center[k].tolist()}, size {size[k].tolist()}, yaw {yaw[k]}; drop it, or correct the label"
             )
-        columns = {"center": center, "size": size, "yaw": yaw, "velocity": velocity}
-        for name, value in {**columns, "label": label, "track": track}.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(center=center, size=size, yaw=yaw, velocity=velocity, label=label, track=track)
 
     @classmethod
     def empty(cls) -> Self:
-        """Return no boxes."""
+        """Return an empty set of boxes."""
         return cls(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
 
     def __len__(self) -> int:
@@ -418,7 +413,7 @@ class Boxes:
         Parameters
         ----------
         T : (4, 4) array
-            ``T_to_from``; it should hardly tilt. Centers go through it, yaws turn by its heading.
+            ``T_to_from``, with little tilt. It is applied to centers; its heading is added to yaws.
         """
         T = check_pose(T)
         center = self.center @ T[:3, :3].T + T[:3, 3]
@@ -426,31 +421,31 @@ class Boxes:
         return replace(self, center=center, yaw=self.yaw + np.arctan2(T[1, 0], T[0, 0]), velocity=velocity)
 
     def widened(self, margin: float) -> "Boxes":
-        """Return the boxes with `margin` [m] added on every side, above and below too."""
+        """Return the boxes with `margin` [m] added on all six sides."""
         return replace(self, size=self.size + 2 * margin)
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One scan, the pose and mount of its sensor, and its labels, if there are any.
+    """One scan with the pose and mount of its sensor, and optional labels.
 
     Parameters
     ----------
     scan : Scan
-        Its `Scan.mount` becomes that of the frame.
+        Its `Scan.mount` is replaced by `mount`.
     mount : Mount
     boxes : Boxes, optional
-        Labelled objects, in the sensor frame; with velocities where they are stated or the objects can be followed.
+        Labelled objects in the sensor frame, with velocities if the dataset states them or tracks the objects.
     truth : Truth, optional
         True states of the cells around the sensor.
     T_map_sensor : (4, 4) float64, optional
-        Pose of the sensor; frames of one sequence share a map frame. None where unknown.
+        Pose of the sensor; frames of a sequence share a map frame. None if unknown.
     stamp : float, optional
-        Time of the scan [s]. None where unknown.
+        Time of the scan [s]. None if unknown.
     name : str
         Name of the frame, unique in its dataset.
     sequence : str
-        Frames of one sequence follow each other in time; "" for a single frame.
+        Frames with the same sequence are ordered in time; "" for a single frame.
     """
 
     scan: Scan
@@ -467,19 +462,19 @@ class Frame:
             object.__setattr__(self, "scan", replace(self.scan, mount=self.mount))
 
     def __repr__(self) -> str:
-        where = f" of {self.sequence}" if self.sequence else ""
-        return f"Frame({self.name!r}{where})"
+        sequence = f" of {self.sequence}" if self.sequence else ""
+        return f"Frame({self.name!r}{sequence})"
 
 
 class LazyFrame(Frame):
-    """A frame whose scan, mount, boxes and truth are read at the first access, and kept.
+    """A frame with scan, mount, boxes and truth read at the first access and kept.
 
-    So a dataset reads only what is used, and an error is raised only where its cause matters.
+    A dataset thus reads only the used parts, and an error in an unused part is not raised.
 
     Parameters
     ----------
     scan, mount, boxes, truth : function
-        Without arguments; each returns the attribute of its name.
+        Takes no arguments and returns the attribute of its name.
     T_map_sensor, stamp, name, sequence
         See `Frame`.
     """
@@ -525,19 +520,19 @@ class LazyFrame(Frame):
 
 @runtime_checkable
 class InverseSensorModel(Protocol):
-    """What every sensor model is: one scan in, a measurement grid out.
+    """Interface of sensor models: a callable from one scan to a measurement grid, with a `spec`.
 
-    Any callable with a `spec` will do. Geometric and learned models, of lidar and radar, share this interface, so
-    that mappers, metrics and the command line treat them alike.
+    Geometric and learned models of all sensors share it, so that mappers, metrics and the command line treat them
+    alike.
     """
 
     @property
     def spec(self) -> GridSpec:
-        """The grid that the model fills."""
+        """Cells of the model's grids."""
         ...
 
     def __call__(self, scan: Scan) -> EvidentialGrid:
-        """Map one scan to its evidential grid."""
+        """Return the evidential grid of a scan."""
         ...
 
 
@@ -545,28 +540,28 @@ SensorModels = InverseSensorModel | Mapping[str, InverseSensorModel]
 
 
 def check_mount(mount: object) -> None:
-    """Raise TypeError if something is no `Mount`."""
+    """Raise a TypeError unless `mount` is a `Mount`."""
     if not isinstance(mount, Mount):
         raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
 
 
 def mount_of(scan: Scan, mount: Mount | None = None) -> Mount:
-    """Return the mount by which a model maps a scan: the model's own, else the scan's.
+    """Return the mount of a model, or the mount of the scan if the model has none.
 
     Parameters
     ----------
     scan : Scan
     mount : Mount, optional
-        The model's own.
+        Mount of the model.
 
     Raises
     ------
     ValueError
-        If there is neither.
+        If both are missing.
     """
     found = scan.mount if mount is None else mount
     if found is None:
-        raise ValueError("the mount of the sensor is not known: give the model or the Scan mount=Mount(...)")
+        raise ValueError("the mount of the sensor is unknown: give mount=Mount(...) to the model or the Scan")
     return found
 
 
@@ -576,7 +571,7 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
     Parameters
     ----------
     ism : callable with `spec`, or mapping of str to these
-        A mapping has a model for each `Scan.sensor`; that of "" is for sensors without one of their own.
+        A mapping has a model for each `Scan.sensor`; the key "" is the default.
     frame : Frame
 
     Raises
@@ -589,10 +584,10 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
 
 
 def of_sensor(values: Mapping[str, Value], sensor: str, kind: str) -> Value:
-    """Return the value of a sensor, else that of "", or raise a ValueError that names it and the `kind` of value."""
+    """Return the value of a sensor, or of the default "", else raise a ValueError that names the sensor and `kind`."""
     if sensor not in values and "" in values:
         return values[""]
     if sensor not in values:
         given = ", ".join(map(repr, values)) or "none"
-        raise ValueError(f"there is no {kind} for the sensor {sensor!r}, but for {given}; Scan.sensor is its name")
+        raise ValueError(f"there is no {kind} for the sensor {sensor!r} (Scan.sensor), only for {given}")
     return values[sensor]

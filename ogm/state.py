@@ -1,8 +1,8 @@
-"""States of cells: what the truth holds, and what a belief predicts.
+"""States of cells: true states and predicted states.
 
 >>> import numpy as np
 >>> from ogm.state import CellState, predict_state
->>> [CellState(one).name for one in predict_state(np.array([[0.7, 0.1], [0.1, 0.7], [0.2, 0.2]]))]
+>>> [CellState(state).name for state in predict_state(np.array([[0.7, 0.1], [0.1, 0.7], [0.2, 0.2]]))]
 ['FREE', 'OCCUPIED', 'UNKNOWN']
 """
 
@@ -70,10 +70,10 @@ class Motion:
     Parameters
     ----------
     velocity : (nx, ny, 2) float32
-        Over ground, along the grid's x and y [m/s]: that of the object in the cell, ``v + ω × r``; 0 in cells without
-        an object; NaN in cells about whose motion nothing is known.
+        Velocity over ground of the object in the cell, ``v + ω × r``, along the grid's x and y [m/s]; 0 in cells
+        without an object, NaN in cells of unknown motion.
     box : (nx, ny) int16
-        Number of the object in the cell, a row of `Frame.boxes`, which has its class; -1 where there is none.
+        Row of the object in `Frame.boxes`, which has its class; -1 in cells without an object.
 
     Raises
     ------
@@ -98,12 +98,12 @@ class Motion:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Cells whose velocity is known, (nx, ny)."""
+        """Cells with a known velocity, (nx, ny)."""
         return np.asarray(~np.isnan(self.velocity).any(axis=-1))
 
     @property
     def speed(self) -> NDArray[np.float32]:
-        """Speed of every cell over ground [m/s], (nx, ny) float32; NaN where it is not known."""
+        """Speed of every cell over ground [m/s], (nx, ny) float32; NaN where unknown."""
         return np.asarray(np.hypot(self.velocity[..., 0], self.velocity[..., 1]))
 
 
@@ -117,18 +117,18 @@ class Truth:
     state : (nx, ny) uint8
         Values of `CellState`. Not copied.
     height_cm : (nx, ny) uint8, optional
-        Height above ground of the highest obstacle that was hit in each occupied cell [cm], up to the clearance;
-        `PARTICIPANT` in all cells of a traffic participant's box; without meaning in other cells. None where heights
-        are not known.
+        Height above ground of the highest obstacle hit in each occupied cell [cm], up to the clearance;
+        `PARTICIPANT` in all cells of a traffic participant's box; without meaning in other cells. None if heights
+        are unknown.
     motion : Motion, optional
-        None where the motion of objects is not known.
+        None if the motion of objects is unknown.
 
     Raises
     ------
     TypeError
         If `state` or `height_cm` is not uint8.
     ValueError
-        If their shape or that of `motion` does not fit `spec`, or a value is no `CellState`.
+        If a shape does not fit `spec`, or a value is no `CellState`.
     """
 
     spec: GridSpec
@@ -147,7 +147,7 @@ class Truth:
                 raise ValueError(f"{name} has shape {array.shape}, but the spec has {self.spec.shape} cells")
         if self.state.size and self.state.max() > CellState.IGNORE:
             raise ValueError(f"a state must be 0 unknown, 1 free, 2 occupied or 3 ignore, got {int(self.state.max())}")
-        motion = self.__dict__.get("motion")  # that of a LazyTruth is not read here
+        motion = self.__dict__.get("motion")  # a LazyTruth finds its motion later
         if motion is not None and motion.box.shape != self.spec.shape:
             raise ValueError(f"motion has shape {motion.box.shape}, but the spec has {self.spec.shape} cells")
 
@@ -166,18 +166,18 @@ class Truth:
 
     @property
     def ignored(self) -> NDArray[np.bool_]:
-        """Cells about which the truth makes no statement, (nx, ny): losses and metrics leave them out."""
+        """Cells of state `IGNORE`, (nx, ny): losses and metrics leave them out."""
         ignored: NDArray[np.bool_] = self.state == CellState.IGNORE
         return ignored
 
     @cached_property
     def grid(self) -> EvidentialGrid:
-        """The truth as belief masses: all on free or on occupied, none where unknown or ignored."""
+        """The truth as belief masses: 1 on free or on occupied, 0 on both in unknown and ignored cells."""
         mass = np.stack([self.state == CellState.FREE, self.state == CellState.OCCUPIED], axis=-1)
         return EvidentialGrid.trusted(self.spec, mass.astype(np.float32))
 
     def shares(self) -> StateShares:
-        """Return how many of all cells are in each state.
+        """Return the share of cells in each state.
 
         Published label statistics have no ignored cells: add `ignore` to `unknown` to compare.
         """
@@ -185,7 +185,7 @@ class Truth:
         return StateShares(float(free), float(occupied), float(unknown), float(ignore))
 
     def crop(self, spec: GridSpec, yaw: float = 0.0, dx: float = 0.0, dy: float = 0.0) -> "Truth":
-        """Cut out a grid after turning and moving the scene, as one augments a sample.
+        """Cut out a grid after turning and moving the scene, as in data augmentation.
 
         The scene turns about the sensor by `yaw`, then moves by (`dx`, `dy`): points move with it by
         ``x' = cos(yaw) x - sin(yaw) y + dx`` and ``y' = sin(yaw) x + cos(yaw) y + dy``.
@@ -193,7 +193,7 @@ class Truth:
         Parameters
         ----------
         spec : GridSpec
-            The grid to fill.
+            Cells of the result.
         yaw : float
             Counter-clockwise turn of the scene [rad].
         dx, dy : float
@@ -202,9 +202,9 @@ class Truth:
         Returns
         -------
         Truth
-            Each cell has the state and the motion of the cell here that its middle comes from; velocities turn with
-            the scene. Cells that come from outside are `IGNORE`, and nothing is known of their motion.
-            `ogm.truth.TRUTH_SPEC` covers the 81.92 m x 56.32 m grid at any yaw.
+            Each cell has the state and motion of the original cell at its moved centre; velocities turn with the scene.
+            Cells from outside the original grid are `IGNORE`, with unknown motion. `ogm.truth.TRUTH_SPEC` covers the
+            81.92 m x 56.32 m grid at any yaw.
 
         Raises
         ------
@@ -238,7 +238,7 @@ class Truth:
         return self._changed(spec, state, height, cut)
 
     def mirrored(self) -> "Truth":
-        """Return the scene with left and right exchanged: y becomes -y, and so do velocities along it."""
+        """Return the scene with left and right exchanged: y becomes -y, also in velocities."""
         x, y = self.spec.origin
         spec = GridSpec(self.spec.resolution, self.spec.shape, (x, -(y + self.spec.width)))
         height = None if self.height_cm is None else np.ascontiguousarray(self.height_cm[:, ::-1])
@@ -256,19 +256,19 @@ class Truth:
         height_cm: NDArray[np.uint8] | None,
         change: Callable[[Motion], Motion],
     ) -> "Truth":
-        """Return a changed truth; its motion is changed at the first access, so that it costs nothing before."""
+        """Return a changed truth; its motion is changed at the first access."""
         return LazyTruth(spec, state, height_cm, lambda: None if self.motion is None else change(self.motion))
 
 
 class LazyTruth(Truth):
-    """A truth whose motion is found at the first access, and kept. Pickled, it becomes a `Truth`.
+    """Truth with motion that is computed at the first access and kept. Pickled, it becomes a `Truth`.
 
     Parameters
     ----------
     spec, state, height_cm
         See `Truth`.
     motion : function
-        Without arguments; returns the motion or None.
+        Takes no arguments and returns the motion or None.
     """
 
     def __init__(
@@ -289,7 +289,7 @@ class LazyTruth(Truth):
 
 
 def _cells(x: NDArray[np.float64], x0: float, resolution: float) -> NDArray[np.float64]:
-    """Return the cells that hold some coordinates; `EPS_CELL` decides where edges of two grids coincide."""
+    """Return the cells at the coordinates `x`, which are overwritten; see `EPS_CELL`."""
     x -= x0
     x /= resolution
     x += EPS_CELL

@@ -121,7 +121,7 @@ def test_scans_that_are_odd_are_counted(tmp_path: Path) -> None:
     lost = {finding.kind: finding.text for finding in only(path).findings if finding.severity == "lost data"}
     assert lost["gaps"].startswith("about 1 scans are missing in 1 gaps, the longest of 0.25 s")
     assert lost["damage"].startswith("1 of 7 scans cannot be read: ")
-    assert lost["points"] == "1 of 6 scans have less than a tenth of the usual ones"
+    assert lost["points"] == "1 of 6 scans have less than a tenth of the usual number of points"
     assert lost["poses"].startswith("1 of 7 scans without a pose: ")
 
 
@@ -163,13 +163,17 @@ def _falling(cloud: Any, k: int) -> None:
 
 @each("change, kind, text", [
         (_switched, "intensities", "their scale changes: in 3 of 6 scans they are at least 248 times smaller"),
-        (_saturated, "intensities", "25 % of the points have the greatest one: they are saturated"),
-        (_decibels, "intensities", "all 6 scans have negative intensities (decibels?), whose range becomes 0 to 1"),
+        (_saturated, "intensities", "25 % of the points have the greatest intensity: they are saturated"),
+        (
+            _decibels,
+            "intensities",
+            "all 6 scans have negative intensities (decibels?), with the range scaled to 0 to 1",
+        ),
         (_same_rings, "rings", "all points of a scan have the same"),
-        (_numbers, "rings", "in a scan, but lidars have at most 256: is the field another one?"),
+        (_numbers, "rings", "in a scan, but lidars have at most 256: check the field"),
         (_crossed, "rings", "their numbers do not follow elevation in all 6 scans"),
         (_falling, "rings", ""),
-        (lambda cloud, k: exchange(cloud, "ring", None), "rings", "points have none; maps need none"),
+        (lambda cloud, k: exchange(cloud, "ring", None), "rings", "points have no rings; maps do not need rings"),
         (lambda cloud, k: exchange(cloud, "ring", np.full(cloud.width, 0.5)), "rings", "all 6 scans have rings that"),
     ])  # fmt: skip
 def test_values_of_points_are_told(tmp_path: Path, change: Callable[[Any, int], None], kind: str, text: str) -> None:
@@ -183,8 +187,8 @@ def test_values_of_points_are_told(tmp_path: Path, change: Callable[[Any, int], 
 
 @each("late, static, text", [
         (0.0, 0.0, ""),
-        (0.25, 0.0, "those of all 6 scans are recorded after them, by 0.2 s (median), 0.2 s at most"),
-        (0.0, 0.3, "those of 2 of 6 scans are recorded after them, by 0.178 s (median), 0.24 s at most"),
+        (0.25, 0.0, "for all 6 scans, recorded 0.2 s after the scan (median), 0.2 s at most"),
+        (0.0, 0.3, "for 2 of 6 scans, recorded 0.178 s after the scan (median), 0.24 s at most"),
     ])  # fmt: skip
 def test_transforms_that_come_late_are_told(tmp_path: Path, late: float, static: float, text: str) -> None:
     """Also a mount that a driver sends after the first scans."""

@@ -91,9 +91,9 @@ def test_default_names_replace_no_other_grid(scan: Path, tmp_path: Path, monkeyp
     for _ in range(2):
         assert "written wall.npz, wall.png" in completed(*words, *SMALL).output
     before = [Path(name).read_bytes() for name in ("wall.npz", "wall.png")]
-    refused_command("wall.npz is there already, of something else: give --out and --picture", *words)
+    refused_command("wall.npz exists and is no result of this command: give --out and --picture", *words)
     Path("wall.npz").unlink()
-    refused_command("wall.png is there already", *words, *SMALL)
+    refused_command("wall.png exists and is no result", *words, *SMALL)
     assert Path("wall.png").read_bytes() == before[1]
 
 
@@ -235,7 +235,7 @@ def test_info_reads_what_ogm_writes(tmp_path: Path) -> None:
         assert completed("info", tmp_path / name).output
     (tmp_path / "report" / "report.json").write_text("[]")
     (tmp_path / "world" / "zarr.json").write_text("{")
-    for name, text in {"report": "wanted an object", "world": "zarr.json", "none": "there is no"}.items():
+    for name, text in {"report": "wanted a JSON object", "world": "zarr.json", "none": "there is no"}.items():
         refused_command(text, "info", tmp_path / name)
 
 
@@ -254,10 +254,10 @@ def test_info_on_dynamic_and_layered_grids(tmp_path: Path) -> None:
         (("info", "none.npz"), "none.npz"),
         (("map", "{scan}", "--length", "10.0"), "use 9.92 m or 10.08 m"),
         (("map", "{scan}", "--axes", "upside-down"), "upside-down"),
-        (("map", "{scan}", "--out", "{folder}/x.txt"), "ends in .npz"),
-        (("map", "{scan}", "--out", "{folder}/x.npz", "--picture", "{folder}/x.jpg"), "ends in .png"),
+        (("map", "{scan}", "--out", "{folder}/x.txt"), "end in .npz"),
+        (("map", "{scan}", "--out", "{folder}/x.npz", "--picture", "{folder}/x.jpg"), "end in .png"),
         (("map", "{scan}", "{empty}", "--out", "{folder}/x.npz"), "give a folder"),
-        (("map", "{scan}", "--ism", "height-band-released", "--sensor-height", "2"), "built in"),
+        (("map", "{scan}", "--ism", "height-band-released", "--sensor-height", "2"), "fixed sensor height"),
         (("map", "{scan}", "--sensor-height", "-1"), "sensor_height"),
         (("map", "{scan}", "{scan}"), "share a name"),
         (("map", "{empty}"), "empty.bin"),
@@ -313,4 +313,4 @@ def test_layers_are_written_beside_the_masses(scan: Path, tmp_path: Path) -> Non
     assert layers["cause"][layers.spec.index(0.1, 0.1)] == UnknownCause.NEAR_VEHICLE
     wall = layers.spec.index(8.1, 0.1)
     assert (layers["distance"][wall], layers["cost"][wall]) == (0, 254)
-    refused_command("there is no layer 'height'", *words, "--layers", "height")
+    refused_command("got 'height'", *words, "--layers", "height")

@@ -40,8 +40,8 @@ def test_maps_are_evaluated_by_beams_that_were_left_out(tmp_path: Path) -> None:
     "words, message",
     [
         (("evaluate", "{log}", "--beams", "--grids", "{log}"), "--beams needs no truth and evaluates maps of models"),
-        (("evaluate", "{log}", "--beams", "--fused", "dynamic"), "beams are predicted by static maps"),
-        (("evaluate", "{log}", "--resolution", "0.1"), "--resolution is of --beams"),
+        (("evaluate", "{log}", "--beams", "--fused", "dynamic"), "must be of a static map"),
+        (("evaluate", "{log}", "--resolution", "0.1"), "--resolution belongs to --beams"),
         (("fuse", "{log}", "--match", "--odometry", "kiss-icp"), "--match and --odometry exclude each other"),
     ],
 )

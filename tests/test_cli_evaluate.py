@@ -227,7 +227,7 @@ def test_an_interrupted_run_does_not_resume_with_files_that_changed(
     for changed in ("truth/2.png", "nothing/2.npz"):
         before = (folders / changed).stat()
         os.utime(folders / changed, (0, 0))
-        refused_command("files that have changed since", *words)
+        refused_command("files that have changed", *words)
         os.utime(folders / changed, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert ogm(*words).exit_code == 0
     assert evaluated == [0, 1, 2]
@@ -250,7 +250,7 @@ def test_frames_by_another_ogm_are_not_mixed(data: Path, tmp_path: Path, monkeyp
         fail_call(patch, tasks, "accumulate", 2)
         assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 130
     monkeypatch.setattr(runner, "code_state", lambda: "another")
-    refused_command("by another ogm", "evaluate", data, "--ism", "ray", "--out", tmp_path)
+    refused_command("or version of ogm", "evaluate", data, "--ism", "ray", "--out", tmp_path)
 
 
 def test_the_state_of_files_leaves_out_the_report_beside_them(tmp_path: Path) -> None:
@@ -282,7 +282,7 @@ def test_a_folder_of_frames_that_is_not_ours_is_left_alone(data: Path, tmp_path:
     note.parent.mkdir()
     for text in ('{"mine": 1}', "mine"):
         note.write_text(text)
-        refused_command("is damaged or not from `ogm evaluate`", "evaluate", data, "--ism", "ray", "--out", tmp_path)
+        refused_command("is damaged or no file of `ogm evaluate`", "evaluate", data, "--ism", "ray", "--out", tmp_path)
         assert note.read_text() == text
 
 
@@ -376,7 +376,7 @@ def test_a_truth_of_a_part_of_the_cells_leaves_out_the_rest(folders: Path) -> No
 def test_the_report_is_not_written_into_the_evaluated_data(folders: Path) -> None:
     for out in ("truth", "nothing"):
         words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / out)
-        refused_command("holds what is evaluated", *words)
+        refused_command("contains the evaluated data", *words)
         assert len(list((folders / out).iterdir())) == 3
 
 
@@ -496,14 +496,14 @@ def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, mo
         (("{data}", "--ism", "rays"), "there is no sensor model 'rays': give ray, height-band"),
         (("{data}", "--ism", "{nothing}.safetensors"), "there is no"),
         (("{data}", "--ism", "ray", "ray"), "ray is given twice"),
-        (("{data}", "--ism", "ray", "--out", "{file}"), "is a file, but the report is a folder"),
+        (("{data}", "--ism", "ray", "--out", "{file}"), "the report needs a folder"),
         (("{data}", "--fused", "bayes"), "has no split 'sequences'"),
-        (("{data}", "--fused", "bayes", "--split", "validation"), "fuses frames that follow each other"),
+        (("{data}", "--fused", "bayes", "--split", "validation"), "fuses sequences of frames"),
         (("{data}", "--fused", "best"), "--fused takes revise, cautious"),
         (("{data}", "--truth", "boxes"), "--truth is for recordings"),
         (("{data}", "--truth", "hearsay"), "--truth takes boxes"),
         (("{data}", "--grids", "{nothing}"), "there is no folder"),
-        (("{data}", "--grids", "{data}"), "holds no grids"),
+        (("{data}", "--grids", "{data}"), "contains no grids"),
     ])  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, text: str) -> None:
     file = tmp_path / "file"

@@ -134,7 +134,7 @@ def test_after_three_jumps_the_map_begins_anew_and_the_old_one_is_kept(scans: Pa
     result = ogm("fuse", scans, "--poses", kitti(tmp_path / "p.txt", off), "--out", tmp_path / "m.npz", *SMALL)
     assert result.exit_code == 2
     assert "6 mapped, 2 skipped" in result.output
-    assert "1, after jumps of the pose" in result.output
+    assert "1, after jumps of pose or stamp" in result.output
     before, after = (EvidentialGrid.load(tmp_path / name) for name in ("m.before-jump-1.npz", "m.npz"))
     assert before.at(WALL + 0.25, 1.0).occupied > 0.9
     assert after.at(500 + WALL + 0.25, 1.0).occupied > 0.9
@@ -265,19 +265,19 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--poses", "{poses}", "--half-life", "-1"), "half_life must be greater than 0 s"),
         (("{scans}", "--poses", "{poses}", "--length", "10.3"), "use 10 m or 10.5 m"),
         (("{scans}", "--poses", "{poses}", "--out", "{poses}/x.npz"), "the map cannot be written into"),
-        (("{scans}", "--poses", "{poses}", "--out", "{folder}/x.txt"), "the map is written as .npz"),
-        (("{scans}", "--poses", "{poses}", "--movie", "{folder}/x.mp4"), "the movie is written as .gif or .webp"),
+        (("{scans}", "--poses", "{poses}", "--out", "{folder}/x.txt"), "the map must end in .npz"),
+        (("{scans}", "--poses", "{poses}", "--movie", "{folder}/x.mp4"), "the movie must end in .gif or .webp"),
         (("{scans}", "--poses", "{poses}", "--picture", "{folder}/x.png", "--movie", "{folder}/x.png"), "both be"),
-        (("{scans}", "--poses", "{poses}", "--page", "{folder}/x.htm"), "the page is written as .html"),
+        (("{scans}", "--poses", "{poses}", "--page", "{folder}/x.htm"), "the page must end in .html"),
         (("{scans}", "--poses", "{poses}", "--save-poses", "{poses}"), "would overwrite"),
         (("{scans}", "--poses", "{folder}/none.txt"), "none.txt"),
         (("{scans}", "--calib", "{poses}"), "--calib belongs to --poses"),
         (("{scans}", "--poses", "{far}", "--window", "fixed"), "give --window rolling, or a coarser --resolution"),
         (("{folder}", "--poses", "{poses}"), "holds no scans"),
         (("{scans}", "--sequence", "1"), "--sequence must be one of drive"),
-        (("{scans}/scan_5.bin", "--sequence", "1"), "--sequence picks one of several drives"),
+        (("{scans}/scan_5.bin", "--sequence", "1"), "--sequence selects a drive by name"),
         (("{data}", "--sequence", "7"), "--sequence must be one of sequence 0, got 7"),
-        (("{data}", "--deskew"), "not (or not all) distorted"),
+        (("{data}", "--deskew"), "distorted by motion in all scans"),
     ])  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2_before_the_work(
     scans: Path, data: Path, tmp_path: Path, words: tuple[str, ...], message: str
@@ -378,13 +378,13 @@ def test_each_drive_has_the_files_that_it_has_alone(sequences: Path, tmp_path: P
         assert (drive / "p.png").read_bytes() == (alone / "p.png").read_bytes()
         assert EvidentialGrid.load(drive / "m.npz") == EvidentialGrid.load(alone / "m.npz")
     result = ogm("fuse", sequences, "--each-drive", *words, "--rule", "dempster")
-    assert "by other options" in result.output
+    assert "of other frames or options" in result.output
 
 
 @each("words, message", [
         (("--workers", 2), "are for --each-drive"),
-        (("--each-drive", "--sequence", "00"), "are of one drive"),
-        (("--each-drive", "--out", "a/m.npz", "--picture", "b/p.png"), "lie in one folder, got a, b"),
+        (("--each-drive", "--sequence", "00"), "are for one drive"),
+        (("--each-drive", "--out", "a/m.npz", "--picture", "b/p.png"), "must be in one folder, got a, b"),
     ])  # fmt: skip
 def test_options_of_many_drives_that_exclude_others(
     scans: Path, tmp_path: Path, words: tuple[object, ...], message: str, monkeypatch: pytest.MonkeyPatch

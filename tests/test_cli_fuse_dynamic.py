@@ -93,7 +93,7 @@ def test_nuss_is_a_rule_of_dynamic_maps(drive: tuple[object, ...], tmp_path: Pat
 
 
 @each("words, message", [
-        (("--dynamic", "--rule", "yager"), "has a filter of its own, dynamic or nuss: leave out --rule yager"),
+        (("--dynamic", "--rule", "yager"), "needs the rule dynamic or nuss: leave out --rule yager"),
         (("--particles", "100"), "--particles belongs to --dynamic, which is missing"),
         (("--dynamic", "--particles", "0"), "particles must be a whole number from 1"),
         (("--dynamic", "--half-life", "0"), "half_life"),

@@ -86,8 +86,8 @@ def test_pictures_need_their_extent(tmp_path: Path) -> None:
 
 
 @each("words, message", [
-        (("m.npz", "x.txt"), "a grid is written as .npz, .yaml"), (("m.npz", "m.npz"), "would take the place of"),
-        (("m.yaml", "m.png"), "would take the place of"), (("none.npz", "x.tif"), "there is no file"),
+        (("m.npz", "x.txt"), "a grid is written as .npz, .yaml"), (("m.npz", "m.npz"), "would overwrite"),
+        (("m.yaml", "m.png"), "would overwrite"), (("none.npz", "x.tif"), "there is no file"),
         (("m.txt", "x.tif"), "no readable grid"), (("m.npz", "x.tif", "--mode", "raw"), "mode must be"),
         (("m.npz", "x.yaml", "--mode", "grey"), "mode must be"),
         (("m.npz", "x.tif", "--message", "grid-map"), "message is only for"),
@@ -132,8 +132,8 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(
 
 
 @each("numbers, message, mapped", [
-        (range(FRAMES), "no scan shows anything, nothing is written: .*Divide them by 1000", False),
-        ([1, 2], "2 of 4 scans show nothing, the first: .*Divide them by 1000", True),
+        (range(FRAMES), "no scan has evidence on the grid, nothing is written: .*Divide them by 1000", False),
+        ([1, 2], "2 of 4 scans have no evidence on the grid, the first: .*Divide them by 1000", True),
     ])  # fmt: skip
 def test_a_drive_that_shows_nothing_is_an_error_and_a_part_of_it_one_line(
     tmp_path: Path, numbers: Sequence[int], message: str, mapped: bool
@@ -225,7 +225,9 @@ def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: P
     result = fused(drive, tmp_path / "data.zarr")
     assert result.exit_code == 2
     assert "is no grid of ogm" in result.output
-    refused_command("which is read", "fuse", drive / "0.bin", drive / "m.bag", "--out", drive / "m.bag", *SMALL)
+    refused_command(
+        "would replace the input", "fuse", drive / "0.bin", drive / "m.bag", "--out", drive / "m.bag", *SMALL
+    )
     result = fused(drive, tmp_path / "m.png", "--picture", tmp_path / "m.png")
     assert "both be written" in result.output
     result = fused(drive, tmp_path / "m.npz", "--message", "grid-map")
@@ -293,7 +295,7 @@ def test_maps_are_merged_cut_and_made_coarser(tmp_path: Path) -> None:
     for message, words in (
         ("--merge-pose and --rule belong to --merge", ("--rule", "dempster")),
         ("there is no layer 'step'", ("--layer", "step")),
-        ("there is no rule 'bayes'", ("--merge", tmp_path / "a.npz", "--rule", "bayes")),
+        ("--rule must be one of", ("--merge", tmp_path / "a.npz", "--rule", "bayes")),
         ("touches no cell of the map", ("--extent", 50, 60, 0, 1)),
     ):
         refused_command(message, "convert", tmp_path / "b.tif", tmp_path / "e.npz", *words)
@@ -333,7 +335,7 @@ def test_costs_are_written_as_each_format_holds_them(tmp_path: Path) -> None:
     assert read_placed_grid(tmp_path / "d.npz").layers["cost"].max() == 254
     given = ("costmap", tmp_path / "m.npz", tmp_path / "x.npz", *numbers)
     refused_command("unknown must be one of", *given, "--unknown", "x")
-    refused_command("would take the place of", "costmap", tmp_path / "m.npz", tmp_path / "m.npz", *numbers)
+    refused_command("would overwrite", "costmap", tmp_path / "m.npz", tmp_path / "m.npz", *numbers)
     log_words = (tmp_path / "x.db3", "--message", "costmap")
     refused_command("wanted a layer cost, got free", "convert", tmp_path / "m.npz", *log_words)
     refused_command("--message costmap is for costs", "fuse", tmp_path, "--out", *log_words)

@@ -189,7 +189,7 @@ def test_scans_of_a_driver_are_mapped() -> None:
     assert result.exit_code == 0, result.stderr
     mapped, dropped, failed = counts(result.stdout)
     assert (mapped + dropped, failed) == (5, 0)
-    assert f"taking scans at 127.0.0.1:{port}" in result.stderr
+    assert f"receiving scans at 127.0.0.1:{port}" in result.stderr
     assert "ended after 5 scans: closed by the sender" in result.stderr
 
 
@@ -210,10 +210,10 @@ def test_what_makes_no_sense_is_refused_in_one_line(drive: Path, tmp_path: Path)
     with socket.create_server(("127.0.0.1", 0)) as busy:
         port = busy.getsockname()[1]
         refused = {
-            (): "give scans to play, or --listen",
-            (drive, "--listen", 0): "give scans to play, or --listen",
+            (): "give either SCANS to play, or --listen",
+            (drive, "--listen", 0): "give either SCANS to play, or --listen",
             ("--listen", 0): "--listen needs --sensor-height",
-            ("--listen", 0, "--sensor-height", 2, "--rate", 1): "without --rate",
+            ("--listen", 0, "--sensor-height", 2, "--rate", 1): "excludes --rate",
             ("--listen", "here", "--sensor-height", 2): "--listen must be PORT or HOST:PORT",
             ("--listen", 70000, "--sensor-height", 2): "--listen must be PORT or HOST:PORT",
             ("--listen", port, "--sensor-height", 2): f"--listen cannot listen at {port}: .*in use",

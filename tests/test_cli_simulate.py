@@ -81,17 +81,17 @@ def test_resume_makes_what_is_missing_with_the_same_bytes(data: Path) -> None:
 
 
 @each("words, description", [
-        ((), "give a folder for the data set, or --preview"),
-        (("--resume",), "want the data set's folder"),
-        (("--export", "x", "--preview", "x.png"), "want the data set's folder"),
-        (("{data}",), "holds a data set already; --resume"),
+        ((), "give a folder for the dataset, or --preview"),
+        (("--resume",), "need the dataset's folder"),
+        (("--export", "x", "--preview", "x.png"), "need the dataset's folder"),
+        (("{data}",), "contains a dataset already; give --resume"),
         (("{data}", "--resume", "--seed", 2), "begun with seed = 1, got 2"),
         (("{data}", "--resume", "--lidar", "os1-64"), "begun with mounts = 1 x hdl-32e, got 1 x os1-64"),
-        (("{new}", "--resume"), "no data set to go on with"),
+        (("{new}", "--resume"), "no dataset to resume"),
         (("{other}", "--samples", 1), "holds other files"),
         (("{new}", "--samples", 0), "would be empty"),
         (("{new}", "--samples", 1, "--workers", 0), "workers must be in 1 ..."),
-        (("--preview", "{new}.jpg"), "saved as .png"),
+        (("--preview", "{new}.jpg"), "must end in .png"),
         (("{file}", "--samples", 1), "is a file"),
         (("{new}", "--samples", 2_000_000, "--workers", 1), "must be in 0 ... 1,000,000"),
         (("--preview", "{new}.png", "--lidar", "vlp-99"), "unknown lidar 'vlp-99'"),
@@ -145,7 +145,7 @@ def test_an_interrupt_names_how_to_go_on(tmp_path: Path) -> None:
         child.send_signal(signal.SIGINT)
         _, message = child.communicate(timeout=60)
     assert child.returncode == 130
-    assert f"`ogm simulate {tmp_path / 'data'} --resume` goes on" in message.replace("\n", " ")
+    assert f"`ogm simulate {tmp_path / 'data'} --resume` continues" in message.replace("\n", " ")
     assert "Traceback" not in message
 
 

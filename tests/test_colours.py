@@ -81,4 +81,4 @@ def test_all_pictures_take_the_chosen_colours() -> None:
     colours.use_colours("paper")
     assert plot.mass_panel(grid).image[0].tolist() == [[237, 41, 41], [26, 204, 51]]
     assert "green free" in grid._repr_html_()
-    refused("no colours 'rainbow': choose safe or paper", colours.use_colours, "rainbow")
+    refused("colours must be safe or paper, got 'rainbow'", colours.use_colours, "rainbow")

@@ -204,14 +204,14 @@ def test_models_must_fill_the_same_grid():
         ({"models": []}, ValueError, "at least one sensor model"),
         ({"models": ["ray"]}, TypeError, "callables with a .spec"),
         ({"rule": "dempster"}, TypeError, "rule must be a function"),
-        ({"reliability": [1.0]}, ValueError, "one entry for each of 2 models, got 1"),
+        ({"reliability": [1.0]}, ValueError, "an entry for each of 2 models, got 1"),
         ({"reliability": [1.0, (0.5, 1.5)]}, ValueError, r"reliability must lie in \[0, 1\]"),
         ({"reliability": float("nan")}, ValueError, r"reliability must lie in \[0, 1\]"),
-        ({"free_gates": [None]}, ValueError, "free_gates must have one entry for each of 2 models"),
-        ({"free_gates": [None, FreeGate(2.0)]}, ValueError, "a gate needs a share"),
+        ({"free_gates": [None]}, ValueError, "free_gates must have an entry for each of 2 models"),
+        ({"free_gates": [None, FreeGate(2.0)]}, ValueError, "a gate must have a share"),
         ({"free_gates": [None, FreeGate(0.5, 0.7, 0.7)]}, ValueError, "0 <= low < high"),
-        ({"keep_hits": 2}, ValueError, "number of a model, 0 to 1, got 2"),
-        ({"keep_hits": -1}, ValueError, "number of a model, 0 to 1, got -1"),
+        ({"keep_hits": 2}, ValueError, "index of a model, 0 to 1, got 2"),
+        ({"keep_hits": -1}, ValueError, "index of a model, 0 to 1, got -1"),
     ])  # fmt: skip
 def test_what_does_not_fit_is_refused(options, error, text):
     models = [Given(np.zeros((3, 4, 2), np.float32))] * 2
@@ -258,7 +258,7 @@ def test_planar_scans_get_the_planar_model_by_default_and_another_if_it_is_named
     np.testing.assert_array_equal(load_model(with_radar("ray"), spec)(planar).mass, ray(planar).mass)
     assert title_of(default, planar, mount) == "planar, free at 0.40 m"
     assert title_of(default, lidar, mount) == title_of("ray", planar, mount) == "ray"
-    refused("no sensor model of radars 'lite'", load_model, "ray+lite", spec)
+    refused(r"a model after \+ must be one of .*, got 'lite'", load_model, "ray+lite", spec)
 
 
 def test_the_default_model_is_combined_where_the_network_runs(monkeypatch):

@@ -67,7 +67,7 @@ def test_a_signal_ends_a_command_with_one_line_and_nothing_half_done(
             child.send_signal(number)
         _, errors = child.communicate(timeout=60)
     assert child.returncode == status
-    assert errors == "ogm: interrupted; files that were finished are whole, no other was written\n"
+    assert errors == "ogm: interrupted; finished files are complete, no other was written\n"
     assert (tmp_path / "map.tif").read_bytes() == b"old"
     assert sorted(os.listdir(tmp_path)) == ["map.npz", "map.tif"]
 

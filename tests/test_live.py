@@ -244,7 +244,7 @@ def test_a_port_is_free_again_and_one_in_use_is_refused_in_words() -> None:
 def test_a_client_that_never_finishes_its_handshake_does_not_hold_up_the_end(
     begun: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ogm.live.foxglove_server.PATIENCE", 0.3)
+    monkeypatch.setattr("ogm.live.foxglove_server.CLOSING_TIME", 0.3)
     publisher = FoxglovePublisher(port=0)
     with socket.create_connection((publisher.host, publisher.port)) as client:
         client.sendall(begun)
@@ -554,12 +554,12 @@ def changed(at: int, new: bytes) -> bytes:
 
 
 WRONG = {
-    b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(200): r"a message begins with b'GET ', wanted b'OGM1'",
-    changed(4, struct.pack("<I", stream.MAX_POINTS + 1)): "announces 4194305 points, allowed are 4194304",
-    changed(4, b"\xff" * 4): "announces 4294967295 points",
-    changed(8, struct.pack("<d", math.nan)): "the stamp nan s, wanted 0 to",
-    changed(8, struct.pack("<d", 1.7e18)): r"the stamp 1.7e\+18 s, wanted 0 to",
-    changed(40, struct.pack("<d", math.inf)): "a pose that is not finite",
+    b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(200): r"a message must begin with b'OGM1', got b'GET '",
+    changed(4, struct.pack("<I", stream.MAX_POINTS + 1)): "at most 4194304 points, got 4194305",
+    changed(4, b"\xff" * 4): "at most 4194304 points, got 4294967295",
+    changed(8, struct.pack("<d", math.nan)): "a stamp from 0 to .*, got nan s",
+    changed(8, struct.pack("<d", 1.7e18)): r"a stamp from 0 to .*, got 1.7e\+18 s",
+    changed(40, struct.pack("<d", math.inf)): "must have a finite pose",
     changed(16, struct.pack("<d", 2.0)): "scan 1 of .*: T_map_sensor must be rigid",
     changed(112, struct.pack("<f", 1e7) * 16): "coordinates up to 1e",
     changed(0, b"")[:60]: "in the middle of a message",
@@ -613,7 +613,7 @@ def test_a_new_connection_replaces_the_one_before(listener: socket.socket) -> No
         with sender(listener) as second:
             second.sendall(changed(0, b""))
             until(lambda: receiver.frames)
-        assert "replaced by a new one" in receiver.lines[0]
+        assert "replaced by a new connection" in receiver.lines[0]
         with suppress(ConnectionResetError):
             assert first.recv(1) == b""
 
@@ -637,7 +637,7 @@ def test_clients_that_send_nothing_do_not_disturb_the_driver(listener: socket.so
             receiver.frames.pop()
         driver.sendall(message)
         until(lambda: len(receiver.frames) == 4)
-        assert [line.rpartition(": ")[2] for line in receiver.lines] == ["it ended in the middle of a message"]
+        assert [line.rpartition(": ")[2] for line in receiver.lines] == ["closed in the middle of a message"]
 
 
 def test_a_message_needs_a_stamp_and_a_pose() -> None:

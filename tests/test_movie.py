@@ -130,7 +130,7 @@ def test_colours_of_the_panels_are_exact_in_a_gif(tmp_path: Path) -> None:
 
 
 def test_other_formats_are_refused(tmp_path: Path) -> None:
-    refused = pytest.raises(ValueError, match=r"a movie is \.gif, \.webp, \.png")
+    refused = pytest.raises(ValueError, match=r"a movie must end in \.gif, \.webp, \.png")
     with refused, movie.open_movie(tmp_path / "m.mp4", SPEC, TITLES, -1.8):
         pass
 

@@ -106,7 +106,7 @@ def test_titles_that_do_not_fit_are_cut_and_signs_that_the_font_lacks_replaced(e
 
 def test_axes_have_round_numbers() -> None:
     for length, step in ((7.0, 1.0), (10.0, 2.0), (81.92, 20.0), (56.32, 10.0), (0.9, 0.2), (3000.0, 500.0)):
-        assert plot.figures._step(length) == pytest.approx(step)
+        assert plot.figures.round_length(length / plot.figures.MIN_STEPS) == pytest.approx(step)
 
 
 @each("call", [plot.show, lambda *a, **k: plot.save_picture("x.png", *a, **k)])
@@ -119,7 +119,7 @@ def test_what_cannot_be_shown_is_refused(call, ell: EvidentialGrid) -> None:
 def test_save_picture_is_atomic_and_refuses_other_formats(tmp_path: Path, ell: EvidentialGrid) -> None:
     plot.save_picture(tmp_path / "a.png", ell)
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    refused(r"saved as \.png", plot.save_picture, tmp_path / "a.jpg", ell)
+    refused(r"must end in \.png", plot.save_picture, tmp_path / "a.jpg", ell)
     refused("no folder", plot.save_picture, tmp_path / "none" / "a.png", ell, error=FileNotFoundError)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 
@@ -334,7 +334,7 @@ def test_the_wheel_has_forward_up_and_left_left() -> None:
 
 def test_arrows_point_where_things_go_in_a_figure() -> None:
     panel = plot.dynamic_panel(street())
-    assert panel.title == "heading of what moves, arrows: 1 s"
+    assert panel.title == "heading of moving cells, arrows: 1 s"
     ends = panel.arrows[:, 1::-1] + panel.arrows[:, :1:-1]
     assert sorted(np.round(ends, 5).tolist()) == [[1.0, 17.0], [1.2, -6.0], [3.0, 3.0]]  # y, x [m]
     with_arrows, without = (np.asarray(plot.show(one)) for one in (panel, panel._replace(arrows=panel.arrows[:0])))

@@ -49,7 +49,7 @@ def test_what_is_not_rigid_is_refused() -> None:
         (np.diag([0.5, 0.5, 0.5, 1]), "rigid"),
         (np.diag([1e200, 1e200, 1e200, 1]), "rigid"),
         (np.diag([1.0, 1, np.nan, 1]), "NaN"),
-        (np.diag([1.0, 1, np.inf, 1]), "NaN or inf"),
+        (np.diag([1.0, 1, np.inf, 1]), "must be finite"),
         *((np.eye(4).astype(kind), "must be a 4x4 array of real numbers") for kind in (complex, str, object, bool)),
     ):
         refused(message, check_pose, bad)
@@ -109,7 +109,7 @@ def test_a_trajectory_of_one_pose_has_one_time() -> None:
     trajectory = Trajectory([3.0], [pose(1, 2)])
     np.testing.assert_array_equal(trajectory.at(3.0), pose(1, 2))
     np.testing.assert_array_equal(trajectory.at([3.0, 3.0]), [pose(1, 2)] * 2)
-    refused("one time only", trajectory.at, [3.0, 3.1])
+    refused("the one time", trajectory.at, [3.0, 3.1])
 
 
 def test_what_is_no_trajectory_is_refused() -> None:

@@ -95,7 +95,7 @@ def test_a_matrix_of_points_becomes_an_array() -> None:
 
 @each("stamp", [np.float32(1.7e9), np.float32(20_000.0), np.float16(10.0)])
 def test_coarse_stamps_are_refused(stamp: np.floating) -> None:
-    refused("stamp must be known to a millisecond, .* give a float64", Scan, POINTS, stamp=stamp)
+    refused("stamp must resolve a millisecond, .* give a float64", Scan, POINTS, stamp=stamp)
     assert Scan(POINTS, stamp=np.float32(100.0)).stamp == 100.0
 
 
@@ -292,7 +292,7 @@ def test_a_scan_can_be_read_where_its_mount_is_not_known() -> None:
     for scan in (frame.scan, frame.scan.select(slice(1))):
         refused("no scan shows the ground", ConstantModel(), scan)
     assert run_model(ConstantModel(Mount(2.0)), frame).free.max() == pytest.approx(0.2)
-    refused("the mount of the sensor is not known", ConstantModel(), Scan(POINTS))
+    refused("the mount of the sensor is unknown", ConstantModel(), Scan(POINTS))
 
 
 # --- Models ---------------------------------------------------------------------------------------

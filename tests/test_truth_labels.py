@@ -70,7 +70,7 @@ def test_what_does_not_fit_is_refused() -> None:
     refused("min_scans must be 1 or more, got 0", truth_from_scans, [], [], SMALL, min_scans=0)
     finer = GridSpec.centered(7.0, 7.0, 0.5)
     truths = [drawn(*["......."] * 7), Truth(finer, np.zeros(finer.shape, np.uint8))]
-    refused("of one grid", combine_truths, truths)
+    refused("on one grid", combine_truths, truths)
     refused("got none", combine_truths, [])
 
 

@@ -170,7 +170,7 @@ def test_names_cannot_be_markup(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_shown_is_refused(tmp_path: Path) -> None:
-    refused(r"written as \.html", write_view, tmp_path / "a.png", drawn_grid())
+    refused(r"must end in \.html", write_view, tmp_path / "a.png", drawn_grid())
     with pytest.raises(ValueError, match="layers must have the cells of the grid"):
         write_view(tmp_path / "a.html", drawn_grid(), drawn_layers(SPEC.refined(2)))
     refused("no layers", write_view, tmp_path / "a.html", LayeredGrid(SPEC, {}))

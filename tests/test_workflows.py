@@ -63,17 +63,17 @@ def test_a_drive_that_is_finished_is_not_fused_again(tmp_path: Path) -> None:
     assert {name for name, one in again.items() if one.reused} == set("abde")
     assert not any(one.error for one in again.values())
     assert (tmp_path / "out" / "c" / "names.txt").read_text() == "c 0 c 1 c 2"
-    refused("of other frames, or by other options", fused, tmp_path / "out", Names(option=2), error=OgmError)
+    refused("of other frames or options", fused, tmp_path / "out", Names(option=2), error=OgmError)
 
 
 def test_what_was_not_fused_here_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
-    refused("no drive that was fused here", fused, tmp_path, error=OgmError)
+    refused("no result of this command", fused, tmp_path, error=OgmError)
     (tmp_path / "b" / "drive.json").write_text("[1")
     refused("cannot be read", fused, tmp_path, error=OgmError)
     (tmp_path / "b" / "drive.json").write_text(json.dumps({"format": "ogm.fused/9", "key": "", "facts": {}}))
-    refused("other options", fused, tmp_path, error=OgmError)
-    refused("becomes that of a folder", list, fuse_drives({"../a": DRIVES["a"]}, Names(), tmp_path))
+    refused("frames or options", fused, tmp_path, error=OgmError)
+    refused("must be a valid folder name", list, fuse_drives({"../a": DRIVES["a"]}, Names(), tmp_path))
 
 
 class Drive(list[Frame]):

@@ -1,4 +1,4 @@
-"""The command line ``ogm``: its packages load with the first use of `app` or `main`, where an interrupt is noticed."""
+"""The command line ``ogm``. Its packages load with the first use of `app` or `main`, which handles interrupts."""
 
 import gc
 import os
@@ -15,7 +15,7 @@ __all__ = ["app", "main"]
 def main() -> None:
     """Run the command line. SIGINT and SIGTERM end it with the status 130 and 143."""
     code: Any = 0
-    early = False  # interrupted outside of a command
+    early = False  # interrupted outside a command
     try:
         watch_signals()
         gc.disable()  # the objects that packages make while they load stay
@@ -34,13 +34,13 @@ def main() -> None:
         early = True
     except SystemExit as end:
         code = end.code
-        early = isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt)  # made so by typer
-    except Exception:  # an import can make an error of its own of an interrupt
+        early = isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt)  # typer turns it into this
+    except Exception:  # imports can turn an interrupt into another error
         if not received:
             raise
         early = True
     ended = bool(received) and (early or bool(code))
-    for number in (signal.SIGINT, signal.SIGTERM):  # all is done; `timeout` sends its signal twice
+    for number in (signal.SIGINT, signal.SIGTERM):  # `timeout` sends its signal twice
         signal.signal(number, signal.SIG_IGN if ended and number in received else signal.SIG_DFL)
     if early:
         print("ogm: interrupted; nothing was written", file=sys.stderr)
@@ -49,7 +49,7 @@ def main() -> None:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):
                 stream.flush()
-        os._exit(128 + received[0])  # at once: exit functions of libraries wait for their threads, or fail
+        os._exit(128 + received[0])  # exit functions of libraries wait for their threads, or fail
     sys.exit(code)
 
 

@@ -1,12 +1,11 @@
-"""``ogm calibrate``: labelled frames to the parameters of a geometric model."""
+"""``ogm calibrate``: fit the parameters of a geometric model to labelled frames."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from rich.table import Table
 from typer import Argument, Option
 
-from ogm.cli.console import complain, out, report_errors, stderr, ticked
+from ogm.cli.console import complain, number_table, out, report_errors, stderr, ticked
 from ogm.cli.options import First, FolderAxes, TruthSources, check_first, parsed_axes
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ def calibrate_command(
     fit: Annotated[
         str | None,
         Option(
-            help="Fitted parameters with commas between; =LOW:HIGH sets the bounds of the search. [default: the "
+            help="Parameters to fit, separated by commas; =LOW:HIGH sets the bounds of the search. [default: the "
             "error rates, weights and heights, see docs/evaluation.md]",
             metavar="NAME[=LOW:HIGH],...",
         ),
@@ -29,18 +28,17 @@ def calibrate_command(
     truth: TruthSources = None,
     axes: FolderAxes = "flu",
     base_rate: Annotated[
-        str,
-        Option(help="P(occupied) of a cell of which nothing is known; data: the share of occupied cells.", metavar="P"),
+        str, Option(help="P(occupied) of a cell without evidence; data: the share of occupied cells.", metavar="P")
     ] = "data",
     first: First = None,
     every: Annotated[int, Option(help="Use every N-th frame.", metavar="N")] = 1,
-    threads: Annotated[int, Option(help="Frames that are mapped at the same time.")] = 1,
-    out_path: Annotated[Path | None, Option("--out", help="The result. [default: ./MODEL.json]")] = None,
+    threads: Annotated[int, Option(help="Frames mapped at the same time.")] = 1,
+    out_path: Annotated[Path | None, Option("--out", help="Result file. [default: ./MODEL.json]")] = None,
 ) -> None:
     """Fit the parameters of a geometric model to the labels of your own sensor's data, by maximum likelihood.
 
-    The result is a small JSON file, whose path is a model's name for all commands: evaluate it on other drives than
-    those of the fit, `ogm evaluate TEST --ism ray ray.json`. Ctrl-C ends the search and keeps the best so far.
+    The result is a small JSON file. All commands take its path as a model. Evaluate it on drives that were not used
+    for the fit: `ogm evaluate TEST --ism ray ray.json`. Ctrl-C ends the search and keeps the best parameters so far.
     """
     from ogm.calibration import calibrate
     from ogm.datasets import open_dataset
@@ -50,7 +48,7 @@ def calibrate_command(
         raise ValueError(f"--every must be at least 1, got {every}")
     path = Path(f"{Path(ism).stem}.json") if out_path is None else out_path
     if path.suffix != ".json":
-        raise ValueError(f"--out writes .json, got {path}")
+        raise ValueError(f"--out must end in .json, got {path}")
     if not path.parent.is_dir():
         raise FileNotFoundError(f"there is no folder {path.parent} for --out {path.name}; create it first")
     sources = tuple((truth or "").split(",")) if truth else ()
@@ -86,26 +84,20 @@ def _bounds(text: str) -> dict[str, tuple[float, float]]:
     from ogm.calibration.fit import BOUNDS
 
     found = {}
-    for word in text.split(","):
-        name, equals, limits = (part.strip() for part in word.partition("="))
+    for entry in text.split(","):
+        name, equals, limits = (part.strip() for part in entry.partition("="))
         try:
             low, high = map(float, limits.split(":")) if equals else BOUNDS[name]
         except (ValueError, KeyError):
             known = f"NAME=LOW:HIGH, or one of {', '.join(BOUNDS)}"
-            raise ValueError(f"--fit takes {known}; got {word.strip()!r}") from None
+            raise ValueError(f"--fit takes {known}; got {entry.strip()!r}") from None
         found[name] = low, high
     return found
 
 
 def _print(fitted: "Calibration") -> None:
-    table = Table(box=None, pad_edge=False)
-    for head in (
-        f"{fitted.model}, {fitted.data['frames']} frames of {fitted.data['drives']} drives",
-        "before",
-        "after",
-        "+-",
-    ):
-        table.add_column(head, justify="left" if not table.columns else "right")
+    title = f"{fitted.model}, {fitted.data['frames']} frames of {fitted.data['drives']} drives"
+    table = number_table(title, "before", "after", "+-")
     for name, value in fitted.parameters.items():
         error = fitted.errors.get(name)
         table.add_row(name, f"{fitted.start[name]:.4g}", f"{value:.4g}", "" if error is None else f"{error:.2g}")

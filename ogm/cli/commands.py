@@ -24,7 +24,7 @@ from ogm.plot.colours import use_colours
 
 app: typer.Typer = typer.Typer(
     name="ogm",
-    help="Evidential occupancy grid maps from lidar and radar: free, occupied, and, as a number of its own, unknown.",
+    help="Evidential occupancy grid maps from lidar and radar: masses of free, occupied and unknown.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -52,7 +52,7 @@ app.add_typer(world_app)
 
 @app.callback(invoke_without_command=True)
 def _options(
-    version: Annotated[bool, Option("--version", help="Print the version and stop.")] = False,
+    version: Annotated[bool, Option("--version", help="Print the version and exit.")] = False,
     colors: Annotated[
         Literal["safe", "paper"],
         Option(help="safe: blue is free and orange occupied; paper: green is free and red occupied."),

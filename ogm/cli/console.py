@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import typer
 from rich.console import Console
-from rich.progress import track
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn, track
 from rich.table import Table
 from rich.text import Text
 
@@ -25,22 +25,22 @@ P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 
-COMPILED = 3.0  # [s] a first call that takes longer has compiled kernels
+COMPILED = 3.0  # [s]; a longer first call has compiled kernels
 
-_WHOLE = "files that were finished are whole, no other was written"
+_WHOLE = "finished files are complete, no other was written"
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
 _CONTROL |= {code: f"\\u{code:04x}" for code in (0x2028, 0x2029, *range(0x202A, 0x202F), *range(0x2066, 0x206A))}
 
 
 def printable(text: str) -> str:
-    """Return a text with control characters written out: names of files may hold some, which steer a terminal.
+    """Return a text with control characters written as escapes, since file names can contain terminal commands.
 
-    Those that turn the direction of writing are among them; what no encoding can hold is written out, too.
+    Marks that change the direction of writing and characters that cannot be encoded are written as escapes, too.
     """
     return text.translate(_CONTROL).encode("utf-8", "backslashreplace").decode()
 
 
-_OPTIONS = {  # of arguments whose options have other names
+_OPTIONS = {  # argument of the library: option, first those with another name
     "calibration": "calib", "grids": "out", "learning_rate": "learning-rate", "pictures": "picture",
     "sensors": "sensor", "setups": "sensors",
 } | {name: name.replace("_", "-") for name in (
@@ -53,7 +53,7 @@ _OPTIONS = {  # of arguments whose options have other names
 
 
 def with_options(text: str) -> str:
-    """Return a message of the library with its arguments, such as `time_unit`, as options of the command line."""
+    """Replace arguments in a message of the library, such as `time_unit`, by options of the command line."""
     return re.sub(
         "`([a-z_]+)(?:=([^`]*))?`",
         lambda found: f"--{_OPTIONS[found[1]]}{f' {found[2]}' * bool(found[2])}" if found[1] in _OPTIONS else found[0],
@@ -62,23 +62,23 @@ def with_options(text: str) -> str:
 
 
 def complain(text: str) -> None:
-    """Print a line about what is wrong."""
+    """Print an error or a warning on one line of stderr."""
     stderr.print(f"ogm: {text}", markup=False)
 
 
 class SafeConsole(Console):
-    """A console that prints every text `printable` and in the words of the command line, also in tables."""
+    """Console that passes all text, also in tables, through `printable` and `with_options`."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return the text as rich has it."""
+        """Return the text as rich's `Text`."""
         return super().render_str(printable(with_options(text)), **options)
 
 
 class SafeFormatter(logging.Formatter):
-    """Formats messages of the log as one `printable` text."""
+    """Formatter that passes log messages through `printable` and `with_options`."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the text of a message, in the words of the command line."""
+        """Return the text of a message."""
         return printable(with_options(super().format(record)))
 
 
@@ -87,7 +87,7 @@ stderr: SafeConsole = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
 
 
 def chosen_model(name: str | None, spec: "GridSpec", rule: str = "") -> str:
-    """Return the name of the sensor model: by default that of `default_model`, with a line on why not `combined`.
+    """Return the name of the sensor model, by default from `default_model`; print why it is not `combined`.
 
     The default is for all kinds of scans, see `ogm.models.named.for_all_kinds`.
     """
@@ -112,7 +112,7 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
             if isinstance(error, ImportError) and _is_interrupt(error):
                 stderr.print("ogm: interrupted; nothing was written", markup=False)
                 raise typer.Exit(130) from None
-            if received:  # processes that the same signal ended, or packages that made an error of it, are why
+            if received:  # worker processes ended by the same signal, and some packages, raise other errors
                 stderr.print(f"ogm: interrupted; {_WHOLE}", markup=False)
                 raise typer.Exit(130) from None
             complain(error_text(error))
@@ -126,7 +126,7 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an import failed because it was interrupted: packages in C++ make an ImportError of that."""
+    """Return whether an import failed by an interrupt: packages in C++ turn it into an ImportError."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error):
             return True
@@ -143,24 +143,39 @@ def print_facts(facts: Mapping[str, str]) -> None:
 
 
 def ticked(items: Iterable[T], title: str, total: int | None = None) -> Iterable[T]:
-    """Iterate with a progress bar, which disappears in the end; `total` is for items whose number is not known."""
+    """Iterate with a progress bar, which disappears at the end; `total` is for iterables without a length."""
     return track(items, title, total, console=stderr, transient=True)
+
+
+def progress_bar() -> Progress:
+    """Return a progress bar with counts and remaining time, which disappears at the end."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=stderr, transient=True)
+
+
+def number_table(first: str, *others: str) -> Table:
+    """Return an empty table with a left-aligned first column and right-aligned other columns."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column(Text(printable(first)))
+    for heading in others:
+        table.add_column(Text(printable(heading)), justify="right", overflow="fold")
+    return table
 
 
 @contextmanager
 def first_call() -> Iterator[None]:
-    """Show that a first call may compile kernels, and how long that took."""
+    """Show a status while the first call may compile kernels, and print the time if it did."""
     from ogm.models.compilation import compiled_ahead
 
     start = time.perf_counter()
     with stderr.status("the first call compiles kernels (once per environment) ..."), compiled_ahead("scan"):
         yield
     if (seconds := time.perf_counter() - start) > COMPILED:
-        stderr.print(f"ogm: kernels were compiled in {seconds:.0f} s; later calls take them from the disk")
+        stderr.print(f"ogm: kernels were compiled in {seconds:.0f} s; later calls load them from disk")
 
 
 def distinct(names: Sequence[str], width: int = 36) -> list[str]:
-    """Return names shortened to a width, with the part in which they differ."""
+    """Return names shortened to a width, keeping the part in which they differ."""
     if max(map(len, names), default=0) <= width:
         return list(names)
     common = os.path.commonprefix(list(names)) if len(set(names)) > 1 else ""

@@ -1,4 +1,4 @@
-"""``ogm convert``: a map from one format of files to another."""
+"""``ogm convert``: write a map in another file format."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,41 +12,39 @@ if TYPE_CHECKING:
     from ogm.grid import GridSpec
 
 GridFile = Annotated[Path, Argument(help="Map or grid: .npz, .yaml, .tif, .nc, .zarr, .mcap, .db3, .bag, .png, .npy.")]
-OutFile = Annotated[Path, Argument(help="File to write, by its ending; its folder is made if need be.")]
-Mode = Annotated[str | None, Option(help="Of .yaml: trinary, scale or raw (0 to 100). [default: trinary]")]
+OutFile = Annotated[Path, Argument(help="Output file; its ending selects the format, its folder is created.")]
+Mode = Annotated[str | None, Option(help="Mode of .yaml: trinary, scale or raw (0 to 100). [default: trinary]")]
 Crs = Annotated[str | None, Option(help="Coordinate reference system of OUT, in metres, such as EPSG:25832.")]
 Pose = Annotated[
     tuple[float, float, float] | None,
-    Option(help="Where GRID's frame lies in that of OUT: x y [m] and yaw [rad].", metavar="X Y YAW"),
+    Option(help="Pose of GRID's frame in the frame of OUT: x y [m] and yaw [rad].", metavar="X Y YAW"),
 ]
-Merge = Annotated[Path | None, Option(help="Another map that is merged with GRID, by --rule, its layers too.")]
+Merge = Annotated[Path | None, Option(help="Another map to merge with GRID by --rule, with its layers.")]
 MergePose = Annotated[
     tuple[float, float, float] | None,
-    Option(help="Where the frame of --merge lies in that of GRID: x y [m] and yaw [rad].", metavar="X Y YAW"),
+    Option(help="Pose of --merge's frame in the frame of GRID: x y [m] and yaw [rad].", metavar="X Y YAW"),
 ]
-Rule = Annotated[str | None, Option(help=f"Combine both maps by: {', '.join(RULES)}. [default: cautious]")]
+Rule = Annotated[str | None, Option(help=f"Rule for --merge: {', '.join(RULES)}. [default: cautious]")]
 Extent = Annotated[
-    tuple[float, float, float, float] | None, Option(help="Cut: x_min x_max y_min y_max [m], in the frame of GRID.")
+    tuple[float, float, float, float] | None, Option(help="Crop to x_min x_max y_min y_max [m], in the frame of GRID.")
 ]
-Side = Annotated[float | None, Option(help="Cells of another side [m]; free is never enlarged.")]
+Side = Annotated[float | None, Option(help="Resample to cells of this side [m]; free areas never grow.")]
 Layer = Annotated[str | None, Option(help="Write one layer of GRID as occupancy, such as for map_server.")]
 LayerValues = Annotated[
-    tuple[float, float] | None, Option(help="Of --layer: the values of free and of occupied cells. [default: 0 100]")
+    tuple[float, float] | None, Option(help="Values of free and occupied in --layer. [default: 0 100]")
 ]
 Message = Annotated[
     str | None,
     Option(
-        help="Of .mcap, .db3, .bag: occupancy-grid, grid-map or foxglove-grid, with all layers, or costmap. "
-        "[default: the first]"
+        help="Message of logs: occupancy-grid, costmap; with all layers grid-map, foxglove-grid. [default: the first]"
     ),
 ]
-Topic = Annotated[str | None, Option(help="Of a GRID in a log. [default: the one with grids, or /map]")]
+Topic = Annotated[str | None, Option(help="Topic of a GRID in a log. [default: the only topic with grids, or /map]")]
 FreeThresh = Annotated[
-    float | None,
-    Option(help="Of a GRID as .yaml: replaces its free_thresh; 0.196 where unknown cells are read as free."),
+    float | None, Option(help="Replaces free_thresh of a .yaml GRID; use 0.196 if unknown cells are read as free.")
 ]
-Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
-Width = Annotated[float | None, Option(help="The same along y [m]. The middle of the extent is the origin.")]
+Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which lack it [m].")]
+Width = Annotated[float | None, Option(help="Extent along y [m]. The origin is the middle of the extent.")]
 Resolution = Annotated[float, Option(help="Side of a cell of a .png or .npy [m].")]
 
 
@@ -71,11 +69,11 @@ def convert(
     width: Width = None,
     resolution: Resolution = 0.16,
 ) -> None:
-    """Write a map in another format, merged with another one, cut, or on other cells.
+    """Write a map in another format; optionally merge, crop or resample it.
 
-    Formats that hold bands (.npz, .tif, .nc, .zarr, grid-map and foxglove-grid in logs) are exact and have all layers;
-    map_server and occupancy-grid hold a state or a value per cell, a .png the masses in steps of 1/255. All but .npz
-    and .png can hold a turn of the map. Of a log with several maps, the last is taken.
+    Formats with bands (.npz, .tif, .nc, .zarr, grid-map and foxglove-grid in logs) are exact and keep all layers.
+    map_server and occupancy-grid store a state or a value per cell, .png the masses in steps of 1/255. All formats
+    except .npz and .png can store a rotation of the map. Of a log with several maps, the last is read.
     """
     from dataclasses import replace
 
@@ -86,7 +84,7 @@ def convert(
     check_grid_output(out, mode=mode, message=message, crs=crs)  # type: ignore[arg-type]
     same = (grid.with_suffix(".png") if grid.suffix.lower() in (".yaml", ".yml") else grid).resolve()
     if out.resolve() in (grid.resolve(), same, merge and merge.resolve()):
-        raise ValueError(f"{out} would take the place of {grid} or of its image; give another name")
+        raise ValueError(f"{out} would overwrite {grid}, its image or --merge; give another name")
     if (merge is None and (merge_pose, rule) != (None, None)) or (layer is None and layer_values is not None):
         raise ValueError("--merge-pose and --rule belong to --merge, --layer-values to --layer, which is missing")
     placed = read_placed_grid(grid, _area(length, width, resolution), topic=topic, free_thresh=free_thresh)
@@ -94,7 +92,7 @@ def convert(
         from ogm import fusion  # takes long
 
         if rule not in (None, *RULES):
-            raise ValueError(f"there is no rule {rule!r}; there are {', '.join(RULES)}")
+            raise ValueError(f"--rule must be one of {', '.join(RULES)}, got {rule!r}")
         if merge is not None:
             x, y, yaw = merge_pose or (0.0, 0.0, 0.0)
             rule_of = RULES[rule or "cautious"]
@@ -114,7 +112,7 @@ def convert(
     facts = {
         "map": str(out),
         "cells": f"{spec.shape[0]} x {spec.shape[1]} of {spec.resolution:g} m",
-        "corner": f"x {x:.10g} m, y {y:.10g} m" + (f", turned by {yaw:.6g} rad" if yaw else ""),
+        "corner": f"x {x:.10g} m, y {y:.10g} m" + (f", yaw {yaw:.6g} rad" if yaw else ""),
     }
     layers = placed.layers if hasattr(placed.grid, "mass") else placed.grid
     if hasattr(placed.grid, "mass"):
@@ -125,11 +123,11 @@ def convert(
 
 
 def _area(length: float | None, width: float | None, resolution: float) -> "GridSpec | None":
-    """Return the area of a file that does not hold it; none where none is given."""
+    """Return the cells of a file without geometry, by the options; None if they are not given."""
     from ogm.grid import GridSpec
 
     if length is None and width is None:
         return None
     if length is None or width is None:
-        raise ValueError("give both --length and --width [m], or none of them")
+        raise ValueError("give both --length and --width [m], or neither")
     return GridSpec.centered(length, width, resolution)

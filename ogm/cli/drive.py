@@ -1,12 +1,10 @@
-"""A drive of a data set with its poses, by the options that `ogm fuse` and `ogm serve` share."""
+"""Selection of a drive and its poses by the common options of `ogm fuse` and `ogm serve`."""
 
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.progress import track
-
-from ogm.cli.console import out, stderr
+from ogm.cli.console import out, ticked
 from ogm.cli.options import check_first
 
 if TYPE_CHECKING:
@@ -16,9 +14,9 @@ if TYPE_CHECKING:
 def check_pose_options(
     poses: Path | None, calib: Path | None, odometry: str | None, save_poses: Path | None, first: int | None
 ) -> None:
-    """Refuse options of poses that exclude each other."""
+    """Raise a ValueError if pose options exclude each other."""
     if poses is not None and odometry is not None:
-        raise ValueError("--poses and --odometry exclude each other; give one")
+        raise ValueError("--poses and --odometry exclude each other; give one of them")
     if calib is not None and poses is None:
         raise ValueError("--calib belongs to --poses, which is missing")
     check_first(first)
@@ -28,14 +26,14 @@ def check_pose_options(
 
 
 def pick_drive(dataset: "Dataset", sequence: str | None) -> "Dataset":
-    """Return one drive of a data set."""
+    """Return the drive of a dataset selected by --sequence, by default the main or the first drive."""
     drives = dataset.sequences
     if drives:
         names = list(drives)
         wanted = (dataset.recording.main_sequence or names[0]) if sequence is None else sequence
         number = int(wanted) if wanted.isdecimal() else len(names)
         known = (wanted, f"sequence {wanted}", f"{dataset.name} part {wanted}", *names[number : number + 1])
-        found = [one for one in known if one in drives]
+        found = [name for name in known if name in drives]
         if not found:
             raise ValueError(f"--sequence must be one of {', '.join(drives)}, got {sequence}")
         if sequence is None and len(drives) > 1:
@@ -43,7 +41,7 @@ def pick_drive(dataset: "Dataset", sequence: str | None) -> "Dataset":
             out.print(f"drive: {found[0]}, {which} of {len(drives)}; --sequence picks another", markup=False)
         dataset = dataset.select(drives[found[0]])
     elif sequence is not None:
-        raise ValueError(f"--sequence picks one of several drives, of which {dataset.name} has none")
+        raise ValueError(f"--sequence selects a drive by name, but {dataset.name} has no named drives: leave it out")
     return dataset
 
 
@@ -52,8 +50,8 @@ def print_sensor(dataset: "Dataset") -> None:
     height, recording = dataset[0].mount.sensor_height, dataset.recording
     given = recording.sensor_height is not None or recording.setup(0).sensor_height is not None
     if not given and not recording.known_mount:
-        how = "stated by the data set" if recording.known_height else "estimated from up to five scans"
-        how = "assumed, as nothing shows it" if recording.assumed_height else how
+        how = "stated by the dataset" if recording.known_height else "estimated from up to five scans"
+        how = "assumed, as it cannot be estimated" if recording.assumed_height else how
         out.print(f"sensor height {height:.2f} m, {how}; --sensor-height sets it", soft_wrap=True)
 
 
@@ -66,17 +64,15 @@ def with_known_poses(
     first: int | None,
     match: bool = False,
 ) -> "Dataset":
-    """Return the first scans of a drive with their poses, as `posed`, and print whose they are."""
+    """Return the first scans of a drive with their poses, see `posed`, and print the origin of the poses."""
     from ogm.datasets import with_poses
     from ogm.workflows import posed
 
-    def ticked(numbers: Iterable[int]) -> Iterable[int]:
-        return track(
-            list(numbers), odometry or ("matching scans" if match else "reading stamps"), console=stderr, transient=True
-        )
+    def progress(numbers: Iterable[int]) -> Iterable[int]:
+        return ticked(list(numbers), odometry or ("matching scans" if match else "reading stamps"))
 
     if poses is not None:
-        dataset = with_poses(dataset, poses, calib, rate, ticked)
-    dataset, how = posed(dataset, odometry, rate, first, ticked, match)
+        dataset = with_poses(dataset, poses, calib, rate, progress)
+    dataset, how = posed(dataset, odometry, rate, first, progress, match)
     out.print(f"poses: {how}", markup=False, soft_wrap=True)
     return dataset

@@ -1,4 +1,4 @@
-"""``ogm evaluate --agreement``: methods compared with each other, without truth."""
+"""``ogm evaluate --agreement``: compare methods with each other, without truth."""
 
 import shlex
 import sys
@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
 from rich.text import Text
 
-from ogm.cli.console import out, printable, ticked
+from ogm.cli.console import number_table, out, printable, ticked
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -31,10 +30,7 @@ def evaluate_dataset_agreement(
     )
     path = write_agreement_report(folder, result, command=shlex.join(["ogm", *sys.argv[1:]]))
     out.print(printable(f"Means over {dataset.name}, {len(result.frames)} frames"), markup=False, soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("first, second")
-    for title, _ in AGREEMENT_METRICS.values():
-        table.add_column(title, justify="right")
+    table = number_table("first, second", *(title for title, _ in AGREEMENT_METRICS.values()))
     for pair, means in result.table().items():
         table.add_row(Text(printable(pair)), *("no value" if v != v else f"{v:.3f}" for v in means.values()))
     out.print(table)

@@ -1,4 +1,4 @@
-"""``ogm evaluate --beams``: maps of planar scans without truth, by the beams of scans that are left out."""
+"""``ogm evaluate --beams``: evaluate maps of planar scans without truth, by beams of held-out scans."""
 
 import shlex
 import sys
@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-from rich.text import Text
-
-from ogm.cli.console import complain, distinct, out, printable, ticked
+from ogm.cli.console import complain, distinct, number_table, out, printable, ticked
 from ogm.datasets import Dataset
 from ogm.grid import GridSpec
 
@@ -31,15 +28,12 @@ def evaluate_dataset_beams(
         progress=lambda splits: ticked(splits, "evaluating", len(splits)),
     )
     if errors:
-        complain(f"{len(errors)} of {len(dataset)} scans are left out, the first: {errors[0]}")
+        complain(f"{len(errors)} of {len(dataset)} scans are skipped, the first: {errors[0]}")
     path = write_beam_report(folder, result, command=shlex.join(["ogm", *sys.argv[1:]]))
     echoes, silent = int(result.echoes.sum()), int(result.no_echoes.sum())
     title = f"{dataset.name}: {echoes} beams with echo and {silent} without, of {len(result.frames)} scans"
     out.print(printable(title), markup=False, soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
-    for name in distinct(result.methods):
-        table.add_column(Text(printable(name)), justify="right", overflow="fold")
+    table = number_table("", *distinct(result.methods))
     for metric, (heading, better, _) in BEAM_METRICS.items():
         sign = {"lower": "-", "higher": "+"}[better]
         table.add_row(f"{sign} {heading}", *(_text(result.interval(name, metric)) for name in result.methods))

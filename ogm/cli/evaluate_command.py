@@ -1,4 +1,4 @@
-"""``ogm evaluate``: sensor models, maps and precomputed grids against the truth, frame by frame."""
+"""``ogm evaluate``: compare sensor models, maps and precomputed grids with the truth, frame by frame."""
 
 import shlex
 import sys
@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from rich.table import Table
 from rich.text import Text
 from typer import Argument, Option
 
-from ogm.cli.console import chosen_model, distinct, out, printable, report_errors, stderr, ticked
+from ogm.cli.console import chosen_model, distinct, number_table, out, printable, report_errors, stderr, ticked
 from ogm.cli.evaluate_agreement import evaluate_dataset_agreement
 from ogm.cli.evaluate_beams import evaluate_dataset_beams
 from ogm.cli.options import (
@@ -32,7 +31,7 @@ from ogm.scan import Frame
 from ogm.storage.locks import locked
 from ogm.storage.remote import as_path
 
-MODELS = ("height-band", "ray", "lite")  # beside the default of other commands
+MODELS = ("height-band", "ray", "lite")  # evaluated with the default of other commands
 PRINTED = (
     "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known",
     "false_free", "missed_occupied", "from50_false_free", "from50_missed_occupied", "ece", "ece_relative",
@@ -42,43 +41,30 @@ COMPARED = (
     "nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "ece", "ece_relative", "kl_e10",
     "kl_e1", "kl_e1_scaled", "legacy_kl",
 )  # fmt: skip
-BRIEF = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "ece")  # of many methods
-FEW = 6  # methods that have a column each
+BRIEF = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "ece")  # printed for more than `MAX_COLUMNS` methods
+MAX_COLUMNS = 6  # methods with a column each
 
 
 Data = Annotated[
     Any,
     Argument(
         parser=as_path,
-        help="A data set with truth: a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...), what "
-        "`ogm simulate` made (also s3://bucket/data), or a folder of truth grids.",
+        help="Dataset with truth: a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...), a dataset of "
+        "`ogm simulate` (also s3://bucket/data), or a folder of truth grids.",
         metavar="DATA",
     ),
 ]
 Fused = Annotated[
-    str | None,
-    Option(
-        help=f"Evaluate each model also fused over time, by rules with commas between: {', '.join(MAP_RULES)}.",
-        metavar="RULE[,RULE]...",
-    ),
+    str | None, Option(help=f"Also evaluate models fused over time: {', '.join(MAP_RULES)}.", metavar="RULE[,RULE]...")
 ]
 
 
 Beams = Annotated[
     bool,
-    Option(
-        "--beams",
-        help="Evaluate maps of planar lasers without truth: they predict the beams of scans that are left out, of "
-        "every 5th in turn.",
-    ),
+    Option("--beams", help="Evaluate planar maps without truth, by the beams of every 5th scan, held out in turn."),
 ]
 Agreement = Annotated[
-    bool,
-    Option(
-        "--agreement",
-        help="Compare methods with each other without truth, as on a folder of scans: agreement, conflict, KL both "
-        "ways.",
-    ),
+    bool, Option("--agreement", help="Compare methods without truth, by agreement, conflict and KL in both directions.")
 ]
 SideOfCell = Annotated[
     float | None, Option("--resolution", help="With --beams: side of a cell [m]. [default: 0.05]", metavar="M")
@@ -93,9 +79,9 @@ def evaluate(
     ism: Annotated[
         list[str] | None,
         Option(
-            help="Models: height-band, height-band-released, ray, lite, combined, radar, deep-radar, weights that `ogm "
-            "train` wrote (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite "
-            "combined, or planar or depth for such sensors, unless --grids are given]",
+            help="Models: height-band, height-band-released, ray, lite, combined, radar, deep-radar, weights of `ogm "
+            "train` (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite "
+            "combined; planar or depth for such sensors; none with --grids]",
             metavar="NAME [NAME]...",
         ),
     ] = None,
@@ -105,15 +91,15 @@ def evaluate(
     resolution: SideOfCell = None,
     grids: Annotated[
         list[Path] | None,
-        Option(help="Folder of precomputed grids (.npz, .npy, .png) with the frames' names; may be repeated."),
+        Option(help="Folder of precomputed grids (.npz, .npy, .png) named after the frames; may be repeated."),
     ] = None,
     resample: Annotated[
-        Literal["area", "nearest", "cautious"] | None, Option(help="Resample --grids. [default: refuse others]")
+        Literal["area", "nearest", "cautious"] | None, Option(help="Resample other cells of --grids. [default: refuse]")
     ] = None,
     split: Annotated[
         str | None,
         Option(
-            help="Part of a simulated data set: train, val, test or sequences. [default: val, or the one that has "
+            help="Part of a simulated dataset: train, val, test or sequences. [default: val, or the first part with "
             "samples; sequences with --fused]"
         ),
     ] = None,
@@ -124,9 +110,9 @@ def evaluate(
     sensor: Sensor = None,
     sensors: SensorOptions = SensorOptions(),  # noqa: B008  it is immutable
     first: First = None,
-    samples: Annotated[int | None, Option(help="Frames, drawn at random. [default: all]")] = None,
+    samples: Annotated[int | None, Option(help="Number of frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
-    frames: Annotated[int, Option(help="Frames with pictures in the report.")] = 100,
+    frames: Annotated[int, Option(help="Number of frames with pictures in the report.")] = 100,
     seed: Annotated[int, Option(help="Random seed of --samples.")] = 0,
     workers: Workers = 1,
     scheduler: Scheduler = None,
@@ -136,24 +122,22 @@ def evaluate(
 ) -> None:
     """Evaluate sensor models, maps and precomputed grids on the same frames, and write a report.
 
-    Metrics measure the distance from the truth, calibration, safety, and how often each method wins. Cells that the
-    truth ignores are left out; on recordings these are all cells without a label. Every model gets the sensor's height
-    and tilt and the ego footprint; only height-band-released has its own numbers built in. With --fused, cells that a
-    simulated frame cannot observe are left out too, as a map may know them, and the aggregated truth of a recording is
-    made from later scans only, which no map has fused.
-    The number after +- is half of the 95 % interval of the mean: over drives, or over parts of one long drive, as
-    scans of a drive are alike. Fewer than four drives have none.
+    Metrics measure the distance from the truth, calibration, safety, and how often each method wins. Ignored cells of
+    the truth are left out; on recordings these are all cells without a label. Every model gets the sensor's height
+    and tilt and the ego footprint, except height-band-released, with fixed values. With --fused, unobserved cells of a
+    simulated frame are left out too, as a map may know them, and the aggregated truth of a recording is made only from
+    later scans, which are not yet in the map.
+    The number after +- is half of the 95 % interval of the mean over drives, or over parts of one long drive, as
+    scans of a drive are alike. It needs four drives or more.
 
-    With --beams, the models (by default planar) are fused by the rules of --fused (by default revise) into maps that
-    forget nothing. Their metrics are of the beams of scans that are not in the map, and of recordings with poses but
-    without truth.
+    With --beams, the models (by default planar) are fused by the rules of --fused (by default revise) into maps without
+    forgetting, and tested by the beams of scans that are not in the map. Recordings need poses, but no truth.
 
-    With --agreement, methods are compared with each other on the same frames, pair by pair; agreement.json has every
-    frame.
+    With --agreement, methods are compared pair by pair on the same frames; agreement.json contains every frame.
 
     Finished frames are kept in the folder frames of --out: repeat the command to resume an interrupted run, with any
-    number of --workers. They share out the frames, or with --fused the drives; those of --scheduler see DATA and --out
-    under the same paths.
+    number of --workers. Workers share the frames, or with --fused the drives. Workers of --scheduler need DATA and
+    --out under the same paths.
     """
     from ogm.datasets import SOURCES, open_dataset
     from ogm.evaluation import evaluate as run_evaluation
@@ -170,7 +154,7 @@ def evaluate(
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
     if beams and agreement:
-        raise ValueError("--beams evaluates maps, and --agreement compares methods with each other: give one of them")
+        raise ValueError("--beams and --agreement exclude each other; give one of them")
     unused = {"truth": truth, "scheduler": scheduler}
     if beams:
         _check_needless(
@@ -182,7 +166,7 @@ def evaluate(
             **unused,
         )
     elif resolution is not None:
-        raise ValueError("--resolution is of --beams: without it, models fill cells of 0.16 m")
+        raise ValueError("--resolution belongs to --beams; other evaluations use cells of 0.16 m")
     if agreement:
         _check_needless("--agreement needs no truth and compares methods with each other", **unused)
     spec = GridSpec.centered()
@@ -224,7 +208,7 @@ def evaluate(
     )
     if result.reused:
         stderr.print(
-            f"ogm: {result.reused} of {len(numbers)} frames were finished before, and are taken from {out_folder}"
+            f"ogm: {result.reused} of {len(numbers)} frames were finished before and are reused from {out_folder}"
         )
     with locked(out_folder), stderr.status("writing the report ..."):
         command = shlex.join(["ogm", *sys.argv[1:]])
@@ -236,9 +220,9 @@ def evaluate(
 
 
 def usual_models(spec: GridSpec, frame: Frame | None) -> list[str]:
-    """Return the models that are evaluated where none is named.
+    """Return the default models of an evaluation.
 
-    Of planar lasers, sonars and depth cameras it is the only one for the kind of the first scan, else geometric models
+    For planar lasers, sonars and depth cameras this is the model for the kind of the first scan, else geometric models
     and the default of other commands.
     """
     from ogm.models.named import RAY, for_all_kinds, part_for
@@ -250,85 +234,76 @@ def usual_models(spec: GridSpec, frame: Frame | None) -> list[str]:
 
 
 def _check_needless(purpose: str, **options: Any) -> None:
-    """Refuse options that an evaluation without truth has no use for."""
+    """Raise a ValueError for options without use in an evaluation without truth."""
     given = [f"--{name}" for name, value in options.items() if value is not None]
     if given:
         raise ValueError(f"{purpose}: leave out {', '.join(given)}")
 
 
 def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:
-    """Return the words of an option with commas, each once."""
-    words = [word.strip() for word in (given or "").split(",") if word.strip()]
-    for word in words:
-        if word not in choices:
-            raise ValueError(f"{option} takes {', '.join(choices)}, got {word!r}")
-    if given is not None and not words:
+    """Return the distinct values of an option with commas."""
+    values = [value.strip() for value in (given or "").split(",") if value.strip()]
+    for value in values:
+        if value not in choices:
+            raise ValueError(f"{option} takes {', '.join(choices)}, got {value!r}")
+    if given is not None and not values:
         raise ValueError(f"{option} needs one or more of {', '.join(choices)}")
-    return list(dict.fromkeys(words))
+    return list(dict.fromkeys(values))
 
 
 def _print_tables(record: Mapping[str, Any], title: str) -> None:
-    """Print the means, and how the last method compares to the others."""
+    """Print the means of all methods, and pairwise comparisons of the last method."""
     names = list(record["methods"])
     out.print(printable(f"Means over {title}"), markup=False, soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
-    if len(names) <= FEW:
-        for name in distinct(names):
-            table.add_column(Text(printable(name)), justify="right", overflow="fold")
+    if len(names) <= MAX_COLUMNS:
+        table = number_table("", *distinct(names))
         for metric in PRINTED:
             table.add_row(_heading(record, metric), *_column(record, metric))
     else:
-        for metric in BRIEF:
-            table.add_column(_heading(record, metric), justify="right")
+        table = number_table("", *(_heading(record, metric) for metric in BRIEF))
         columns = [_column(record, metric) for metric in BRIEF]
         for name, *row in zip(names, *columns, strict=True):
             table.add_row(Text(printable(name)), *row)
     out.print(table)
     legend = f"- lower, + higher is better; +- half of the interval: {record['intervals']}"
     out.print(f"({legend}; report.html describes the metrics)", soft_wrap=True)
-    for name in [one for one in record["paired"] if one.startswith(f"{names[-1]} against ")][-FEW:]:
+    for name in [pair for pair in record["paired"] if pair.startswith(f"{names[-1]} against ")][-MAX_COLUMNS:]:
         out.print(printable(f"\n{name}"), markup=False, soft_wrap=True)
-        table = Table(box=None, pad_edge=False)
-        for head in ("", "wins", "ties", "losses", "ratio of means"):
-            table.add_column(head, justify="left" if head == "" else "right")
+        table = number_table("", "wins", "ties", "losses", "ratio of means")
         for metric in COMPARED:
-            one = record["paired"][name][metric]
-            counts = (str(one[key]) for key in ("wins", "ties", "losses"))
-            table.add_row(record["metrics"][metric]["title"], *counts, _interval(one["ratio"]))
+            paired = record["paired"][name][metric]
+            counts = (str(paired[key]) for key in ("wins", "ties", "losses"))
+            table.add_row(record["metrics"][metric]["title"], *counts, _interval(paired["ratio"]))
         out.print(table)
 
 
 def _print_motion(record: Mapping[str, Any]) -> None:
-    """Print the motion of all frames' cells together, of methods that make dynamic grids."""
+    """Print motion metrics over the cells of all frames, for methods with dynamic grids."""
     from ogm.evaluation.motion import MOTION_HEADLINE
 
     motion = record["motion"]
     if motion is None:
         return
-    out.print("\nMotion of the cells that the scans show as occupied, all frames together", soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
-    for name in distinct(list(motion["methods"])):
-        table.add_column(Text(printable(name)), justify="right", overflow="fold")
+    out.print("\nMotion of cells occupied in the scans, all frames together", soft_wrap=True)
+    table = number_table("", *distinct(list(motion["methods"])))
     for metric in MOTION_HEADLINE:
-        values = [one["micro"][metric] for one in motion["methods"].values()]
+        values = [method["micro"][metric] for method in motion["methods"].values()]
         cells = ["no value" if value is None else f"{value:.3f}" for value in values]
         table.add_row(_heading(motion, metric), *cells)
     out.print(table)
 
 
 def _heading(record: Mapping[str, Any], metric: str) -> str:
-    one = record["metrics"][metric]
-    return f"{ {'lower': '-', 'higher': '+', '': ' '}[one['better']] } {one['title']}"
+    entry = record["metrics"][metric]
+    return f"{ {'lower': '-', 'higher': '+', '': ' '}[entry['better']] } {entry['title']}"
 
 
 def _column(record: Mapping[str, Any], metric: str) -> list[Text]:
-    """Return a metric of all methods, the best one in bold."""
+    """Return a metric of all methods, the best value in bold."""
     from ogm.evaluation.summary import best_value
 
-    row, best = [one["macro"][metric] for one in record["methods"].values()], best_value(record, metric)
-    return [Text(_interval(one), "bold" if one["value"] == best else "") for one in row]
+    row, best = [method["macro"][metric] for method in record["methods"].values()], best_value(record, metric)
+    return [Text(_interval(interval), "bold" if interval["value"] == best else "") for interval in row]
 
 
 def _interval(interval: Mapping[str, float | None]) -> str:

@@ -1,4 +1,4 @@
-"""``ogm info``: what a file holds."""
+"""``ogm info``: print the contents of a file or folder."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +17,7 @@ def info(
     time_unit: TimeUnit = None,
     fixed_frame: FixedFrame = None,
 ) -> None:
-    """Show what a file or folder holds: a scan, dataset, log, grid, map, model, report; of a log also what it lacks."""
+    """Print the contents of a file or folder: scan, dataset, log (also missing data), grid, map, model or report."""
     from ogm.workflows import describe_path
 
     print_facts(

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: both raise KeyboardInterrupt, and which of them it was decides the exit status."""
+"""Handling of SIGINT and SIGTERM: both raise KeyboardInterrupt; the exit status depends on the signal."""
 
 import signal
 import sys
@@ -6,17 +6,17 @@ import time
 from types import FrameType
 from typing import Any
 
-LATER = 0.05  # [s] after which an interrupt that was lost is raised again
-ECHO = 0.2  # [s] in which a second signal is the same: `timeout` sends SIGTERM twice
+RETRY = 0.05  # [s] after which a lost interrupt is raised again
+ECHO = 0.2  # [s] in which a repeated signal is ignored: `timeout` sends SIGTERM twice
 
 received: list[int] = []
 _last = -ECHO
 
 
 def watch_signals() -> None:
-    """Let SIGTERM raise KeyboardInterrupt as SIGINT does, and take down which came."""
+    """Let SIGTERM raise KeyboardInterrupt as SIGINT does, and record the signals received."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup, or in the background of a script
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup, or in the background of a script
             signal.signal(number, _interrupt)
     sys.unraisablehook = _raise_again
 
@@ -30,13 +30,13 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
-def _raise_again(what: Any) -> None:
-    """Interrupt once more, a moment later: errors of a callback, such as that of a weak reference, are lost.
+def _raise_again(unraisable: Any) -> None:
+    """Interrupt again after `RETRY`: an interrupt in a callback, such as a finaliser, is lost.
 
-    After a signal, other errors of callbacks are not printed: processes that got the same signal cause some.
+    After a signal, other errors of callbacks are not printed: worker processes with the same signal cause some.
     """
-    if received and isinstance(what.exc_value, KeyboardInterrupt) and hasattr(signal, "setitimer"):
+    if received and isinstance(unraisable.exc_value, KeyboardInterrupt) and hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, signal.default_int_handler)
-        signal.setitimer(signal.ITIMER_REAL, LATER)
+        signal.setitimer(signal.ITIMER_REAL, RETRY)
     elif not received:
-        sys.__unraisablehook__(what)
+        sys.__unraisablehook__(unraisable)

@@ -1,4 +1,4 @@
-"""``ogm demo`` and ``ogm map``: scans to evidential grids."""
+"""``ogm demo`` and ``ogm map``: map scans to evidential grids."""
 
 import statistics
 import time
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
     from ogm.scan import InverseSensorModel
 
-_LISTED = 3  # scans that are listed of those that fail for one reason
+_LISTED = 3  # listed scans that failed for the same reason
 DEMO_SCANS = {  # output: file, axes (Velodyne: y forward, x right), height by the ground returns [m], cells shown
     "ogm-demo": ("vls128_road.pcd.xz", ("+y", "-x", "+z"), 1.98, slice(None), slice(None)),
     "ogm-demo-sector": ("at128_sector.pcd.xz", "flu", 0.45, slice(244, 316), slice(132, 204)),
@@ -41,9 +41,9 @@ DEMO_MODELS = {
 def demo(
     out_folder: Annotated[Path, Option("--out", help="Folder for the pictures and ogm-demo.npz.")] = Path("."),
 ) -> None:
-    """Map two shipped scans and draw them: points, two geometric models, the learned one, the two combined.
+    """Map two shipped scans and draw them: points, two geometric models, the learned model, and the combined model.
 
-    A road around a Velodyne VLS-128: ogm-demo.png, ogm-demo.npz. What a Hesai AT128 sees of a yard, 120 degrees:
+    Road around a Velodyne VLS-128: ogm-demo.png, ogm-demo.npz. Yard in the 120 degree view of a Hesai AT128:
     ogm-demo-sector.png.
     """
     from ogm import Mount, plot, read_scan
@@ -81,16 +81,16 @@ def map_(
     scans: Annotated[
         list[Path],
         Argument(
-            help="Scan files (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder, a data set, a log "
-            "(.mcap .db3 .bag)."
+            help="Scan files (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder, a dataset, or a "
+            "log (.mcap .db3 .bag)."
         ),
     ],
     ism: Annotated[
         str | None,
         Option(
             help="Sensor model: combined, ray, planar, height-band, height-band-released, lite, radar, deep-radar, "
-            "what `ogm train` or `ogm export` wrote, or the .json of `ogm calibrate`. [default: combined; ray where "
-            "the network is not installed or does not suit the grid; planar for planar lasers and sonars]"
+            "a file of `ogm train`, `ogm export` or `ogm calibrate`. [default: combined; ray if the network is not "
+            "installed or does not suit the grid; planar for planar lasers and sonars]"
         ),
     ] = None,
     axes: options.Axes = "flu",
@@ -105,15 +105,15 @@ def map_(
         Path | None,
         Option(
             "--out",
-            help="Grid file (.npz, .yaml of map_server, .tif, .nc, .zarr, .png of masses as colours), or a folder of "
-            ".npz files; made if need be. [default: ./NAME.npz]",
+            help="Grid file (.npz, .yaml of map_server, .tif, .nc, .zarr, .png of masses as colours), or a folder for "
+            ".npz files; folders are created. [default: ./NAME.npz]",
         ),
     ] = None,
     picture: Annotated[Path | None, Option(help="Picture (.png), or a folder. [default: ./NAME.png]")] = None,
     layers: Annotated[
         str | None,
         Option(
-            help="Layers beside the masses, commas between: ground_height, ground_variance, slope, step, roughness, "
+            help="Further layers, separated by commas: ground_height, ground_variance, slope, step, roughness, "
             "highest_obstacle, clearance, traversability, distance, cost, cause. Written as NAME_layers with the "
             "ending of the grid, and drawn.",
             metavar="NAME[,NAME]...",
@@ -123,7 +123,7 @@ def map_(
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
 ) -> None:
-    """Map scans to evidential grids, one each, and draw them."""
+    """Map each scan to an evidential grid, and draw it."""
     from ogm.datasets import open_dataset
     from ogm.grid import GridSpec
     from ogm.models.named import RELEASED, title_of
@@ -175,7 +175,7 @@ def map_(
 def _model(
     name: str, spec: "GridSpec", height: float | None, position: tuple[float, float, float] | None
 ) -> "InverseSensorModel":
-    """Return the model by the options; the released one has its own mount."""
+    """Return the model by the options; the released model has its own mount."""
     from ogm.models.named import RELEASED, load_model, with_radar
     from ogm.pose import pose
     from ogm.scan import Mount
@@ -183,13 +183,13 @@ def _model(
     if name != RELEASED:
         return load_model(with_radar(name), spec)
     if height is not None:
-        raise ValueError(f"{RELEASED} has a mount of 1.61 m built in; leave out --sensor-height")
+        raise ValueError(f"{RELEASED} has a fixed sensor height of 1.61 m; leave out --sensor-height")
     mount = Mount(1.61) if position is None else Mount(1.61, pose(*position), points_in="vehicle")
     return load_model(name, spec, mount)
 
 
 def _check_replaced(dataset: "Dataset", spec: "GridSpec") -> None:
-    """Refuse to replace, without a name that was given, what was not written by the same command."""
+    """Raise a ValueError if a default output would replace a file that the same command did not write."""
     from ogm.grid import EvidentialGrid
 
     for frame in dataset:
@@ -199,11 +199,11 @@ def _check_replaced(dataset: "Dataset", spec: "GridSpec") -> None:
             if EvidentialGrid.load(grid).spec == spec:
                 continue
         if there:
-            raise ValueError(f"{there[0]} is there already, of something else: give --out and --picture, or move it")
+            raise ValueError(f"{there[0]} exists and is no result of this command: give --out and --picture or move it")
 
 
 def _written(names: list[str], grids: Path | None, pictures: Path | None) -> str:
-    """Return the files that were written, or their folders."""
+    """Return the written files, or their folders, as text."""
     parts = []
     for path, ending in ((grids, ".npz"), (pictures, ".png")):
         if path is not None and path.is_dir() and path.suffix != ".zarr":
@@ -218,7 +218,7 @@ def _cells(spec: "GridSpec") -> str:
 
 
 def _part(grid: "EvidentialGrid", along: slice, across: slice) -> "EvidentialGrid":
-    """Return some cells of a grid."""
+    """Return a part of a grid."""
     from ogm.grid import EvidentialGrid, GridSpec
 
     spec, mass = grid.spec, grid.mass[along, across]
@@ -239,7 +239,7 @@ def _row(table: Table, name: str, count: int, grid: "EvidentialGrid", seconds: f
 
 
 def _timed(call: "Callable[[], EvidentialGrid]", repeats: int) -> tuple["EvidentialGrid", float]:
-    """Return a grid and the seconds that it took: the median of some repeats."""
+    """Return a grid and its computing time, the median of `repeats` calls [s]."""
     seconds = []
     for _ in range(repeats):
         start = time.perf_counter()

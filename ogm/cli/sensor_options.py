@@ -1,4 +1,4 @@
-"""Options about sensors, which `ogm map`, `fuse`, `serve`, `evaluate` and `world build` share."""
+"""Sensor options of `ogm map`, `fuse`, `serve`, `evaluate` and `world build`."""
 
 import functools
 import inspect
@@ -15,53 +15,51 @@ if TYPE_CHECKING:
 _OPTIONS: dict[str, Any] = {  # name: type with its option
     "sensors_file": Annotated[
         Path | None,
-        Option("--sensors", help="Sensors of the vehicle, which `ogm check --write` wrote (.yaml).", metavar="FILE"),
+        Option("--sensors", help="Sensor setup of the vehicle, from `ogm check --write` (.yaml).", metavar="FILE"),
     ],
-    "sensor_height": Annotated[float | None, Option(help="Sensor above ground [m]. [default: stated, or estimated]")],
+    "sensor_height": Annotated[float | None, Option(help="Height above ground [m]. [default: stated, or estimated]")],
     "sensor_position": Annotated[
         tuple[float, float, float] | None,
-        Option(help="x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),
+        Option(help="Position x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),
     ],
     "origin": Annotated[
         tuple[float, float, float] | None,
         Option(
-            help="Of files in map coordinates (UTM): x y z of the sensor there [m]. Poses in the same coordinates "
-            "count instead.",
+            help="Position x y z of the sensor, for files in map coordinates (UTM) [m]. Poses in the same coordinates "
+            "replace it.",
             metavar="X Y Z",
         ),
     ],
     "ego_footprint": Annotated[
         tuple[float, float, float, float] | None,
         Option(
-            help="The vehicle around its sensor [m], of several sensors in base_link: returns in it are dropped; "
-            "0 0 0 0 for none. [default: -2.5 2.5 -1.1 1.1]",
+            help="Rectangle of the ego vehicle around its sensor, or with several sensors in base_link [m]: returns in "
+            "it are dropped; 0 0 0 0 keeps all. [default: -2.5 2.5 -1.1 1.1]",
             metavar="X_MIN X_MAX Y_MIN Y_MAX",
         ),
     ],
-    "min_range": Annotated[float | None, Option(help="Nearest range: points below are dropped [m].")],
-    "max_range": Annotated[float | None, Option(help="Greatest range: points beyond are dropped [m].")],
+    "min_range": Annotated[float | None, Option(help="Drop points nearer than this range [m].")],
+    "max_range": Annotated[float | None, Option(help="Drop points beyond this range [m].")],
     "max_range_no_echo": Annotated[
         bool | None,
-        Option(
-            "--max-range-no-echo", help="Points at --max-range and beyond are beams without echo.", show_default=False
-        ),
+        Option("--max-range-no-echo", help="Treat points at or beyond --max-range as no echo.", show_default=False),
     ],
     "leave_out": Annotated[
         list[str] | None,
         Option(
-            help="Sector of view to leave out, FROM:TO to the left of x [deg]; may be repeated: --leave-out=150:210.",
+            help="Leave out a sector of view, FROM:TO to the left of x [deg]; may be repeated: --leave-out=150:210.",
             metavar="FROM:TO",
         ),
     ],
     "depth_scale": Annotated[
         float | None,
-        Option(help="Of depth images: pixel value at 1 m; 1000 for millimetres, 5000 for TUM, 1 for metres."),
+        Option(help="Pixel value of depth images at 1 m: 1000 for millimetres, 5000 for TUM, 1 for metres."),
     ],
 }
 
 
 class SensorOptions(NamedTuple):
-    """Values of the options about sensors."""
+    """Values of the sensor options."""
 
     sensor_height: float | None = None
     sensor_position: tuple[float, float, float] | None = None
@@ -70,7 +68,7 @@ class SensorOptions(NamedTuple):
 
 
 def sensor_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options about sensors instead of its parameter `sensors`, which takes their values."""
+    """Add the sensor options to a command in place of its parameter `sensors`, which receives their values."""
     signature = inspect.signature(command)
     parameters: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():
@@ -84,7 +82,7 @@ def sensor_options(command: Callable[..., None]) -> Callable[..., None]:
         command(**arguments, sensors=_parsed(**given))
 
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # typer reads it
-    run.__annotations__ = {one.name: one.annotation for one in parameters} | {"return": None}
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters} | {"return": None}
     return run
 
 

@@ -1,4 +1,4 @@
-"""``ogm serve``: a drive at its own pace, or scans from a socket, as a live map for Foxglove and others."""
+"""``ogm serve``: map a drive in real time, or scans from a socket, and serve the map to Foxglove and others."""
 
 import logging
 import socket
@@ -25,22 +25,19 @@ if TYPE_CHECKING:
     from ogm.datasets import Dataset
     from ogm.scan import Frame
 
-SCAN_RATE = 10.0  # [Hz] of scans without stamps
+SCAN_RATE = 10.0  # [Hz] rate of scans without stamps
 
-ScanPaths = Annotated[list[Path] | None, Argument(help="Files of scans, a folder, a data set, a log.", metavar="SCANS")]
-Listen = Annotated[
-    str | None,
-    Option(help="Take scans and poses from a TCP connection instead; see docs/live.md.", metavar="[HOST:]PORT"),
-]
-Rate = Annotated[float | None, Option(help="Speed of the clock: 2 plays twice as fast. [default: 1]")]
+ScanPaths = Annotated[list[Path] | None, Argument(help="Scan files, a folder, a dataset, or a log.", metavar="SCANS")]
+Listen = Annotated[str | None, Option(help="Receive scans and poses by TCP; see docs/live.md.", metavar="[HOST:]PORT")]
+Rate = Annotated[float | None, Option(help="Speed of playback: 2 plays twice as fast. [default: 1]")]
 Duration = Annotated[float | None, Option(help="Stop after this time [s]. [default: at the end, or Ctrl-C]")]
-Port = Annotated[int, Option(help="Port of the Foxglove WebSocket; 0 takes any free one.")]
-Host = Annotated[str, Option(help="Address of the server. Others than the loopback's show the map to the network.")]
+Port = Annotated[int, Option(help="Port of the Foxglove WebSocket; 0 takes any free port.")]
+Host = Annotated[str, Option(help="Address of the server; any other than loopback exposes the map to the network.")]
 InflationRadius = Annotated[
     float | None, Option(help="Add the field cost to /map: distance beyond which obstacles cost nothing [m].")
 ]
-Layers = Annotated[str | None, Option(help="Serve more than the map: cause, why cells are unknown, as /cause.")]
-Every = Annotated[float, Option(help="Print counts and latencies this often [s].")]
+Layers = Annotated[str | None, Option(help="Further layer to serve: cause, the causes of unknown cells, as /cause.")]
+Every = Annotated[float, Option(help="Interval between printed counts and latencies [s].")]
 
 
 @report_errors
@@ -77,12 +74,12 @@ def serve(
 ) -> None:
     """Map a drive while it plays, and show the map live.
 
-    Viewers of the Foxglove WebSocket (Foxglove, Lichtblick) connect to the printed address, and find the map with all
-    its masses (/map), the scans (/points) and the poses (/tf). The map never falls behind: where a scan takes longer
-    to map than the next one to come, the newest is mapped, and those between are dropped and counted. Latency is the
-    time from when a scan is available to when its map is handed to the server. Ctrl-C stops.
+    Viewers with a Foxglove WebSocket (Foxglove, Lichtblick) connect to the printed address. Topics are the map with
+    all its masses (/map), the scans (/points) and the poses (/tf). The map never falls behind: if mapping is slower
+    than the scans, the newest scan is mapped next, and the scans between are dropped and counted. Latency is the time
+    from the arrival of a scan to the transfer of its map to the server. Ctrl-C stops.
 
-    --listen takes scans with poses from a driver instead of a recording, in the sensor's frame, and needs
+    --listen receives scans with poses from a driver instead of a recording, in the sensor's frame, and needs
     --sensor-height.
     """
     from ogm.datasets import open_dataset
@@ -101,7 +98,7 @@ def serve(
     from ogm.workflows.checks import gravest
 
     if (scans is None) == (listen is None):
-        raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
+        raise ValueError("give either SCANS to play, or --listen to receive scans of a driver")
     import_extra("foxglove", "live")  # before kernels are compiled
     if inflation_radius is None and (inscribed_radius, cost_scaling) != (0.0, 10.0):
         raise ValueError("--inscribed-radius and --cost-scaling belong to --inflation-radius [m], which is missing")
@@ -117,7 +114,7 @@ def serve(
     mapper = make_mapper(rule or REVISE, rolling_window(spec), half_life)
     if layers is not None:
         if layers != CAUSE_LAYER or not isinstance(mapper, EvidentialMapper):
-            raise ValueError(f"--layers {layers}: evidential maps can serve cause, and no other layer")
+            raise ValueError(f"--layers must be cause, for evidential maps; got {layers} with --rule {rule or REVISE}")
         model = ExplainedISM(model)
     if warning := adding_rule_warning(rule or REVISE):
         _print(warning)
@@ -137,15 +134,15 @@ def serve(
         else:
             setup, height = setup_of(sensors.setups, ""), sensors.sensor_height
             if (height := setup.sensor_height if height is None else height) is None or rate is not None:
-                raise ValueError("--listen needs --sensor-height [m], and takes scans as they come, without --rate")
+                raise ValueError("--listen needs --sensor-height [m], and excludes --rate")
             listener = stack.enter_context(_listener(str(listen)))
             mount = Mount(height, ego_footprint=setup.ego_footprint)  # type: ignore[arg-type]
             frames = within_limits(receive_frames(listener, mount, stop=stop, on_end=_print), setup)
             example, speed = None, None
-            _print("taking scans at {}:{}".format(*listener.getsockname()))
+            _print("receiving scans at {}:{}".format(*listener.getsockname()))
         with first_call():
             warm_up(model, mapper, example)
-        logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a viewer that goes away is no error
+        logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a disconnected viewer is no error
         publisher = stack.enter_context(FoxglovePublisher(host, port, costs=costs))
         beside = "" if layers is None else ", /cause, /cause_legend"
         out.print(f"serving /map{beside}, /points and /tf at {publisher.url}; Ctrl-C stops")
@@ -167,7 +164,7 @@ def serve(
 
 
 def _example(dataset: "Dataset") -> "Frame | None":
-    """Return a frame for the kernels to be compiled with: one of the first that have a pose and can be read."""
+    """Return a readable frame with a pose, to compile the kernels with; None if the first five have none."""
     for n in [n for n, ref in enumerate(dataset.refs) if ref.T_map_sensor is not None][:5]:
         frame = dataset[n]
         with suppress(ValueError, TypeError, OSError):
@@ -177,12 +174,12 @@ def _example(dataset: "Dataset") -> "Frame | None":
 
 
 def _print(line: object) -> None:
-    """Print a line about the run, apart from its result."""
+    """Print a line about the run to stderr."""
     complain(str(line))
 
 
 def _listener(place: str) -> socket.socket:
-    """Return a socket that listens at ``[HOST:]PORT``."""
+    """Return a socket listening at ``[HOST:]PORT``."""
     host, _, port = place.rpartition(":")
     if not port.isdecimal() or int(port) >= 2**16:
         raise ValueError(f"--listen must be PORT or HOST:PORT, from 0 (any free port) to 65535, got {place}")

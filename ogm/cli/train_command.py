@@ -1,4 +1,4 @@
-"""``ogm train`` and ``ogm export``: a data set to a network's weights, and those to ONNX."""
+"""``ogm train`` and ``ogm export``: train a network on a dataset, and write a network as ONNX."""
 
 import importlib
 import logging
@@ -35,8 +35,7 @@ def train_command(
         Any,
         Argument(
             parser=as_path,
-            help="Data set of `ogm simulate`, which may lie in an object store (s3://bucket/data), or a recording with "
-            "truth.",
+            help="Dataset of `ogm simulate`, also in an object store (s3://bucket/data), or a recording with truth.",
             metavar="DATA",
         ),
     ],
@@ -44,8 +43,8 @@ def train_command(
         Preset,
         Option(
             help="lite: small, for CPUs; the masses of RayISM are inputs. paper: PointPillars, our recipe. published: "
-            "the same by the paper's recipe (100 epochs, batch 5, squared error, occupied cells x 100, rotation only). "
-            "radar: the network of radars, on the sweeps of DATA, made by `ogm simulate --radar`."
+            "PointPillars, the paper's recipe (100 epochs, batch 5, squared error, occupied cells x 100, rotation "
+            "only). radar: the network for radars, on the radar sweeps of DATA from `ogm simulate --radar`."
         ),
     ] = "lite",
     validation: Annotated[
@@ -53,34 +52,34 @@ def train_command(
         Option(
             parser=as_path,
             metavar="DATA",
-            help="Data set that the weights are chosen by. [default: the validation split of DATA]",
+            help="Dataset to select the best weights by. [default: the validation split of DATA]",
         ),
     ] = None,
     out_folder: Annotated[Path | None, Option("--out", help="The run's folder. [default: runs/MODEL]")] = None,
     initial: Annotated[
-        str | None, Option("--init", help="First weights: lite, radar, a run, a .safetensors file.")
+        str | None, Option("--init", help="Initial weights: lite, radar, a run's folder, or a .safetensors file.")
     ] = None,
-    resume: Annotated[bool, Option("--resume", help="Go on where the run in --out stopped.")] = False,
+    resume: Annotated[bool, Option("--resume", help="Continue the run in --out.")] = False,
     epochs: Annotated[int | None, Option(help="Passes over all frames.")] = None,
     batch: Annotated[int | None, Option(help="Frames per step and device.")] = None,
-    learning_rate: Annotated[float | None, Option(help="Largest step of AdamW.")] = None,
-    loss: Annotated[LossName | None, Option(help="What is minimised; see docs/deep.md.")] = None,
-    samples: Annotated[int | None, Option(help="Use so many training frames. [default: all]")] = None,
-    seed: Annotated[int | None, Option(help="Of weights, order and augmentation.", min=0)] = None,
+    learning_rate: Annotated[float | None, Option(help="Largest learning rate of AdamW.")] = None,
+    loss: Annotated[LossName | None, Option(help="Loss function; see docs/deep.md.")] = None,
+    samples: Annotated[int | None, Option(help="Number of training frames. [default: all]")] = None,
+    seed: Annotated[int | None, Option(help="Random seed of weights, order and augmentation.", min=0)] = None,
     length: Annotated[float | None, Option(help="Extent along x [m]; not for radar. [default: 81.92]")] = None,
     width: Annotated[float | None, Option(help="Extent along y [m]; not for radar. [default: 56.32]")] = None,
     resolution: Annotated[float, Option(help="Side of a cell [m]; not for radar.")] = RESOLUTION,
     accelerator: Annotated[str, Option(help="cpu, cuda or auto.")] = "auto",
-    devices: Annotated[int, Option(help="Accelerators, or processes, per machine.")] = 1,
-    nodes: Annotated[int, Option(help="Machines: start the command on each, see docs/cluster.md.")] = 1,
+    devices: Annotated[int, Option(help="Accelerators, or CPU processes, per machine.")] = 1,
+    nodes: Annotated[int, Option(help="Number of machines; start the command on each, see docs/cluster.md.")] = 1,
     precision: Annotated[str | None, Option(help="32-true or bf16-mixed. [default: bf16-mixed if supported]")] = None,
-    workers: Annotated[int | None, Option(help="Processes that prepare frames. [default: cores / 2, to 12]")] = None,
+    workers: Annotated[int | None, Option(help="Processes that load frames. [default: cores / 2, up to 12]")] = None,
 ) -> None:
     """Train a network on frames with truth.
 
     Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch (not for radar),
-    and state.pt every two minutes, from which --resume continues. The place of an object store and the right to read
-    it are taken from AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
+    and every two minutes state.pt for --resume. Address and credentials of an object store are taken from the
+    environment (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...).
     """
     _need_torch()
     from ogm.deep.recipe import PRESETS
@@ -95,12 +94,12 @@ def train_command(
     folder = out_folder or Path("runs") / model
     parts = {"training": _open(data, "training", radar)}
     if validation is None and "split" not in parts["training"].facts:
-        raise ValueError(f"{data} has no validation split: give --validation, data to choose the weights by")
+        raise ValueError(f"{data} has no validation split: give --validation DATA")
     parts["validation"] = _open(validation or data, "validation", radar)
     if samples is not None:
         count = len(parts["training"])
         if not 1 <= samples <= count:
-            raise ValueError(f"--samples must be 1 to {count}, which are there, got {samples}")
+            raise ValueError(f"--samples must be 1 to {count}, the number of training frames, got {samples}")
         parts["training"] = parts["training"][:samples]
     _quiet()
     try:
@@ -121,7 +120,7 @@ def train_command(
             facts={"data": {name: _provenance(part) for name, part in parts.items()}},
         )
     except KeyboardInterrupt:
-        saved = "the run is saved: the same command with --resume goes on"
+        saved = "the run is saved: the same command with --resume continues"
         state = saved if (folder / "state.pt").exists() else "nothing was saved yet"
         stderr.print(f"ogm: interrupted; {state} in {folder}", markup=False)
         raise typer.Exit(130) from None
@@ -135,19 +134,19 @@ def train_command(
 @report_errors
 def export_command(
     source: Annotated[str, Argument(help="lite, radar, a run's folder, or a .safetensors file.")] = "lite",
-    out_path: Annotated[Path, Option("--out", help="The file to write, .onnx.")] = Path("ogm.onnx"),
+    out_path: Annotated[Path, Option("--out", help="Output file (.onnx).")] = Path("ogm.onnx"),
     int8: Annotated[
         str | None,
         Option(
+            help="Also write NAME.int8.onnx, about twice as fast on a processor; scans of a recording or of simulated "
+            "training data give the ranges.",
             metavar="DATA",
-            help="Also write NAME.int8.onnx, about twice as fast on a processor, with ranges measured on scans of a "
-            "recording or of simulated training data.",
         ),
     ] = None,
 ) -> None:
-    """Write a network as ONNX, which `ogm map --ism FILE.onnx` (lidars), `DeepRadarISM` (radars) and others run.
+    """Write a network as ONNX, for `ogm map --ism FILE.onnx` (lidars), `DeepRadarISM` (radars) and other programs.
 
-    None of them needs torch.
+    Running the file does not need torch.
     """
     _need_torch()
     from ogm.datasets import open_dataset
@@ -161,9 +160,7 @@ def export_command(
     with weights_of(source) as path:
         network, description = load_any_network(path)
         if scans is not None and not isinstance(network, PillarNetwork):
-            raise ValueError(
-                f"{source} is a network of radars, which has no export in 8-bit integers: leave out --int8"
-            )
+            raise ValueError(f"--int8 needs a network for lidars, got {source}: leave it out")
         _quiet()
         with stderr.status("exporting ..."):
             facts = export_onnx(network, out_path, description=description, weights=path)
@@ -173,19 +170,19 @@ def export_command(
 
 
 def _grid(radar: bool, length: float | None, width: float | None, resolution: float) -> "GridSpec | RadarGrid":
-    """Return the grid of the network to train."""
+    """Return the grid for the network."""
     from ogm.deep.polar import RadarGrid
     from ogm.grid import GridSpec
 
     if not radar:
         return GridSpec.centered(length, width, resolution)
     if (length, width, resolution) != (None, None, RESOLUTION):
-        raise ValueError("the network of radars has a polar grid: leave out --length, --width and --resolution")
+        raise ValueError("the network for radars has a polar grid: leave out --length, --width and --resolution")
     return RadarGrid()
 
 
 def _network(source: str | None) -> "PillarNetwork | RadarNetwork | None":
-    """Load the weights that a training begins with."""
+    """Return the network with initial weights; None for random weights."""
     if source is None:
         return None
     from ogm.deep.checkpoint import load_any_network
@@ -196,7 +193,7 @@ def _network(source: str | None) -> "PillarNetwork | RadarNetwork | None":
 
 
 def _open(path: Any, split: str, radar: bool) -> "Dataset":
-    """Open a split of a simulated dataset (its radars' sweeps), or a recording; warn where samples are missing."""
+    """Open a split of a simulated dataset (for `radar` its radar sweeps), or a recording; warn of missing samples."""
     from ogm.datasets import open_dataset
     from ogm.datasets.simulated import is_simulated
 
@@ -205,25 +202,25 @@ def _open(path: Any, split: str, radar: bool) -> "Dataset":
     made = dataset.facts.get("samples", ())
     if len(made) < planned:
         stderr.print(
-            f"ogm: {len(made)} of {planned} {split} samples are made; `ogm simulate {path} --resume` makes the rest",
+            f"ogm: {len(made)} of {planned} {split} samples exist; `ogm simulate {path} --resume` makes the rest",
             markup=False,
         )
     return dataset
 
 
 def _provenance(part: "Dataset") -> dict[str, Any]:
-    """Return what the description of the weights states about a data set."""
+    """Return the facts about a dataset for the description of the weights."""
     facts = {name: value for name, value in part.facts.items() if name != "samples"}
     return {"name": part.name, "frames": len(part), **facts}
 
 
 def _need_torch() -> None:
-    """Raise an ImportError that holds the pip command if torch is missing."""
+    """Raise an ImportError with the install command if torch is missing."""
     importlib.import_module("ogm.deep").PillarNetwork  # noqa: B018
 
 
 def _quiet() -> None:
-    """Keep the libraries' advice off the screen."""
+    """Silence warnings and log messages of the training libraries."""
     warnings.filterwarnings("ignore", module=r"(lightning|torch)(\.|$)")
     for name in ("lightning", "lightning.fabric", "torch.onnx", "onnxscript", "lightning.pytorch"):
         logging.getLogger(name).setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""``ogm view``: a grid or a map as one page for the browser."""
+"""``ogm view``: show a grid or a map as a page in the browser."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,19 +10,19 @@ from ogm.cli.console import print_facts, report_errors
 if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid
 
-_MOST = 2**25  # cells of a world map on a page
+_MAX_CELLS = 2**25  # cells of a world map on a page
 
 GridFile = Annotated[
     str,
-    Argument(help="Grid or map, of `ogm` or of another program; a world map: folder, .zip, s3://...", metavar="GRID"),
+    Argument(help="Grid or map, of `ogm` or another program; or a world map: folder, .zip, s3://...", metavar="GRID"),
 ]
 Out = Annotated[Path | None, Option("--out", help="Page (.html). [default: ./NAME.html; world maps are served]")]
-Port = Annotated[int, Option(help="Port at which a world map is served. [default: a free one]", min=0, max=65535)]
-Open = Annotated[bool, Option("--open", help="Show it in the browser.")]
+Port = Annotated[int, Option(help="Port to serve a world map at. [default: a free port]", min=0, max=65535)]
+Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
 Title = Annotated[str | None, Option(help="Title of the page. [default: the name of the file]")]
-Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
-Width = Annotated[float | None, Option(help="The same along y [m]. The middle of the extent is the origin.")]
-Level = Annotated[int | None, Option(help="Of a world map: cells of 2**LEVEL times the side.")]
+Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which lack it [m].")]
+Width = Annotated[float | None, Option(help="Extent along y [m]. The origin is the middle of the extent.")]
+Level = Annotated[int | None, Option(help="Level of a world map: cells of 2**LEVEL times the side.")]
 Resolution = Annotated[float, Option(help="Side of a cell of a .png or .npy [m].")]
 
 
@@ -38,13 +38,13 @@ def view(
     level: Level = None,
     port: Port = 0,
 ) -> None:
-    """Write one HTML page that shows a grid: zoom, layers, values under the pointer, a scale.
+    """Write one HTML page that shows a grid, with zoom, layers, values under the pointer and a scale.
 
     The page needs no other file and no network, and works with 100 million cells and more. Its layers are belief, free,
-    occupied, unknown, probability and state; of a dynamic map also motion and velocity; and all layers of the file.
+    occupied, unknown, probability and state, for a dynamic map also motion and velocity, and all layers of the file.
 
-    A world map is served to the browsers of this machine until Ctrl-C, whatever its size: its page loads the tiles that
-    are shown. With --out, it is written as a page instead, at a level that fits.
+    A world map of any size is served to the browsers of this machine until Ctrl-C: its page loads the visible tiles.
+    With --out, it is written as a page instead, at a level that fits.
     """
     import webbrowser
 
@@ -53,7 +53,7 @@ def view(
     from ogm.plot.viewer import write_view
 
     if (length is None) != (width is None):
-        raise ValueError("give both --length and --width [m], or none of them")
+        raise ValueError("give both --length and --width [m], or neither")
     area = None if length is None else GridSpec.centered(length, width, resolution)
     local = Path(grid)
     is_world = "://" in grid or local.suffix == ".zip" or (local / "0" / "zarr.json").is_file()
@@ -66,7 +66,7 @@ def view(
     write_view(path, placed.grid, placed.layers, title=title or local.name)
     print_facts({"page": str(path), "cells": str(placed.grid.spec), "size": f"{path.stat().st_size / 1e6:.1f} MB"})
     if open_it and not webbrowser.open(path.resolve().as_uri()):
-        raise OSError(f"no browser could be started; open {path} in one")
+        raise OSError(f"no browser could be started; open {path} yourself")
 
 
 def _serve(url: str, title: str, port: int, open_it: bool) -> None:
@@ -80,16 +80,16 @@ def _serve(url: str, title: str, port: int, open_it: bool) -> None:
     with WorldMap.open(url) as world, serve_world(world, title, port) as address:
         print_facts({"page": address, "map": world.url, "levels": str(world.levels), "ends by": "Ctrl-C"})
         if open_it and not webbrowser.open(address):
-            raise OSError(f"no browser could be started; open {address} in one")
+            raise OSError(f"no browser could be started; open {address} yourself")
         threading.Event().wait()
 
 
 def _world_grid(path: str, level: int | None) -> "EvidentialGrid":
-    """Return all of a world map, at a level."""
+    """Return a whole world map at a level, by default the finest with at most `_MAX_CELLS` cells."""
     from ogm.world import WorldMap
 
     with WorldMap.open(path) as world:
         if level is None:
             counts = [n * m for n, m in (world.cells(level=k).shape for k in range(world.levels))]
-            level = next((k for k, count in enumerate(counts) if count <= _MOST), world.levels - 1)
+            level = next((k for k, count in enumerate(counts) if count <= _MAX_CELLS), world.levels - 1)
         return world.window(world.cells(level=level), level=level)

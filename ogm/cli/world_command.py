@@ -1,15 +1,14 @@
-"""``ogm world``: maps of a whole city, from many drives."""
+"""``ogm world``: maps of a whole city from many drives."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, complain, out, print_facts, report_errors, stderr
+from ogm.cli.console import chosen_model, complain, out, print_facts, progress_bar, report_errors, stderr
 from ogm.cli.fuse_command import UsualModel
 from ogm.cli.sensor_options import SensorOptions, sensor_options
 from ogm.extras import import_extra
@@ -27,22 +26,22 @@ world_app: typer.Typer = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-DOUBTFUL = 0.2  # share of contradictions beyond which drives are hardly of one place
+MAX_CONFLICT = 0.2  # share of contradictory cells above which poses of drives are unlikely to be in one frame
 
-Url = Annotated[str, Argument(help="The map: a folder, a .zip (to read), or s3://bucket/prefix.", metavar="URL")]
-DataSets = Annotated[list[Path], Argument(help="Data sets, logs, or folders of scans.", metavar="DATASETS")]
-OutUrl = Annotated[str, Option("--out", help="The map: a new folder, s3://bucket/prefix, or a map to add drives to.")]
-PosesOf = Annotated[list[Path] | None, Option(help="Poses of each data set, in order: KITTI, TUM, .csv, .g2o.")]
-Calib = Annotated[Path | None, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
-Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
-Rule = Annotated[str, Option(help="Combine by: cautious, dempster, cumulative. For a new map.")]
-Trust = Annotated[float, Option("--drive-reliability", help="Discount of each drive's map, (0, 1]. For a new map.")]
-Tile = Annotated[int, Option(help="Cells along a side of a tile, a power of two. For a new map.")]
-Crs = Annotated[str | None, Option(help="Coordinate reference system of the poses, such as EPSG:25832. For a new map.")]
-SubMaps = Annotated[float, Option("--submap-length", help="Way along which a sub-map's frames were taken [m].")]
+Url = Annotated[str, Argument(help="Map: a folder, a .zip (read only), or s3://bucket/prefix.", metavar="URL")]
+DataSets = Annotated[list[Path], Argument(help="Datasets, logs, or folders of scans.", metavar="DATASETS")]
+OutUrl = Annotated[str, Option("--out", help="Map: a new folder, s3://bucket/prefix, or a map to add drives to.")]
+PosesOf = Annotated[list[Path] | None, Option(help="Poses of each dataset, in order: KITTI, TUM, .csv, .g2o.")]
+Calib = Annotated[Path | None, Option(help="KITTI's calib.txt, for poses of its camera.")]
+Rate = Annotated[float, Option(help="Rate of scans without stamps [Hz], if the poses have none either.")]
+Rule = Annotated[str, Option(help="Combination rule of a new map: cautious, dempster, cumulative.")]
+Trust = Annotated[float, Option("--drive-reliability", help="Reliability of each drive's map, (0, 1], of a new map.")]
+Tile = Annotated[int, Option(help="Cells along a side of a tile, a power of two, of a new map.")]
+Crs = Annotated[str | None, Option(help="Coordinate reference system of the poses, such as EPSG:25832, of a new map.")]
+SubMaps = Annotated[float, Option("--submap-length", help="Length of the path covered by a sub-map [m].")]
 Extent = Annotated[tuple[float, float, float, float] | None, Option(help="x_min x_max y_min y_max [m]. [default: all]")]
 Level = Annotated[int, Option(help="Level: cells of 2**LEVEL times the side.", min=0)]
-DriveName = Annotated[str | None, Option("--drive", help="Name of the drive; `ogm world info` shows them.")]
+DriveName = Annotated[str | None, Option("--drive", help="Name of the drive; `ogm world info` lists the names.")]
 
 
 @report_errors
@@ -68,12 +67,12 @@ def build(
     crs: Crs = None,
     submap_length: SubMaps = 50.0,
 ) -> None:
-    """Build a map from drives, or add drives to one.
+    """Build a map from drives, or add drives to a map.
 
-    Every sequence of a data set is a drive, named after both. What is finished is never made again: the same command
-    goes on after Ctrl-C or a kill, and adds the drives that are new. The map is the same to the last bit for any number
-    of workers. Workers of --scheduler reach data sets and map under the same paths. Where an object store is and who
-    may use it is taken from AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
+    Every sequence of a dataset is a drive, named after both. Finished parts are never recomputed: the same command
+    resumes after Ctrl-C or a kill, and adds new drives. The map is identical for any number of workers. Workers of
+    --scheduler need datasets and map under the same paths. Address and credentials of an object store are taken from
+    the environment (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...).
     """
     from ogm.grid import GridSpec
     from ogm.models.named import load_model, with_radar
@@ -82,7 +81,7 @@ def build(
     from ogm.world import WorldMap, build_world
 
     if poses is not None and len(poses) != len(datasets):
-        raise ValueError(f"give --poses once per data set, or never: got {len(poses)} for {len(datasets)}")
+        raise ValueError(f"--poses must be given once per dataset, or not at all, got {len(poses)} for {len(datasets)}")
     options.check_first(first)
     import_extra("zarr", "world")  # before scans are read
     spec = GridSpec.centered(length, width, resolution)
@@ -110,7 +109,7 @@ def build(
     with world, _progress() as show:
         build_world(world, drives, model, length=submap_length, workers=workers, scheduler=scheduler, progress=show)
         if not world.tiles():
-            raise ValueError(f"{out_url} stays empty: no scan shows anything on the grid; `ogm map` of one tells why")
+            raise ValueError(f"{out_url} stays empty: no scan has evidence on the grid; `ogm map` of a scan states why")
         world.build_overviews()
         _print(world)
         _print_contradictions(world)
@@ -120,21 +119,21 @@ def build(
 def rebuild(
     url: Url,
     drive: DriveName = None,
-    poses: Annotated[Path | None, Option(help="New poses of its sensor: .g2o, TUM, KITTI, .csv.")] = None,
+    poses: Annotated[Path | None, Option(help="New poses of the drive's sensor: .g2o, TUM, KITTI, .csv.")] = None,
     calib: Calib = None,
     workers: options.Workers = 1,
     scheduler: options.Scheduler = None,
 ) -> None:
-    """Move a drive to other poses, as after a loop closure, and make the tiles anew that this changes.
+    """Move a drive to other poses, such as after a loop closure, and rebuild the changed tiles.
 
-    Poses with stamps (TUM, .csv) are taken by stamp, others by frame number (of .g2o: identifiers of vertices), or by
-    row. Without --drive and --poses, all tiles are read, and those that are lost or damaged are made anew.
+    Poses with stamps (TUM, .csv) are matched by stamp, others by frame number (vertex identifiers in .g2o), or by
+    row. Without --drive and --poses, all tiles are read, and missing or damaged tiles are rebuilt.
     """
     from ogm.io import read_calibration, read_poses
     from ogm.world import WorldMap, rebuild_world
 
     if (drive is None) != (poses is None):
-        raise ValueError("give both --drive and --poses, or none of them to mend the map")
+        raise ValueError("give both --drive and --poses, or neither to repair the map")
     moved: dict[str, Any] = {}
     if drive is not None and poses is not None:
         found = read_poses(poses, T_camera_sensor=None if calib is None else read_calibration(calib))
@@ -148,7 +147,7 @@ def rebuild(
 
 @report_errors
 def info(url: Url) -> None:
-    """Print what a map holds."""
+    """Print the contents of a map and its drives."""
     from ogm.world import WorldMap
 
     with WorldMap.open(url) as world:
@@ -162,7 +161,7 @@ def export(
     extent: Extent = None,
     level: Level = 0,
 ) -> None:
-    """Write a part of a map in another format, all of it as one .zip archive, or pictures of its tiles in a folder."""
+    """Write a part of a map in another format, the whole map as .zip, or pictures of its tiles in a folder."""
     from ogm.io import PlacedGrid, write_grid
     from ogm.io.grids.files import check_grid_output
     from ogm.world import WorldMap, write_pyramid
@@ -170,7 +169,7 @@ def export(
     with WorldMap.open(url) as world:
         if path.suffix.lower() == ".zip" or not path.suffix:
             if extent is not None or level:
-                raise ValueError("--extent and --level are for one grid: .zip and folders hold the whole map")
+                raise ValueError("--extent and --level are for grid files: .zip and folders contain the whole map")
             if path.suffix:
                 world.copy_to(path)
             else:
@@ -186,7 +185,7 @@ def export(
 def _open(
     path: Path, axes: Any, poses: Path | None, calib: Path | None, rate: float, placed: Mapping[str, Any]
 ) -> "Dataset":
-    """Return a data set with its poses."""
+    """Return a dataset, with poses of a file if one is given."""
     from ogm.datasets import open_dataset, with_poses
 
     dataset = open_dataset(path, axes=axes, default_split="sequences", **placed)
@@ -194,11 +193,10 @@ def _open(
 
 
 class _progress:  # noqa: N801  a context manager
-    """A progress bar, as a function of events."""
+    """Progress bar; called with events of a build."""
 
     def __enter__(self) -> "_progress":
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._display = Progress(*columns, console=stderr, transient=True)
+        self._display = progress_bar()
         self._display.start()
         self._task = self._display.add_task("reading poses", total=None)
         self._skipped = 0
@@ -211,33 +209,33 @@ class _progress:  # noqa: N801  a context manager
     def __exit__(self, *error: object) -> None:
         self._display.stop()
         if self._skipped:
-            stderr.print(f"ogm: {self._skipped} frames without a pose, or damaged, were left out", markup=False)
+            stderr.print(f"ogm: {self._skipped} frames were skipped: damaged, or without a pose", markup=False)
 
 
 def _print(world: "WorldMap") -> None:
-    """Print what a map holds, and its drives."""
+    """Print the contents of a map and its drives."""
     from ogm.world.drives import drive_names, load_drive
 
     facts = world.describe()
     for name in drive_names(world.store):
         drive = load_drive(world.store, name)
-        made = sum(one.tiles is not None for one in drive.submaps)
-        frames = sum(one.mapped for one in drive.submaps)
+        made = sum(submap.tiles is not None for submap in drive.submaps)
+        frames = sum(submap.mapped for submap in drive.submaps)
         facts[f"drive {name}"] = f"{frames} frames, {made} of {len(drive.submaps)} sub-maps"
     print_facts(facts)
 
 
 def _print_contradictions(world: "WorldMap") -> None:
-    """Print in how many cells the drives of a map contradict each other."""
+    """Print the share of cells in which the drives of a map contradict each other."""
     from ogm.world.drives import drive_names, load_drive
     from ogm.world.tasks import contradictions
 
     against, common = contradictions(world.store, [load_drive(world.store, name) for name in drive_names(world.store)])
     if common:
         share = against / common
-        out.print(f"conflict of drives: {share:.1%} of {common} cells that two of them know", soft_wrap=True)
-        if share > DOUBTFUL:
-            complain("the drives contradict each other in many cells: check that their poses are in one frame")
+        out.print(f"conflict of drives: {share:.1%} of {common} cells known to two drives or more", soft_wrap=True)
+        if share > MAX_CONFLICT:
+            complain("the drives contradict each other in many cells: check that their poses share a frame")
 
 
 world_app.command(

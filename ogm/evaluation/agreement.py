@@ -1,4 +1,4 @@
-"""Evaluation of methods without truth: how far their grids of the same scans agree with each other.
+"""Evaluation of methods without truth, by the agreement of their grids for the same scans.
 
 >>> from ogm.datasets import open_dataset
 >>> from ogm.evaluation import evaluate_agreement
@@ -6,7 +6,6 @@
 >>> result.table()["ray, lite"]["kl"]                                                    # doctest: +SKIP
 """
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -21,19 +20,18 @@ from ogm.evaluation.result import FrameInfo
 from ogm.evaluation.runner import checked_frames
 from ogm.evaluation.statistics import Interval, drives_of, mean_interval
 from ogm.evaluation.tasks import FrameTask, Progress
-from ogm.evaluation.text import as_json, clean, text_table
+from ogm.evaluation.text import text_table, write_record
 from ogm.evidence import conflict, kl_divergence
 from ogm.grid import GridSpec
 from ogm.scan import Frame
 from ogm.state import predict_state
-from ogm.storage.files import atomic_write
 
 AGREEMENT_METRICS = {  # name: title, description
     "agreement": (
-        "same state", "Share of the cells that either method predicts as free or occupied, in which both predict the "
-        "same state.",
+        "same state", "Share of cells with the same predicted state, among cells that either method predicts as free "
+        "or occupied.",
     ),
-    "conflict": ("conflict", "Mean over cells of the mass of free of one and occupied of the other."),
+    "conflict": ("conflict", "Mean over cells of the mass of free in one method and occupied in the other."),
     "kl": ("KL", "Mean over cells of KL[first || second] of the Beta densities [nats]."),
     "kl_reverse": ("KL, reverse", "Mean over cells of KL[second || first] [nats]."),
 }  # fmt: skip
@@ -41,7 +39,7 @@ AGREEMENT_METRICS = {  # name: title, description
 
 @dataclass(frozen=True, eq=False)
 class AgreementEvaluation:
-    """Methods compared with each other on the same frames.
+    """Comparison of methods with each other on the same frames.
 
     Parameters
     ----------
@@ -49,7 +47,7 @@ class AgreementEvaluation:
     pairs : tuple of (str, str)
         First and second method of each pair.
     values : dict of str to (pairs, frames) float64
-        Each metric of `AGREEMENT_METRICS`; NaN where a frame has no value.
+        Values of each metric in `AGREEMENT_METRICS`; NaN in frames without a value.
     frames : tuple of FrameInfo
     """
 
@@ -61,7 +59,7 @@ class AgreementEvaluation:
     def interval(self, first: str, second: str, metric: str) -> Interval:
         """Return a metric's mean over frames with its 95 % interval over drives, see `mean_interval`.
 
-        The two methods may come in either order.
+        The order of the two methods is free.
         """
         if (first, second) not in self.pairs:
             first, second = second, first
@@ -76,7 +74,7 @@ class AgreementEvaluation:
         return text_table(f"mean of {len(self.frames)} frames", self.table())
 
     def record(self) -> dict[str, Any]:
-        """Return all results, as JSON can hold them after `ogm.evaluation.text.as_json`."""
+        """Return all results as a dict, for `ogm.evaluation.text.as_json`."""
         return {
             "format": "ogm.agreement/1",
             "frames": [frame._asdict() for frame in self.frames],
@@ -101,14 +99,14 @@ def evaluate_agreement(
     frames: Iterable[int] | None = None,
     progress: Progress = iter,
 ) -> AgreementEvaluation:
-    """Compare methods with each other on the same frames, which need no truth.
+    """Compare methods with each other on the same frames, without truth.
 
     Parameters
     ----------
     methods, spec, progress
         See `ogm.evaluation.evaluate`; two or more methods.
     dataset : sequence of Frame
-        As `ogm.datasets.open_dataset` returns them, also of a folder of scans alone.
+        Frames of `ogm.datasets.open_dataset`; a folder of scans is enough.
     frames : iterable of int, optional
         Numbers of the compared frames; by default all.
 
@@ -120,7 +118,7 @@ def evaluate_agreement(
     spec = GridSpec.centered() if spec is None else spec
     used = as_methods(methods, spec)
     if len(used) < 2:
-        raise ValueError(f"methods are compared with each other, so give at least two, got {', '.join(used)}")
+        raise ValueError(f"methods must be two or more, to compare them with each other, got {', '.join(used)}")
     numbers = sorted(set(range(len(dataset)) if frames is None else frames))
     infos, pairs = checked_frames(used, dataset, numbers), tuple(combinations(used, 2))
     runner, wanted, rows = MethodRunner(used, spec), set(numbers), []
@@ -134,7 +132,7 @@ def evaluate_agreement(
 
 
 def compare_grids(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[float, ...]:
-    """Return the metrics of `AGREEMENT_METRICS` of two grids' masses (nx, ny, 2)."""
+    """Return the values of `AGREEMENT_METRICS` for the masses (nx, ny, 2) of two grids."""
     states = predict_state(a), predict_state(b)
     known = (states[0] > 0) | (states[1] > 0)
     same = float((states[0] == states[1])[known].mean()) if known.any() else float("nan")
@@ -145,16 +143,13 @@ def compare_grids(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[float
 
 
 def write_agreement_report(folder: Path, result: AgreementEvaluation, *, command: str = "") -> Path:
-    """Write ``agreement.json`` into a folder, which is made, and return its path.
+    """Write ``agreement.json`` into a folder, which is created, and return its path.
 
     Parameters
     ----------
     folder : Path
     result : AgreementEvaluation
     command : str
-        Command that made it, for the record.
+        Command of the evaluation, for the record.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path := folder / "agreement.json", "w") as file:
-        json.dump(as_json({"command": clean(command), **result.record()}), file, indent=1, allow_nan=False)
-    return path
+    return write_record(folder / "agreement.json", result.record(), command)

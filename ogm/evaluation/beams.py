@@ -1,7 +1,6 @@
-"""Evaluation of maps without truth: they predict the beams of planar scans that are not in them."""
+"""Evaluation of maps without truth, by predicting the beams of held-out planar scans."""
 
 import itertools
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.statistics import Interval, ratio_interval
-from ogm.evaluation.text import as_json, clean
+from ogm.evaluation.text import write_record
 from ogm.evidence.map_rules import DYNAMIC, NUSS, SMOOTH
 from ogm.fusion import BinaryBayesMapper, echo_window, make_mapper, map_scans
 from ogm.fusion.pipeline import OnError, grid_pose, log_error
@@ -21,43 +20,42 @@ from ogm.metrics.beams import BeamNoise, BeamScores, PlanarBeams, score_beams
 from ogm.models.named import load_model, short_names
 from ogm.pose import inverse, tilt_of
 from ogm.scan import Frame, SensorModels
-from ogm.storage.files import atomic_write
 
 _SUMMED = ("log_likelihood", "ends_at", "passes_through", "ends_in_free", "no_echo_blocked")
 
 MapMaker = Callable[[Sequence[Frame]], EvidentialGrid]
 
 BINS = 10  # of the predicted probability, for the calibration
-MAX_TILT = math.radians(5)  # of the plane of the beams
+MAX_TILT = math.radians(5)  # tilt of the plane of the beams
 BEAM_METRICS = {  # name: title, which is better, description
     "log_likelihood": ("log likelihood", "higher", "Log of the density of the range of an echo [nats, of 1/m]."),
     "ends_at": ("ends at occupied", "higher", "Share of echoes within 2 cells of the first occupied cell of the beam."),
     "passes_through": (
         "passes occupied", "lower", "Share of echoes more than 2 cells behind the first occupied cell of the beam.",
     ),
-    "ends_in_free": ("ends in free", "lower", "Share of echoes in a cell that the map holds free."),
+    "ends_in_free": ("ends in free", "lower", "Share of echoes in a cell that is free in the map."),
     "ece": (
-        "ece of hits", "lower", "Mean distance, in 10 bins, of the predicted share of echoes within 2 cells of the "
-        "likeliest end from the observed share.",
+        "ece of hits", "lower", "Mean distance, in 10 bins, between predicted and observed share of echoes within 2 "
+        "cells of the likeliest end.",
     ),
-    "no_echo_blocked": ("no echo, occupied", "lower", "Share of beams without echo that meet an occupied cell."),
+    "no_echo_blocked": ("no echo, occupied", "lower", "Share of beams without echo that cross an occupied cell."),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class FusedMap:
-    """The map of a place: scans of a sensor model fused by a rule that forgets nothing.
+    """Maker of a map: fuses the scans of a drive by a sensor model and a rule, without forgetting.
 
-    A map of the Bayes filter has its own probabilities as masses, and only cells that were never seen are unknown.
+    Maps of the Bayes filter have their probabilities as masses; only cells that were never observed are unknown.
 
     Parameters
     ----------
     ism : callable with `spec`, or mapping of str to these
         The sensor model.
     rule : str
-        A name in `ogm.evidence.map_rules.MAP_RULES` of a static map.
+        A rule for static maps, a name in `ogm.evidence.map_rules.MAP_RULES`.
     on_error : function
-        Called with each frame that is skipped and its error; by default it is logged.
+        Called with each skipped frame and its error; by default the error is logged.
     """
 
     ism: Any
@@ -66,15 +64,15 @@ class FusedMap:
 
     def __post_init__(self) -> None:
         if self.rule in (DYNAMIC, NUSS):
-            raise ValueError(f"beams are predicted by static maps, got the rule {self.rule!r}: choose another rule")
+            raise ValueError(f"rule must be of a static map, to predict beams, got {self.rule!r}")
 
     def __call__(self, frames: Sequence[Frame]) -> EvidentialGrid:
-        """Return the map of frames with poses, over all of their grids."""
+        """Return the map of frames with poses, covering all their grids."""
         ism: SensorModels = self.ism
         spec = next(iter(ism.values())).spec if isinstance(ism, Mapping) else ism.spec
         mapper = make_mapper(self.rule, echo_window(frames, spec), math.inf, "fixed")
         for frame, grid in map_scans(frames, ism, on_error=self.on_error):
-            mapper.update(grid, grid_pose(frame))  # without stamps: nothing is forgotten, and no pose is a jump
+            mapper.update(grid, grid_pose(frame))  # without stamps: no forgetting, no jumps of the pose
         if not isinstance(mapper, BinaryBayesMapper):
             return mapper.grid
         p = mapper.probability
@@ -84,23 +82,23 @@ class FusedMap:
 
 @dataclass(frozen=True, eq=False)
 class BeamEvaluation:
-    """Maps against the beams of scans that are not in them.
+    """Evaluation of maps by the beams of held-out scans.
 
     Attributes
     ----------
     methods : tuple of str
     frames : tuple of str
-        Names of the scans whose beams were predicted.
+        Names of the scans with predicted beams.
     drives : tuple of str
         Drive of each frame.
     echoes, no_echoes : (frames,) int64
-        Beams with and without echo.
+        Numbers of beams with and without echo.
     sums : dict of str to dict of str to (frames,) float64
-        By method and metric, sums over the beams of each frame.
+        Sums over the beams of each frame, by method and metric.
     bins : dict of str to (10, 3) float64
-        By method, for each bin of the predicted probability of a hit: beams, sum of the probabilities, hits.
+        For each bin of the predicted probability of a hit, by method: beams, sum of the probabilities, hits.
     split : str
-        The split, in words.
+        Description of the split.
     """
 
     methods: tuple[str, ...]
@@ -113,7 +111,7 @@ class BeamEvaluation:
     split: str
 
     def interval(self, method: str, metric: str) -> Interval:
-        """Return the mean over beams with its 95 % interval over drives or parts of one, see `ratio_interval`.
+        """Return the mean over beams with its 95 % interval over drives or parts of a drive, see `ratio_interval`.
 
         Parameters
         ----------
@@ -128,14 +126,15 @@ class BeamEvaluation:
         return ratio_interval(self.sums[method][metric], beams.astype(np.float64), self.drives)
 
     def record(self) -> dict[str, Any]:
-        """Return all results, as JSON can hold them after `ogm.evaluation.text.as_json`."""
+        """Return all results as a dict, for `ogm.evaluation.text.as_json`."""
         return {
             "split": self.split,
             "scans": len(self.frames),
             "beams with echo": int(self.echoes.sum()),
             "beams without echo": int(self.no_echoes.sum()),
             "metrics": {
-                name: {"title": one[0], "better": one[1], "text": one[2]} for name, one in BEAM_METRICS.items()
+                name: {"title": title, "better": better, "text": text}
+                for name, (title, better, text) in BEAM_METRICS.items()
             },
             "methods": {
                 name: {
@@ -148,7 +147,7 @@ class BeamEvaluation:
 
 
 def named_maps(models: Sequence[str], rules: Sequence[str], spec: GridSpec) -> dict[str, MapMaker]:
-    """Return maps by the names of models and rules.
+    """Return map makers for all pairs of models and rules, by name.
 
     Parameters
     ----------
@@ -164,19 +163,16 @@ def named_maps(models: Sequence[str], rules: Sequence[str], spec: GridSpec) -> d
 
 
 def write_beam_report(folder: Path, result: BeamEvaluation, *, command: str = "") -> Path:
-    """Write ``beams.json`` into a folder, which is made, and return its path.
+    """Write ``beams.json`` into a folder, which is created, and return its path.
 
     Parameters
     ----------
     folder : Path
     result : BeamEvaluation
     command : str
-        Command that made it, for the record.
+        Command of the evaluation, for the record.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path := folder / "beams.json", "w") as file:
-        json.dump(as_json({"command": clean(command), **result.record()}), file, indent=1, allow_nan=False)
-    return path
+    return write_record(folder / "beams.json", result.record(), command)
 
 
 def evaluate_beams(
@@ -189,10 +185,10 @@ def evaluate_beams(
     on_error: OnError = log_error,
     progress: Callable[[Sequence[int]], Iterable[int]] = iter,
 ) -> BeamEvaluation:
-    """Return how well maps predict the beams of planar scans that are not in them.
+    """Evaluate maps by predicting the beams of planar scans that are not in the maps.
 
-    Cross-validation: the scans k, k + `every`, k + 2 `every`, ... of a drive are left out, the maps are made of the
-    others, and predict the beams of the scans left out; so for each k from 0, until each scan was left out once.
+    Cross-validation with `every` splits: split k holds out the scans k, k + `every`, k + 2 `every`, ... of a drive,
+    makes the maps of the others, and predicts the beams of the held-out scans.
 
     The probability of occupied is ``occupied + base_rate * unknown``. The base rate describes a medium in which beams
     end as often as in the scans of the map: 1 - exp(-resolution * echoes / sum of their ranges), the maximum likelihood
@@ -201,26 +197,26 @@ def evaluate_beams(
     Parameters
     ----------
     frames : iterable of Frame
-        Planar scans, with poses; a frame without pose is left out. Frames of one `Frame.sequence` are a drive, with
-        maps of its own.
+        Planar scans with poses; frames without pose are left out. Frames of one `Frame.sequence` are a drive, with
+        its own maps.
     methods : dict of str to function
-        Makers of maps by their names, ``maker(frames) -> EvidentialGrid``: `FusedMap`, or any other.
+        Map makers by name, ``maker(frames) -> EvidentialGrid``, such as `FusedMap`.
     every : int
         Number of splits, 2 or more.
     range_noise, p_random : float
         See `ogm.metrics.beams.BeamNoise`.
     on_error : function
-        Called with each frame whose scan cannot be read, and its error; the frame is left out. By default it is logged.
+        Called with each unreadable frame, which is left out, and its error; by default the error is logged.
     progress : function
         Iterates over the numbers of the splits, and may draw a progress bar.
 
     Raises
     ------
     ValueError
-        If a number is out of its range, no scan is planar, one is tilted, or a drive has too few scans with poses.
+        If a number is out of range, a scan is not planar or is tilted, or a drive has too few scans with poses.
     """
     if every < 2:
-        raise ValueError(f"every must be 2 or more: a map needs scans that are not left out, got {every}")
+        raise ValueError(f"every must be 2 or more, as a map needs scans that are not held out, got {every}")
     if not (0 < range_noise < math.inf and 0 < p_random < 1):
         raise ValueError(f"range_noise must be above 0 m and p_random in (0, 1), got {range_noise} and {p_random}")
     drives: dict[str, list[Frame]] = {}
@@ -228,23 +224,21 @@ def evaluate_beams(
         if frame.T_map_sensor is None:
             continue
         try:
-            frame.scan  # noqa: B018  it is read here
+            frame.scan  # noqa: B018  read here
         except (ValueError, TypeError, OSError) as error:
             on_error(frame, error)
             continue
         drives.setdefault(frame.sequence, []).append(frame)
     if not drives:
-        raise ValueError("no scan has a pose, so that no map can be made: give a log with poses")
+        raise ValueError("no scan has a pose, so that maps cannot be made: give a log with poses")
     for name, drive in drives.items():
         if len(drive) < every:
-            raise ValueError(
-                f"the drive {name!r} has {len(drive)} scans with poses, wanted at least `every`, {every}: leave it out"
-            )
+            raise ValueError(f"drive {name!r} needs {every} scans with poses or more, got {len(drive)}: leave it out")
     ordered = [frame for drive in drives.values() for frame in drive]
     beams = [planar_beams(frame) for frame in ordered]
-    max_range = max(float(one.distance.max(initial=0.0)) for one in beams)
+    max_range = max(float(scan.distance.max(initial=0.0)) for scan in beams)
     if not max_range > 0:
-        raise ValueError("no beam of the scans has an echo, so that there is nothing to predict")
+        raise ValueError("the scans have no echoes to predict: give scans with points")
     noise = BeamNoise(max_range, range_noise, p_random)
     starts = np.cumsum([0, *map(len, drives.values())])
     sums = {name: {metric: np.zeros(len(ordered)) for metric in _SUMMED} for name in methods}
@@ -261,24 +255,23 @@ def evaluate_beams(
                 together = PlanarBeams(*map(np.concatenate, zip(*(beams[n] for n in left_out), strict=True)))
                 scores = score_beams(grid, together, noise, base_rate)
                 _add(scores, together.echo, owner, sums[name], bins[name])
-    echoes = np.array([np.count_nonzero(one.echo) for one in beams])
+    echoes = np.array([np.count_nonzero(scan.echo) for scan in beams])
     return BeamEvaluation(
         tuple(methods),
         tuple(frame.name for frame in ordered),
         tuple(frame.sequence for frame in ordered),
         echoes,
-        np.array([len(one.echo) for one in beams]) - echoes,
+        np.array([len(scan.echo) for scan in beams]) - echoes,
         sums,
         bins,
-        f"{every} splits: every {every}th scan of a drive left out, the map made of the others",
+        f"{every} splits: every {every}th scan of a drive held out, the map made of the others",
     )
 
 
 def planar_beams(frame: Frame) -> PlanarBeams:
     """Return the beams of a planar scan in the plane of the map.
 
-    Several points in one direction are echoes of one beam each. Beams without echo count where `Scan.max_range` is
-    known.
+    Each point is the echo of a separate beam. Beams without echo are used if `Scan.max_range` is known.
 
     Raises
     ------
@@ -289,13 +282,10 @@ def planar_beams(frame: Frame) -> PlanarBeams:
     assert T is not None
     if scan.kind != "planar":
         kind = repr(scan.kind) if scan.kind else "a lidar or radar"
-        raise ValueError(
-            f"{frame.name} is of {kind}, and beams are predicted in the plane of a planar laser: choose its `topic`"
-        )
+        raise ValueError(f"{frame.name} must be a scan of a planar laser, got {kind}: select the laser's `topic`")
     if tilt_of(T) > MAX_TILT:
         raise ValueError(
-            f"the laser of {frame.name} is tilted by {math.degrees(tilt_of(T)):.0f} degrees, at most 5 are allowed: "
-            "its beams leave the plane of the map"
+            f"the laser of {frame.name} must be tilted by 5 degrees at most, got {math.degrees(tilt_of(T)):.0f} degrees"
         )
     origin = T[:2, 3].astype(np.float64)
     if frame.mount.points_in == "vehicle":
@@ -316,8 +306,8 @@ def planar_beams(frame: Frame) -> PlanarBeams:
 
 
 def _decay_rate(beams: Sequence[PlanarBeams]) -> float:
-    """Return the rate at which beams end, the maximum likelihood of a homogeneous medium [1/m]."""
-    ranges = np.concatenate([one.distance[one.echo] for one in beams])
+    """Return the maximum likelihood rate at which beams end in a homogeneous medium [1/m]."""
+    ranges = np.concatenate([scan.distance[scan.echo] for scan in beams])
     return len(ranges) / float(ranges.sum()) if len(ranges) else 1e-3
 
 
@@ -328,7 +318,7 @@ def _add(
     sums: Mapping[str, NDArray[np.float64]],
     bins: NDArray[np.float64],
 ) -> None:
-    """Add beams to the sums of a method, each to the frame that owns it."""
+    """Add the scores of beams to the sums of a method, in the column of each beam's frame `owner`."""
     columns = {
         "log_likelihood": np.where(echo, scores.log_likelihood, 0.0),
         "ends_at": scores.ends_at,

@@ -1,4 +1,4 @@
-"""Finished frames on disk, so that an interrupted evaluation resumes."""
+"""Results of finished frames on disk, to resume an interrupted evaluation."""
 
 import hashlib
 import json
@@ -24,18 +24,18 @@ _MOTION: dict[str, Any] = {  # parts of a FrameMotion
 
 
 class FrameResult(NamedTuple):
-    """What is kept of a frame.
+    """Result of a frame.
 
     Attributes
     ----------
     sums : tuple of ConfusionSums
-        Of every method.
+        Sums of each method.
     truth : (4,) float64
-        Shares of the cells whose truth is unknown, free, occupied, ignored.
+        Shares of cells with true state unknown, free, occupied, ignored.
     pictures : dict of str to bytes
         See `ogm.evaluation.frame_pictures.draw_frame`.
     motion : dict of int to FrameMotion
-        Of methods that make dynamic grids, by their places; empty where the true motion is not known.
+        Motion by the index of the method, for methods with dynamic grids; empty if the true motion is unknown.
     """
 
     sums: tuple[ConfusionSums, ...]
@@ -45,19 +45,19 @@ class FrameResult(NamedTuple):
 
 
 class ResultCache:
-    """Finished frames in a folder, one file each, and the settings that they depend on.
+    """Finished frames in a folder, one file each, with the settings of the run.
 
     Parameters
     ----------
     folder : Path
-        Made if need be. Frames of a *finished* run with other settings are removed, nothing else.
+        Created if missing. Frames of a *finished* run with other settings are removed, nothing else.
     settings : dict
-        All that decides what the frames hold, as JSON can hold it.
+        Everything that the results depend on, for JSON.
 
     Raises
     ------
     OgmError
-        If the folder holds an unfinished run with other settings, or a run.json that is not from here.
+        If the folder contains an unfinished run with other settings, or a run.json of another program.
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
@@ -68,8 +68,8 @@ class ResultCache:
             frames = [path for path in folder.glob("*.npz") if path.stem.isdecimal()]
             if frames and not note["finished"]:
                 raise OgmError(
-                    f"{folder} holds {len(frames)} frames of an unfinished run with other data, methods or settings, "
-                    "with files that have changed since, or by another ogm: repeat that command to resume it, give "
+                    f"{folder} contains {len(frames)} frames of an unfinished run with other data, methods, settings "
+                    "or version of ogm, or with files that have changed: repeat that command to resume it, give "
                     "another `out`, or delete the folder"
                 )
             for path in frames:
@@ -78,7 +78,7 @@ class ResultCache:
         self.note(finished=False)
 
     def missing(self, numbers: Iterable[int]) -> list[int]:
-        """Return those of some frames that are not finished, or whose files are damaged; damaged files are removed."""
+        """Return the unfinished frames among `numbers`; damaged files are removed and count as unfinished."""
         found = []
         for number in numbers:
             try:
@@ -89,11 +89,11 @@ class ResultCache:
         return found
 
     def count(self, numbers: Iterable[int]) -> int:
-        """Return how many of some frames are finished, once `missing` has removed what is damaged."""
+        """Return the number of finished frames among `numbers`; call `missing` before, which removes damaged files."""
         return sum(self._path(number).exists() for number in numbers)
 
     def load(self, frame: int) -> FrameResult:
-        """Return a finished frame; raise one of many errors if its file is missing or damaged, see `missing`."""
+        """Return a finished frame; raise one of `UNREADABLE` if its file is missing or damaged."""
         with open(self._path(frame), "rb") as file, np.load(file, allow_pickle=False) as data:
             if str(data["key"]) != self.key:
                 raise ValueError(f"{self._path(frame)} is a frame of another run")
@@ -103,7 +103,7 @@ class ResultCache:
             return FrameResult(sums, data["truth"], pictures, _read_motion(data))
 
     def save(self, frame: int, result: FrameResult) -> None:
-        """Keep a frame, whole or not at all."""
+        """Write a frame in one step."""
         columns = zip(ConfusionSums._fields, zip(*result.sums, strict=True), strict=True)
         arrays: dict[str, Any] = {"key": np.array(self.key), "truth": result.truth}
         arrays |= {f"sums {name}": np.stack(column) for name, column in columns}
@@ -127,17 +127,17 @@ class ResultCache:
             if isinstance(found, dict) and found.get("format") == _FORMAT and {"key", "finished"} <= found.keys():
                 return found
             hint = update_hint(found.get("format"), _FORMAT) if isinstance(found, dict) else ""
-        raise OgmError(f"{note} is damaged or not from `ogm evaluate`{hint}: give another folder")
+        raise OgmError(f"{note} is damaged or no file of `ogm evaluate`{hint}: give another folder")
 
     def note(self, *, finished: bool) -> None:
-        """Write the settings down, and whether all frames are there."""
+        """Write the settings to run.json, and whether all frames are finished."""
         facts = {"format": _FORMAT, "key": self.key, "finished": finished, "settings": self.settings}
         with atomic_write(self.folder / "run.json", "w") as file:
             json.dump(facts, file, indent=1)
 
 
 def _read_motion(data: Mapping[str, Any]) -> dict[int, FrameMotion]:
-    """Return the motion of a frame by the places of methods."""
+    """Return the motion of a frame by the index of the method."""
     found = {}
     for k in sorted({int(name.split()[1]) for name in data if name.startswith("motion ")}):
         parts = (kind(*(data[f"{part} {k} {name}"] for name in kind._fields)) for part, kind in _MOTION.items())
@@ -145,17 +145,17 @@ def _read_motion(data: Mapping[str, Any]) -> dict[int, FrameMotion]:
     return found
 
 
-def files_state(paths: Iterable[Path], besides: Path | None = None) -> str:
+def files_state(paths: Iterable[Path], excluded: Path | None = None) -> str:
     """Return a hash that changes when files are added, removed or rewritten.
 
     Parameters
     ----------
     paths : iterable of Path
-        Files, and folders with all below. Names, sizes and times of the last change count; nothing is read.
-    besides : Path, optional
-        A folder that is left out.
+        Files, and folders with all files below. The hash covers names, sizes and times of the last change.
+    excluded : Path, optional
+        A folder to leave out.
     """
-    left_out = None if besides is None else besides.resolve()
+    left_out = None if excluded is None else excluded.resolve()
     rows = []
     for root in (path.resolve() for path in paths):
         for path in (root, *sorted(root.rglob("*"))):
@@ -166,6 +166,6 @@ def files_state(paths: Iterable[Path], besides: Path | None = None) -> str:
 
 
 def code_state() -> str:
-    """Return a hash that changes with every line of ogm: its version stays during development."""
+    """Return a hash of the source code of ogm, since its version does not change during development."""
     code = [path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py"))]
     return hashlib.sha256(b"".join(code)).hexdigest()

@@ -1,4 +1,4 @@
-"""What the page's script draws, in few bytes: names become numbers, numbers get four digits."""
+"""Compact data for the script of the report's page: names become indices, numbers have four digits."""
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -15,25 +15,25 @@ GROUPS = {  # title: beginnings of metrics' names, in the order of the page
     "Probability and its calibration, on known cells": ("nll", "brier", "map_score", "ece", "ace", "interval"),
     "The three states": ("iou_",),
     "Free space and obstacles": ("false_", "missed_", "free_", "ap_"),
-    "The same without obstacles lower than 0.10 m, than 0.50 m": ("from",),
-    "Unknown: does it mark the cells not to trust?": ("auroc_", "aupr_", "fpr", "aurc", "ause"),
+    "Free space and obstacles, without obstacles lower than 0.10 m or 0.50 m": ("from",),
+    "Unknown as a mark of unreliable cells": ("auroc_", "aupr_", "fpr", "aurc", "ause"),
     "Distance from a truth of given evidence; no proper scores": ("kl_", "conflict"),
-    "What the grid holds: neither is better": ("mean_", "entropy", "dissonance"),
-    "The released code's metrics: to reproduce its figures, not to rank by": ("evilog", "legacy"),
+    "Contents of the grid: neither direction is better": ("mean_", "entropy", "dissonance"),
+    "Metrics of the released code: to reproduce its figures, not to rank by": ("evilog", "legacy"),
 }
-MOST = 400_000  # per-frame values that the page carries; beyond this, those of the headline metrics only
-GAP = 2.0  # [s] after the frame before: lines of charts join them
+MAX_VALUES = 400_000  # per-frame values in the page; with more, only headline metrics are included
+GAP = 2.0  # [s] between frames that are joined by a line in charts
 
 
 def group_metrics(metrics: Collection[str]) -> dict[str, list[str]]:
-    """Return metrics by topic; each is in one group."""
+    """Return metrics by topic; each metric is in one group."""
     return {title: [name for name in metrics if name.startswith(starts)] for title, starts in GROUPS.items()}
 
 
 def frame_keys(frames: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a unique name for every frame: its own, or with its sequence, or with its number."""
-    full = [f"{one['sequence']}/{one['name']}" if one["sequence"] else one["name"] for one in frames]
-    keys = [one["name"] for one in frames]
+    """Return a unique name for each frame: its name, with its sequence or its number if needed."""
+    full = [f"{frame['sequence']}/{frame['name']}" if frame["sequence"] else frame["name"] for frame in frames]
+    keys = [frame["name"] for frame in frames]
     for longer in (full, [f"{name} #{k}" for k, name in enumerate(full)]):
         count = Counter(keys)
         keys = [other if count[key] > 1 else key for key, other in zip(keys, longer, strict=True)]
@@ -41,7 +41,7 @@ def frame_keys(frames: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any]:
-    """Return what the page's script needs of a record, as JSON can hold it.
+    """Return the data of a record for the page's script, ready for JSON.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any
     Returns
     -------
     dict
-        ``methods``, ``frames`` (key, sequence, whether it follows the one before), ``pictures``, ``metrics``,
+        ``methods``, ``frames`` (key, sequence, whether it follows the previous frame), ``pictures``, ``metrics``,
         ``headline``, ``perFrame`` (metric -> method -> frame), ``truth``, ``curves``, ``byRange``, ``ranges``,
-        ``paired`` ("method reference", by their numbers -> metric -> frames, wins, ties, losses, p, and difference
+        ``paired`` ("method reference", by their indices -> metric -> frames, wins, ties, losses, p, and difference
         and ratio each with its interval), ``grid``.
     """
     methods, metrics, frames = record["methods"], record["metrics"], record["frames"]
     names, carried = list(methods), list(metrics)
-    if len(names) * len(frames) * len(carried) > MOST:
+    if len(names) * len(frames) * len(carried) > MAX_VALUES:
         carried = [m for m in metrics if m in HEADLINE or m.startswith(("kl_", "evilog", "legacy", "mean_"))]
     follows = [False, *(_follows(*pair) for pair in pairwise(frames))]
     data = {
@@ -75,7 +75,7 @@ def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any
         "byRange": [methods[name].get("by range") or {} for name in names],
         "ranges": record.get("ranges") or [],
         "paired": {
-            f"{a} {b}": {metric: _row(one) for metric, one in pair.items()}
+            f"{a} {b}": {metric: _row(paired) for metric, paired in pair.items()}
             for a, first_name in enumerate(names)
             for b, second in enumerate(names)
             if (pair := record["paired"].get(f"{first_name} against {second}"))
@@ -86,12 +86,12 @@ def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any
 
 
 def _follows(before: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
-    """Return whether a frame was taken soon after the one before, in the same sequence."""
+    """Return whether a frame follows another within `GAP` in the same sequence."""
     if before["sequence"] != here["sequence"] or None in (before["stamp"], here["stamp"]):
         return False
     return bool(0 < here["stamp"] - before["stamp"] <= GAP)
 
 
-def _row(one: Mapping[str, Any]) -> list[float | None]:
-    counts = [one["frames"], one["wins"], one["ties"], one["losses"], one.get("p")]
-    return counts + [one[what][end] for what in ("difference", "ratio") for end in ("value", "low", "high")]
+def _row(paired: Mapping[str, Any]) -> list[float | None]:
+    counts = [paired["frames"], paired["wins"], paired["ties"], paired["losses"], paired.get("p")]
+    return counts + [paired[kind][end] for kind in ("difference", "ratio") for end in ("value", "low", "high")]

@@ -1,4 +1,4 @@
-"""Figures of an evaluation: every metric of every method over the frames, and some frames."""
+"""Figures of an evaluation: distributions of metrics over frames, and some frames."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -21,13 +21,13 @@ SHOWN = (
     "iou_free", "iou_occupied", "iou_unknown", "missed_occupied",
     "false_free", "kl_e10", "kl_e1", "legacy_kl",
 )  # fmt: skip
-MOST = 6  # methods side by side
-DOTS = 110  # per inch
+MAX_METHODS = 6  # side by side
+DPI = 110
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#000000")  # Okabe and Ito 2008
 
 
 def draw_metrics(path: str | Path, result: Evaluation, title: str, note: str = "") -> None:
-    """Draw a box per method for each metric: quartiles over frames, whiskers from 5 % to 95 %, the mean as a dot.
+    """Draw a box plot over frames for each metric and method: quartiles, whiskers at 5 % and 95 %, mean as a dot.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def draw_metrics(path: str | Path, result: Evaluation, title: str, note: str = "
         Ends in ``.png``.
     result : Evaluation
     title, note : str
-        Above and below the picture.
+        Texts above and below the picture.
     """
     Figure = import_extra("matplotlib.figure", "evaluate").Figure
     width, height = max(13.0, 3.4 * len(result.methods)), 3.1 * 3 + 1.1
@@ -44,19 +44,19 @@ def draw_metrics(path: str | Path, result: Evaluation, title: str, note: str = "
     figure.subplots_adjust(0.6 / width, 0.9 / height, 1 - 0.2 / width, 1 - 0.75 / height, 0.2, 0.45)
     for axis, metric in zip(axes, SHOWN, strict=True):
         labels = [fill(clean(name), 9) for name in result.methods]
-        for place, name in enumerate(result.methods):
-            colour, values = COLOURS[place % len(COLOURS)], result.of(name, metric)
+        for k, name in enumerate(result.methods):
+            colour, values = COLOURS[k % len(COLOURS)], result.of(name, metric)
             values = values[~np.isnan(values)]
             if not len(values):
-                axis.text(place, 0.5, "no value", ha="center", transform=axis.get_xaxis_transform())
+                axis.text(k, 0.5, "no value", ha="center", transform=axis.get_xaxis_transform())
                 continue
-            parts = axis.boxplot(values, positions=[place], widths=0.6, whis=(5, 95), sym="", patch_artist=True)
+            parts = axis.boxplot(values, positions=[k], widths=0.6, whis=(5, 95), sym="", patch_artist=True)
             parts["boxes"][0].set(facecolor=colour, alpha=0.55, edgecolor=colour)
             parts["medians"][0].set(color="black")
             for line in (*parts["whiskers"], *parts["caps"]):
                 line.set(color=colour)
-            axis.plot(place, values.mean(), "o", color="black", markersize=4)
-            labels[place] = f"{values.mean():.3f}\n{labels[place]}"
+            axis.plot(k, values.mean(), "o", color="black", markersize=4)
+            labels[k] = f"{values.mean():.3f}\n{labels[k]}"
         heading, better, _ = METRICS[metric]
         axis.set_title(f"{heading}  ({better} is better)" if better else heading, fontsize=10)
         axis.set(xlim=(-0.6, len(result.methods) - 0.4), ylim=(0, None))
@@ -67,11 +67,11 @@ def draw_metrics(path: str | Path, result: Evaluation, title: str, note: str = "
     figure.suptitle(clean(title), fontsize=12, y=1 - 0.15 / height, va="top")
     figure.text(0.5, 0.05 / height, note, fontsize=7, color="0.35", ha="center")
     with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=DOTS)
+        figure.savefig(file, format="png", dpi=DPI)
 
 
 def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) -> list[Panel]:
-    """Return the pictures of a frame to draw side by side: points, truth, and the grids of the first methods.
+    """Return panels of a frame: points, truth, and the grids of the first methods.
 
     Parameters
     ----------
@@ -79,14 +79,14 @@ def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) 
         See `ogm.evaluation.frame_pictures.draw_frame`.
     result : Evaluation
     frame : int
-        Its place in the evaluation.
+        Index of the frame in the evaluation.
     """
     from PIL import Image
 
     titles = {"points": "points", "truth": "truth"}
-    for place, name in enumerate(result.methods[:MOST]):
+    for k, name in enumerate(result.methods[:MAX_METHODS]):
         value = result.of(name, "nll")[frame]
-        titles[f"mass {place}"] = name if np.isnan(value) else f"{name}, NLL {value:.2f}"
+        titles[f"mass {k}"] = name if np.isnan(value) else f"{name}, NLL {value:.2f}"
     panels = []
     for key, title in titles.items():
         if key in pictures:
@@ -97,14 +97,14 @@ def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) 
 
 
 def draw_frames(path: str | Path, rows: Sequence[tuple[str, Sequence[Panel]]], title: str) -> None:
-    """Draw frames below each other, each a row of panels of the same kinds.
+    """Draw frames below each other, each as a row of panels.
 
     Parameters
     ----------
     path : path
         Ends in ``.png``.
     rows : sequence of (str, panels)
-        A frame's name and its pictures.
+        Name and panels of each frame, all rows with the same kinds of panels.
     title : str
     """
     Figure = import_extra("matplotlib.figure", "evaluate").Figure
@@ -129,4 +129,4 @@ def draw_frames(path: str | Path, rows: Sequence[tuple[str, Sequence[Panel]]], t
     figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=9)
     figure.suptitle(clean(title), fontsize=11, y=1 - 0.1 / down, va="top")
     with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=DOTS)
+        figure.savefig(file, format="png", dpi=DPI)

@@ -1,4 +1,4 @@
-"""Pictures of one evaluated frame, small enough that a report carries hundreds of them, also of its motion."""
+"""Pictures of an evaluated frame and its motion, small enough for hundreds of them in a report."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -14,12 +14,12 @@ from ogm.metrics.motion import MOVING, predicted_moving
 from ogm.plot.colours import colours
 from ogm.state import Motion, predict_state
 
-STEPS = 8  # of a mass, so that pictures without loss stay small
-SHARPEST = 0.85  # a picture with loss is taken where it is smaller than this share of the one without
+MASS_STEPS = 8  # steps of a mass, so that lossless pictures stay small
+MIN_GAIN = 0.85  # a lossy picture is used if it is smaller than this share of the lossless picture
 SMALL = 0.02  # bytes per mass: a smaller picture is not encoded a second time
-QUALITY = 35  # of a picture with loss
-LONGEST = 768  # [cells] along a side; grids that are longer are shown in blocks
-LAYER = 0.2  # [m] heights that have the same colour
+QUALITY = 35  # of a lossy picture
+MAX_SIDE = 768  # [cells]; longer grids are shown in blocks
+HEIGHT_STEP = 0.2  # [m] of heights with the same colour
 
 
 class Shade(NamedTuple):
@@ -38,18 +38,18 @@ IGNORED = (82, 84, 90)
 
 
 def true_states() -> dict[str, Shade]:
-    """Return the colours of true states, in rising order of priority where many cells share one dot of the screen."""
+    """Return the colours of true states, in rising order of priority for blocks of several cells."""
     return {
-        "ignored": Shade(IGNORED, "the truth makes no statement; left out of every metric"),
+        "ignored": Shade(IGNORED, "no true state; left out of every metric"),
         "unknown": Shade(_shade(colours().unknown), "not observable"),
         "free": Shade(_shade(colours().free), "free"),
         "occupied": Shade(_shade(colours().occupied), "occupied"),
     }
 
 
-# Right cells are grey, wrong ones coloured. The colours differ in lightness too, for eyes that confuse red and green.
+# Correct cells are grey, wrong cells coloured. The colours differ in lightness too, for red-green colour blindness.
 ERRORS = {
-    "ignored": Shade(IGNORED, "the truth makes no statement"),
+    "ignored": Shade(IGNORED, "no true state"),
     "right unknown": Shade((10, 12, 16), "unknown, predicted unknown"),
     "right free": Shade((38, 50, 58), "free, predicted free"),
     "false known": Shade((96, 66, 122), "unknown, but predicted free or occupied"),
@@ -60,7 +60,7 @@ ERRORS = {
     "false free": Shade((255, 236, 40), "occupied, but predicted free: the dangerous error"),
 }
 
-_RANK = np.array([1, 2, 3, 0], np.uint8)  # of a true state, in `true_states`
+_RANK = np.array([1, 2, 3, 0], np.uint8)  # index in `true_states` of each `CellState`
 _NAMES = (  # [true state][predicted state], both in the order of `CellState`
     ("right unknown", "false known", "false known"),
     ("missed free", "right free", "false occupied"),
@@ -71,7 +71,7 @@ _CLASS = np.array([[list(ERRORS).index(name) for name in row] for row in _NAMES]
 
 
 def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Compare the predicted state of every cell, see `ogm.state.predict_state`, with the truth.
+    """Return the error class of each cell, by its true state and its predicted state (`ogm.state.predict_state`).
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArr
     Returns
     -------
     (nx, ny) uint8
-        Numbers of the classes in `ERRORS`.
+        Indices in `ERRORS`.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def draw_frame(
     spec: GridSpec,
     ground_z: float = 0.0,
 ) -> dict[str, bytes]:
-    """Draw one frame from above, the front up: points, truth, masses and errors of every method.
+    """Draw one frame from above, front up: points, truth, masses and errors of every method.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def draw_frame(
     truth : (nx, ny) uint8
         0 unknown, 1 free, 2 occupied, 3 ignored.
     masses : sequence of (nx, ny, 2) float array
-        Of every method: masses of free and occupied.
+        Masses of free and occupied, of each method.
     spec : GridSpec
     ground_z : float
         Height of the ground in the frame of the points [m].
@@ -119,9 +119,9 @@ def draw_frame(
     Returns
     -------
     dict of str to bytes
-        WebP pictures "points" (if there are points), "truth", "mass 0", "error 0", "mass 1", ...: one dot per cell,
+        WebP pictures "points" (if there are points), "truth", "mass 0", "error 0", "mass 1", ...: one pixel per cell,
         row 0 the front, column 0 the left. Grids longer than 768 cells are shown in blocks: the mean of masses,
-        the class of highest priority of truth and errors.
+        the class of highest priority for truth and errors.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def draw_frame(
     """
     if truth.shape != spec.shape:
         raise ValueError(f"the truth has {truth.shape} cells, but the spec has {spec.shape}")
-    block = max(1, -(-max(spec.shape) // LONGEST))
+    block = max(1, -(-max(spec.shape) // MAX_SIDE))
     pictures = {} if points is None else {"points": _encode(_dots(points, spec, block, ground_z))}
     pictures["truth"] = _painted(true_states(), _RANK[truth], block, spec)
     for k, mass in enumerate(masses):
@@ -141,23 +141,23 @@ def draw_frame(
 
 
 def height_legend() -> dict[str, tuple[int, int, int]]:
-    """Return the colours of points by their height over the ground."""
+    """Return the colours of points by their height above ground."""
     legend = plot.points_panel(np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0).legend
     return {height: _shade(colour) for height, colour in legend.items()}
 
 
 def _dots(points: NDArray[Any], spec: GridSpec, block: int, ground_z: float) -> NDArray[np.uint8]:
-    """Draw points, each as wide as two cells, so that they stay visible in small pictures."""
+    """Draw points two cells wide, so that they stay visible in small pictures."""
     nx, ny = spec.shape
-    scale = block * 2  # `ogm.plot` draws two dots along a cell
+    scale = block * 2  # `ogm.plot` draws two pixels along a cell
     shown = GridSpec(spec.resolution * scale, (-(-nx // scale), -(-ny // scale)), spec.origin)
     points = points.copy()
-    points[:, 2] = np.rint((points[:, 2] - ground_z) / LAYER) * LAYER  # fewer colours, half the bytes
+    points[:, 2] = np.rint((points[:, 2] - ground_z) / HEIGHT_STEP) * HEIGHT_STEP  # fewer colours, half the bytes
     return plot.points_panel(points, shown, ground_z=0.0, width=2).image
 
 
 def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, spec: GridSpec) -> bytes:
-    """Paint every cell by its class; a block shows the last of its classes."""
+    """Paint cells by their classes; a block shows its last class."""
     table = np.array([shade.colour for shade in shades.values()], np.float32) / 255
     return _encode(plot.cells_panel(table[_blocks(classes, block).max(axis=(1, 3))], spec, "", {}).image)
 
@@ -171,12 +171,12 @@ def _blocks(cells: NDArray[Any], size: int) -> NDArray[Any]:
 
 
 def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
-    """Draw masses in the colours of `ogm.plot.colours`: sharp in steps of 1/8, or smooth where that is much smaller."""
-    rough = _encode(_mixed(np.rint(mass * STEPS) / np.float32(STEPS), spec))
+    """Draw masses in the colours of `ogm.plot.colours`, lossless in steps of 1/8, or lossy if that is much smaller."""
+    rough = _encode(_mixed(np.rint(mass * MASS_STEPS) / np.float32(MASS_STEPS), spec))
     if len(rough) < SMALL * mass.size:
         return rough
     smooth = _encode(_mixed(mass, spec), lossless=False, quality=QUALITY)
-    return smooth if len(smooth) < SHARPEST * len(rough) else rough
+    return smooth if len(smooth) < MIN_GAIN * len(rough) else rough
 
 
 def _mixed(mass: NDArray[np.floating], spec: GridSpec) -> NDArray[np.uint8]:
@@ -184,7 +184,7 @@ def _mixed(mass: NDArray[np.floating], spec: GridSpec) -> NDArray[np.uint8]:
 
 
 def _encode(image: NDArray[np.uint8], lossless: bool = True, quality: int = 50) -> bytes:
-    """Write a picture as WebP: without loss (`quality` is the effort), or with the loss that `quality` allows."""
+    """Return a picture as WebP; `quality` is the effort if lossless, else the quality of the picture."""
     from PIL import Image
 
     buffer = BytesIO()
@@ -192,29 +192,29 @@ def _encode(image: NDArray[np.uint8], lossless: bool = True, quality: int = 50) 
     return buffer.getvalue()
 
 
-DOTS = 2  # of the picture per cell
-BLOCK = 8  # [cells] along each side, that share an estimated arrow
-LEAST, LEAST_MASS = 2, 0.3  # cells of a block that are predicted moving with a mass of dynamic, for an arrow
-SECONDS = 1.0  # of motion that an arrow shows
+DOTS = 2  # pixels per cell
+BLOCK = 8  # [cells] along each side of a block with one estimated arrow
+MIN_MOVING, MIN_DYNAMIC = 2, 0.3  # cells of a block predicted moving, each with this mass of dynamic, for an arrow
+SECONDS = 1.0  # [s] of motion shown by an arrow
 ARROWS = {"true motion": (255, 255, 255), "estimated motion": (255, 196, 0)}
-_DIM = 0.45  # of the masses behind the arrows
+_DIM = 0.45  # brightness of the masses behind the arrows
 
 
 def draw_motion(grid: DynamicGrid, motion: Motion) -> bytes:
-    """Draw free, static and dynamic masses, an arrow for each true moving object, and estimated arrows.
+    """Draw the masses of a dynamic grid, an arrow for each true moving object, and estimated arrows.
 
     Parameters
     ----------
     grid : DynamicGrid
     motion : Motion
-        On the same cells and axes.
+        True motion on the same cells and axes.
 
     Returns
     -------
     bytes
-        A WebP picture, row 0 the front, column 0 the left, two dots per cell. An arrow is as long as the motion in a
-        second. Estimated ones are means over blocks of 8 x 8 cells, of the cells that are predicted moving
-        with a mass of dynamic above 0.3.
+        A WebP picture, row 0 the front, column 0 the left, two pixels per cell. Arrows show the motion in a second.
+        Estimated arrows are means over blocks of 8 x 8 cells, of cells predicted moving with a mass of dynamic above
+        0.3.
     """
     from PIL import Image, ImageDraw
 
@@ -224,47 +224,45 @@ def draw_motion(grid: DynamicGrid, motion: Motion) -> bytes:
     image = np.ascontiguousarray(image.repeat(DOTS, axis=0).repeat(DOTS, axis=1))
     picture = Image.fromarray(image)
     pen = ImageDraw.Draw(picture)
-    widths = 6, 2  # [dots]: a true arrow is seen beneath an estimated one that is right
-    for (places, velocities), colour, width in zip(
+    widths = 6, 2  # [px]: a true arrow remains visible beneath a correct estimate
+    for (cells, velocities), colour, width in zip(
         (_true(motion), _estimated(grid)), ARROWS.values(), widths, strict=True
     ):
-        for place, velocity in zip(places, velocities, strict=True):
-            _arrow(pen, place, velocity / grid.spec.resolution * SECONDS, grid.spec, (colour, width))
-    buffer = BytesIO()
-    picture.save(buffer, "WEBP", method=2, lossless=True, quality=50)
-    return buffer.getvalue()
+        for cell, velocity in zip(cells, velocities, strict=True):
+            _arrow(pen, cell, velocity / grid.spec.resolution * SECONDS, grid.spec, (colour, width))
+    return _encode(np.asarray(picture))
 
 
 def _true(motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the middles of moving objects [cells], (n, 2), and their mean velocities [m/s], (n, 2)."""
+    """Return the centres of moving objects [cells], (n, 2), and their mean velocities [m/s], (n, 2)."""
     speed = np.hypot(motion.velocity[..., 0], motion.velocity[..., 1])
     return _means(motion.box.astype(np.int64), speed > MOVING, motion.velocity, 1)
 
 
 def _estimated(grid: DynamicGrid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the same of blocks of cells that the grid predicts moving."""
+    """Return centres [cells], (n, 2), and mean velocities [m/s], (n, 2), of blocks with cells predicted moving."""
     ix, iy = np.indices(grid.spec.shape)
     blocks = ix // BLOCK * (grid.spec.shape[1] // BLOCK + 1) + iy // BLOCK
-    return _means(blocks, predicted_moving(grid) & (grid.dynamic > LEAST_MASS), grid.velocity, LEAST)
+    return _means(blocks, predicted_moving(grid) & (grid.dynamic > MIN_DYNAMIC), grid.velocity, MIN_MOVING)
 
 
 def _means(
-    groups: NDArray[np.int64], kept: NDArray[np.bool_], velocity: NDArray[np.float32], least: int
+    groups: NDArray[np.int64], kept: NDArray[np.bool_], velocity: NDArray[np.float32], min_cells: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean cells and velocities of groups (0 and more) of at least some cells."""
+    """Return mean cells and velocities of groups (0 and up) with at least `min_cells` cells."""
     at = np.nonzero(kept & (groups >= 0))
     group = groups[at]
     count = np.bincount(group)
     columns: list[NDArray[Any]] = [*at, velocity[at][:, 0], velocity[at][:, 1]]
-    found = np.flatnonzero(count >= least)
-    means = np.array([np.bincount(group, one)[found] / count[found] for one in columns]).reshape(4, -1)
+    found = np.flatnonzero(count >= min_cells)
+    means = np.array([np.bincount(group, column)[found] / count[found] for column in columns]).reshape(4, -1)
     return means[:2].T, means[2:].T
 
 
 def _arrow(
     pen: object, cell: NDArray[np.float64], change: NDArray[np.float64], spec: GridSpec, style: tuple[object, int]
 ) -> None:
-    """Draw an arrow from a cell to another, both (2,) in cells along x and y."""
+    """Draw an arrow of length `change` from a cell, both (2,) in cells along x and y."""
     nx, ny = spec.shape
 
     def dot(at: NDArray[np.float64]) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Methods that are evaluated: sensor models, maps that fuse their grids over time, and precomputed grids."""
+"""Methods of an evaluation: sensor models, maps that fuse their grids over time, and precomputed grids."""
 
 import inspect
 import logging
@@ -23,12 +23,12 @@ from ogm.io.grids.files import read_grid
 from ogm.models.named import describe_model, load_model, short_names, with_radar
 from ogm.scan import Frame, InverseSensorModel
 
-DETECTION = 0.5  # mass above which a scan shows a cell as occupied
+DETECTION = 0.5  # mass of occupied above which a cell is occupied in a scan
 
 
 @dataclass(eq=False)
 class SingleScanMethod:
-    """A sensor model; each scan is mapped by itself.
+    """A sensor model applied to single scans.
 
     Parameters
     ----------
@@ -45,30 +45,30 @@ class SingleScanMethod:
 
     @classmethod
     def named(cls, name: str, spec: GridSpec) -> "SingleScanMethod":
-        """Return the method of a model by its name, see `ogm.models.load_model`, which maps scans of radars too."""
+        """Return the method for the name of a model, see `ogm.models.load_model`; it also maps scans of radars."""
         model = load_model(with_radar(name), spec, drop_ego_returns=True)
         return cls(model, *describe_model(name))
 
     def grid(self, frame: Frame, spec: GridSpec, measured: EvidentialGrid | None) -> EvidentialGrid:
-        """Return the measurement grid of a frame on the evaluated cells."""
+        """Return the measurement grid of a frame, resampled to the evaluated cells."""
         assert measured is not None
         return resample_to(measured, spec, None)
 
     def state(self) -> str:
-        """Return what the results depend on besides the description."""
+        """Return a text that changes with the results, to be stored with the description."""
         return _object_state(self.model)
 
 
 @dataclass(eq=False)
 class FusedMethod:
-    """A map that fuses the grids of a sensor model over time; every sequence begins with a new map.
+    """A map that fuses the grids of a sensor model over time, with a new map for every sequence.
 
     Parameters
     ----------
     model : InverseSensorModel
-        Give the same object as to a `SingleScanMethod`, and each scan is mapped once for both.
+        If it is also the object of a `SingleScanMethod`, each scan is mapped once for both.
     new_mapper : function
-        Makes the mapper of a sequence.
+        Returns a new mapper for a sequence.
     description : str
         One sentence, for the report.
     """
@@ -80,20 +80,20 @@ class FusedMethod:
 
     @classmethod
     def by_rule(cls, name: str, model: InverseSensorModel, rule: str, spec: GridSpec) -> "FusedMethod":
-        """Return a rolling map that fuses by a rule.
+        """Return the method of a rolling map with a combination rule.
 
         Parameters
         ----------
         name : str
-            Of the model, for the description.
+            Name of the model, for the description.
         model : InverseSensorModel
         rule : str
             A name in `ogm.fusion.RULES`, ``"bayes"``, ``"dynamic"`` or ``"nuss"``.
         spec : GridSpec
-            The cells of the model's grids.
+            Cells of the model's grids.
         """
         window = rolling_window(spec)
-        mapper = make_mapper(rule, window)  # refuses unknown rules before any work
+        mapper = make_mapper(rule, window)  # raises for unknown rules before any work
         if isinstance(mapper, DynamicMapper):
             kind = {DYNAMIC: "a dynamic map", NUSS: "Nuss' filter"}[rule]
             detail = f"{mapper.particles:,} particles"
@@ -105,13 +105,13 @@ class FusedMethod:
         return cls(model, partial(make_mapper, rule, window), description)
 
     def check(self, name: str, frames: Sequence[Frame]) -> None:
-        """Refuse frames that a map cannot fuse; `name` is that of the method."""
+        """Raise a ValueError for frames that a map cannot fuse; `name` is the name of the method."""
         for frame in frames:
             if not frame.sequence or frame.T_map_sensor is None or frame.stamp is None:
+                missing = "no pose or stamp" if frame.sequence else "no sequence"
                 raise ValueError(
-                    f"{name} fuses frames that follow each other, with poses and stamps, but {frame.name} "
-                    f"{'has none' if frame.sequence else 'stands alone'}: give a drive with poses, or the split "
-                    "`sequences` of a simulated data set"
+                    f"{name} fuses sequences of frames with poses and stamps, but {frame.name} has {missing}: give a "
+                    "drive with poses, or the split `sequences` of a simulated dataset"
                 )
 
     def reset(self) -> None:
@@ -119,48 +119,48 @@ class FusedMethod:
         self._mapper = self.new_mapper()
 
     def update(self, frame: Frame, measured: EvidentialGrid) -> None:
-        """Fuse the measurement grid of a frame into the map; after a jump of the pose a new map begins."""
+        """Fuse the measurement grid of a frame into the map; a jump of the pose starts a new map."""
         self.check("a map", [frame])
         if update_map(self._mapper, measured, frame) is not None:
             logging.getLogger(__name__).warning("%s: the pose jumps; a new map begins", frame.name)
 
     def grid(self, frame: Frame, spec: GridSpec, measured: EvidentialGrid | None) -> EvidentialGrid:
-        """Return the map around the frame that was fused last."""
+        """Return the map around the last fused frame."""
         return self._mapper.view(spec)
 
     @property
     def is_dynamic(self) -> bool:
-        """Whether the map knows motion."""
+        """Whether the map is dynamic."""
         return isinstance(self._mapper, DynamicMapper)
 
     def dynamic_grid(self, spec: GridSpec) -> DynamicGrid:
-        """Return the dynamic map around the frame that was fused last."""
+        """Return the dynamic map around the last fused frame."""
         assert isinstance(self._mapper, DynamicMapper)
         return self._mapper.dynamic_view(spec)
 
     def predicted(self, seconds: float) -> DynamicGrid:
-        """Return the dynamic map, in map coordinates, some time [s] after the frame that was fused last."""
+        """Return the prediction of the dynamic map, in map coordinates, `seconds` after the last fused frame."""
         assert isinstance(self._mapper, DynamicMapper)
         return self._mapper.predicted(seconds)
 
     def state(self) -> str:
-        """Return what the results depend on besides the description."""
+        """Return a text that changes with the results, to be stored with the description."""
         return _object_state(self.model) + _object_state(self.new_mapper())
 
 
 @dataclass(eq=False)
 class PrecomputedGrids:
-    """Grids from files, by the names of their frames.
+    """Grids from files, one per frame.
 
     Parameters
     ----------
     files : dict of str to Path
-        Frame name to grid file (.npz, .npy, .png).
+        Grid file (.npz, .npy, .png) by the name of the frame.
     description : str
         One sentence, for the report.
     resampling : {"area", "nearest", "cautious"}, optional
-        How grids with other cells are resampled to the evaluated ones; by default they are refused, unless their
-        cells are repeated whole.
+        Method to resample grids with other cells; by default an error, except for cells that consist of whole
+        evaluated cells.
     """
 
     files: Mapping[str, Path]
@@ -169,32 +169,32 @@ class PrecomputedGrids:
 
     @classmethod
     def in_folder(cls, folder: Path, resampling: ResampleMethod | None = None) -> "PrecomputedGrids":
-        """Return the grids of a folder.
+        """Return the method for the grids in a folder.
 
         Raises
         ------
         FileNotFoundError
-            If there is no such folder.
+            If the folder does not exist.
         ValueError
-            If it holds no grids, or two of one frame.
+            If it contains no grids, or two grids of the same frame.
         """
         if not folder.is_dir():
-            raise FileNotFoundError(f"there is no folder {folder}; precomputed grids come in a folder")
+            raise FileNotFoundError(f"there is no folder {folder}; give a folder of precomputed grids")
         files = grid_files(folder.absolute())  # for other processes
         if not files:
-            raise ValueError(f"{folder} holds no grids (.npz, .npy, .png); see `ogm map --out FOLDER`")
+            raise ValueError(f"{folder} contains no grids (.npz, .npy, .png); `ogm map --out FOLDER` writes them")
         return cls(files, f"Grids of the folder {folder.resolve().name}, {len(files)} files.", resampling)
 
     def check(self, name: str, frames: Sequence[Frame]) -> None:
-        """Refuse frames without a grid of their name; `name` is that of the method."""
+        """Raise a ValueError for frames without a grid; `name` is the name of the method."""
         names = [frame.name for frame in frames]
-        missing = [one for one in names if one not in self.files]
+        missing = [frame for frame in names if frame not in self.files]
         if missing:
             more = sorted(set(self.files) - set(names))
-            others = f"; it has {len(more)} with other names, first {more[0]}" if more else ""
+            others = f"; {len(more)} grids have other names, the first {more[0]}" if more else ""
             raise ValueError(
                 f"{name}: there is no grid for {missing[0]} and {len(missing) - 1} more of {len(frames)} "
-                f"frames{others}. Grids have the names of their frames"
+                f"frames{others}. Name grids after their frames"
             )
 
     def grid(self, frame: Frame, spec: GridSpec, measured: EvidentialGrid | None = None) -> EvidentialGrid:
@@ -204,10 +204,10 @@ class PrecomputedGrids:
         try:
             return resample_to(grid, spec, self.resampling)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}; `resample=area` resamples them") from error
+            raise ValueError(f"{path}: {error}; or give `resample=area`") from error
 
     def state(self) -> str:
-        """Return what the results depend on besides the description and the files."""
+        """Return the resampling, to be stored with the description and the files."""
         return str(self.resampling)
 
 
@@ -215,66 +215,67 @@ Method = SingleScanMethod | FusedMethod | PrecomputedGrids
 
 
 def as_methods(given: Mapping[str, Any] | Sequence[str], spec: GridSpec) -> dict[str, Method]:
-    """Return methods by name: a model's name and any callable with ``.spec`` become single-scan methods.
+    """Return methods by name: names of models and callables with ``.spec`` become single-scan methods.
 
-    A sequence of models' names has short names of them.
+    Methods of a list of models get short names.
 
     Raises
     ------
     TypeError
-        If one is neither.
+        If a value is no method, name or callable.
     """
     if not given:
-        raise ValueError("no methods to evaluate: give at least one by its name")
+        raise ValueError("there are no methods to evaluate: give at least one by name")
     if not isinstance(given, Mapping):
         if isinstance(given, str) or not all(isinstance(name, str) for name in given):
-            raise TypeError(f"methods must be a dict, name to method, or a list of models' names, got {given!r}")
+            raise TypeError(f"methods must be a dict from name to method, or a list of names of models, got {given!r}")
         given = short_names(given)
     result: dict[str, Method] = {}
-    for name, one in given.items():
-        if isinstance(one, Method):
-            result[name] = one
-        elif isinstance(one, str):
-            result[name] = SingleScanMethod.named(one, spec)
-        elif callable(one) and hasattr(one, "spec"):
-            result[name] = SingleScanMethod(one, f"A sensor model in Python ({type(one).__name__}).")
+    for name, method in given.items():
+        if isinstance(method, Method):
+            result[name] = method
+        elif isinstance(method, str):
+            result[name] = SingleScanMethod.named(method, spec)
+        elif callable(method) and hasattr(method, "spec"):
+            result[name] = SingleScanMethod(method, f"A sensor model in Python ({type(method).__name__}).")
         else:
-            raise TypeError(f"{name} must be a callable with a .spec, a model's name or a method, got {one!r}")
+            raise TypeError(f"{name} must be a callable with a .spec, a model's name or a method, got {method!r}")
     return result
 
 
 class MethodRunner:
-    """Runs methods on frame after frame; each scan is mapped once per model.
+    """Application of methods to successive frames; each scan is mapped once per model.
 
     Parameters
     ----------
     methods : dict of str to method
     spec : GridSpec
-        The evaluated cells.
+        Evaluated cells.
     """
 
     def __init__(self, methods: Mapping[str, Method], spec: GridSpec) -> None:
         self.methods, self.spec = methods, spec
-        self.fused = [one for one in methods.values() if isinstance(one, FusedMethod)]
+        self.fused = [method for method in methods.values() if isinstance(method, FusedMethod)]
         self._sequence: str | None = None
         self._frame: Frame | None = None
         self._measured: dict[int, EvidentialGrid] = {}  # of the last frame, by the id of the model
 
     def update(self, frame: Frame, *, evaluated: bool = True) -> None:
-        """Map the scan of a frame, the next of its sequence, once by every model, and fuse it into the maps.
+        """Map the scan of a frame by every model, and fuse it into the maps.
 
         Parameters
         ----------
         frame : Frame
+            The next frame of its sequence.
         evaluated : bool
-            Whether `grids` will be asked for; else only the models of maps are run.
+            Whether `grids` is needed for this frame; else only the models of maps are run.
         """
         if frame.sequence != self._sequence or not frame.sequence:
             self._sequence = frame.sequence
             for method in self.fused:
                 method.reset()
         self._frame = frame
-        models = {id(one.model): one.model for one in (self._single if evaluated else []) + self.fused}
+        models = {id(method.model): method.model for method in (self._single if evaluated else []) + self.fused}
         self._measured = {key: model(frame.scan) for key, model in models.items()}
         for method in self.fused:
             method.update(frame, self._measured[id(method.model)])
@@ -282,36 +283,36 @@ class MethodRunner:
     def grids(self) -> dict[str, EvidentialGrid]:
         """Return the grid of every method for the frame of the last `update`, on the evaluated cells."""
         assert self._frame is not None
-        return {name: one.grid(self._frame, self.spec, self._of(one)) for name, one in self.methods.items()}
+        return {name: method.grid(self._frame, self.spec, self._of(method)) for name, method in self.methods.items()}
 
     @property
     def dynamic(self) -> dict[int, FusedMethod]:
-        """Methods that make dynamic grids, by their places."""
+        """Methods with dynamic grids, by index."""
         methods = enumerate(self.methods.values())
         return {k: method for k, method in methods if isinstance(method, FusedMethod) and method.is_dynamic}
 
     def dynamic_grids(self) -> dict[int, tuple[DynamicGrid, NDArray[np.bool_]]]:
-        """Return the dynamic grids of the last frame, by the places of their methods.
-
-        Each with the cells that the scan shows as occupied: a mass of more than 1/2.
-        """
-        measured = {k: resample_to(self._measured[id(one.model)], self.spec, None) for k, one in self.dynamic.items()}
-        return {k: (one.dynamic_grid(self.spec), measured[k].occupied > DETECTION) for k, one in self.dynamic.items()}
+        """Return dynamic grid and cells occupied in the scan (mass above 1/2) of the last frame, by index of method."""
+        found = {}
+        for k, method in self.dynamic.items():
+            measured = resample_to(self._measured[id(method.model)], self.spec, None)
+            found[k] = method.dynamic_grid(self.spec), measured.occupied > DETECTION
+        return found
 
     @property
     def _single(self) -> list[SingleScanMethod]:
-        return [one for one in self.methods.values() if isinstance(one, SingleScanMethod)]
+        return [method for method in self.methods.values() if isinstance(method, SingleScanMethod)]
 
     def _of(self, method: Method) -> EvidentialGrid | None:
-        """Return the measurement grid of a method's model; None if it has no model."""
+        """Return the measurement grid of a method's model; None for methods without a model."""
         return None if isinstance(method, PrecomputedGrids) else self._measured[id(method.model)]
 
 
-def _object_state(one: Any) -> str:
+def _object_state(value: Any) -> str:
     """Return an object's repr without addresses, and a hash of the source file of its class or function."""
-    home = one if inspect.isroutine(one) else type(one)
+    definition = value if inspect.isroutine(value) else type(value)
     try:
-        source = Path(inspect.getfile(home)).read_bytes()
-    except (OSError, TypeError):  # a notebook, or no Python
-        source = repr(home).encode()
-    return re.sub(r" at 0x[0-9a-f]+", "", repr(one)) + sha256(source).hexdigest()
+        source = Path(inspect.getfile(definition)).read_bytes()
+    except (OSError, TypeError):  # a notebook, or compiled code
+        source = repr(definition).encode()
+    return re.sub(r" at 0x[0-9a-f]+", "", repr(value)) + sha256(source).hexdigest()

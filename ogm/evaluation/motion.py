@@ -1,4 +1,4 @@
-"""Motion in an evaluation: what is kept of a frame, the result of all, and predictions compared at their time."""
+"""Evaluation of motion: results of frames, pooled results, and predictions compared with the truth of their time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -31,9 +31,9 @@ from ogm.metrics.motion_scores import motion_by_range
 from ogm.scan import Boxes, Frame
 from ogm.state import CellState, Motion, Truth
 
-HORIZON = 0.5  # [s] from a scan to the time that is predicted
-TOLERANCE = 0.02  # [s] by which the stamp of the later frame may differ from that time
-PREDICTED = {  # the metrics that need no truth of the earlier time
+HORIZON = 0.5  # [s] from a scan to the predicted time
+TOLERANCE = 0.02  # [s] between the predicted time and the stamp of its frame
+PREDICTED = {  # metrics that need no truth of the earlier time
     name: metric._replace(title=f"{metric.title}, {HORIZON:g} s ahead")
     for name, metric in PREDICTION_METRICS.items()
     if not name.endswith("_moving")
@@ -46,45 +46,46 @@ class _Prediction(NamedTuple):
 
 
 class Predictions:
-    """The predictions of each dynamic map, by the place of its method, that wait for the frame of their time."""
+    """Pending predictions of each dynamic map, by the index of its method."""
 
     def __init__(self) -> None:
         self._sequence = ""
         self._waiting: dict[int, list[_Prediction]] = {}
 
     def predict(self, place: int, method: FusedMethod, frame: Frame) -> None:
-        """Predict the time `HORIZON` after a frame that the method has just fused."""
+        """Store the prediction for `HORIZON` after the last fused frame of a method."""
         if frame.sequence != self._sequence:
             self._sequence, self._waiting = frame.sequence, {}
         assert frame.stamp is not None
-        kept = [made for made in self._waiting.get(place, []) if made.stamp > frame.stamp + TOLERANCE]
+        kept = [pending for pending in self._waiting.get(place, []) if pending.stamp > frame.stamp + TOLERANCE]
         self._waiting[place] = [*kept, _Prediction(frame.stamp + HORIZON, method.predicted(HORIZON))]
 
     def compare(self, place: int, frame: Frame, truth: Truth, occupied: NDArray[np.bool_]) -> PredictionSums:
-        """Compare the predictions of the time of a frame with its truth; before `predict` of the same frame.
+        """Compare predictions for the time of a frame with its truth; call it before `predict` of the same frame.
 
         Parameters
         ----------
         place : int
+            Index of the method.
         frame : Frame
         truth : Truth
-            With motion, on the evaluated cells.
+            Truth with motion, on the evaluated cells.
         occupied : (nx, ny) bool
-            Cells that the scan shows as occupied.
+            Cells occupied in the scan.
 
         Returns
         -------
         PredictionSums
-            Zeros if no prediction is of this time.
+            Zeros without a prediction for this time.
         """
         assert frame.stamp is not None
         sums, T = PredictionSums.zeros(), grid_pose(frame)
         shown = Truth(truth.spec, occupied.astype(np.uint8) + np.uint8(CellState.FREE))
-        for made in self._waiting.get(place, []) if frame.sequence == self._sequence else ():
-            if abs(made.stamp - frame.stamp) <= TOLERANCE:
-                there, spec = _on_map(truth, made.grid.spec, T), made.grid.spec
+        for pending in self._waiting.get(place, []) if frame.sequence == self._sequence else ():
+            if abs(pending.stamp - frame.stamp) <= TOLERANCE:
+                spec = pending.grid.spec
                 seen = _on_map(shown, spec, T).state == CellState.OCCUPIED
-                sums = sums.plus(accumulate_prediction(made.grid, there, seen))
+                sums = sums.plus(accumulate_prediction(pending.grid, _on_map(truth, spec, T), seen))
         return sums
 
 
@@ -98,14 +99,11 @@ MOTION_HEADLINE = (
     "motion_ap", "motion_iou", "motion_precision", "motion_recall", "static_moving", "velocity_rmse", "velocity_median",
     "heading_median", "inside_95", "moving_occupied", "moving_free",
 )  # fmt: skip
-POINTS = 200  # of a curve, at most
+MAX_POINTS = 200  # of a curve
 
 
 class FrameMotion(NamedTuple):
-    """What is kept of a dynamic grid in one frame.
-
-    Sums over cells, the objects that the scan shows, and sums of the prediction that was made for this frame.
-    """
+    """Results of a dynamic grid in one frame: sums over cells, observed objects, and sums of its prediction."""
 
     sums: MotionSums
     objects: ObjectCells
@@ -114,21 +112,21 @@ class FrameMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MotionResult:
-    """Motion of all evaluated frames, of the methods that make dynamic grids.
+    """Motion results of all evaluated frames, for methods with dynamic grids.
 
     Parameters
     ----------
     methods : tuple of str
     values : dict of str to (methods, frames) float64
-        Each metric of `ogm.metrics.MOTION_METRICS`; NaN where a frame has no value.
+        Values of each metric in `ogm.metrics.MOTION_METRICS`; NaN in frames without a value.
     pooled : tuple of MotionSums
-        Of every method, the sums over all frames.
+        Sums over all frames, of each method.
     predicted : tuple of PredictionSums
-        Of every method, the sums over all frames for which a prediction was made.
+        Sums over all predicted frames, of each method.
     detections : tuple of list of Detection
-        Of every method, of the objects of all sequences.
+        Detections of the objects of all sequences, of each method.
     drives : list of str
-        Of every frame.
+        Drive of each frame.
     """
 
     methods: tuple[str, ...]
@@ -144,7 +142,7 @@ class MotionResult:
 
 
 class MotionCollector:
-    """Collects the motion of frame after frame.
+    """Collection of motion results over successive frames.
 
     Parameters
     ----------
@@ -160,16 +158,16 @@ class MotionCollector:
         self._objects: dict[int, dict[str, list[tuple[float, ObjectCells]]]] = {}
 
     def add(self, motion: Mapping[int, FrameMotion], sequence: str, stamp: float | None) -> None:
-        """Take a frame in: what was kept of it, by the places of the methods."""
-        self._rows.append({k: score_motion(one.sums) for k, one in motion.items()})
-        for k, one in motion.items():
-            self._pooled[k] = self._pooled.get(k, MotionSums.zeros()).plus(one.sums)
-            self._predicted[k] = self._predicted.get(k, PredictionSums.zeros()).plus(one.predicted)
+        """Add the results of a frame, by the index of the method."""
+        self._rows.append({k: score_motion(result.sums) for k, result in motion.items()})
+        for k, result in motion.items():
+            self._pooled[k] = self._pooled.get(k, MotionSums.zeros()).plus(result.sums)
+            self._predicted[k] = self._predicted.get(k, PredictionSums.zeros()).plus(result.predicted)
             if stamp is not None:
-                self._objects.setdefault(k, {}).setdefault(sequence, []).append((stamp, one.objects))
+                self._objects.setdefault(k, {}).setdefault(sequence, []).append((stamp, result.objects))
 
     def result(self, drives: list[str]) -> MotionResult | None:
-        """Return the motion of all frames; None if no method made a dynamic grid or no frame has true motion."""
+        """Return the results of all frames; None without dynamic grids or true motion."""
         if not self._pooled:
             return None
         nothing = dict.fromkeys(MOTION_METRICS, np.nan)
@@ -190,13 +188,13 @@ def compare_motion(
     Parameters
     ----------
     grid : DynamicGrid
-        In the axes of the truth.
+        Grid in the axes of the truth.
     occupied : (nx, ny) bool
-        Cells that the scan shows as occupied.
+        Cells occupied in the scan.
     motion : Motion
-        On the same cells.
+        True motion on the same cells.
     boxes : Boxes, optional
-        Those that `motion.box` counts.
+        Boxes that `motion.box` refers to.
     predicted : PredictionSums
         See `ogm.evaluation.motion.Predictions.compare`.
     """
@@ -207,16 +205,16 @@ def compare_motion(
 
 
 def motion_record(result: MotionResult | None) -> dict[str, Any] | None:
-    """Return the motion of an evaluation for its record."""
+    """Return the motion results of an evaluation for its record."""
     if result is None:
         return None
     methods = {}
     rows = zip(result.methods, result.pooled, result.predicted, result.detections, strict=True)
     for name, sums, predicted, found in rows:
         scores = score_prediction(predicted)
-        seconds = [one.seconds for one in found]
+        seconds = [detection.seconds for detection in found]
         recall, precision, threshold = motion_curve(sums)
-        thin = np.linspace(0, len(recall) - 1, min(len(recall), POINTS)).astype(int)
+        thin = np.linspace(0, len(recall) - 1, min(len(recall), MAX_POINTS)).astype(int)
         methods[name] = {
             "macro": {metric: result.interval(name, metric) for metric in MOTION_METRICS},
             "micro": score_motion(sums) | {f"predicted_{name}": scores[name] for name in PREDICTED},
@@ -235,7 +233,7 @@ def motion_record(result: MotionResult | None) -> dict[str, Any] | None:
 
 
 def group_motion(record: Mapping[str, Any] | None) -> list[list[str]]:
-    """Return the names of the metrics that are not in the headline, by the group of cells that they are of."""
+    """Return the names of metrics outside the headline, grouped by their cells."""
     found: dict[str, list[str]] = {}
     for name in record["metrics"] if record else ():
         if name not in MOTION_HEADLINE:

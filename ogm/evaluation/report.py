@@ -1,4 +1,4 @@
-"""The report of an evaluation: record (JSON), table (CSV), page (HTML) and two pictures."""
+"""Report of an evaluation: record (JSON), table (CSV), page (HTML) and two pictures."""
 
 import csv
 import json
@@ -27,9 +27,9 @@ from ogm.metrics.scores import by_range, reasons
 from ogm.storage.files import atomic_write
 
 RANKED_BY = "nll"
-WORST, BEST = 0.5, 0.25  # shares of the frames in the page; the rest is spread evenly over the ranks
+WORST, BEST = 0.5, 0.25  # shares of frames in the page; the rest is spread evenly over the ranks
 ROWS = 6  # of the contact sheet
-FEW = 6  # methods of which all pairs are compared
+MAX_ALL_PAIRS = 6  # methods; with more, not all pairs are compared
 
 
 def write_report(
@@ -46,13 +46,13 @@ def write_report(
     Parameters
     ----------
     folder : path
-        Made if need be.
+        Created if missing.
     result : Evaluation
-        With pictures of frames if it was evaluated with ``out=``; without them there is no ``frames.png``.
+        With pictures if it was evaluated with ``out=``; ``frames.png`` needs them.
     title, command, machine : str, optional
-        Texts of the page; by default data set and methods, none, and this machine.
+        Texts of the page; by default dataset and methods, "", and this machine.
     pictured : int
-        Frames with pictures in the page: the worst, the best, and others evenly between them.
+        Number of frames with pictures in the page: the worst, the best, and others evenly between them.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def write_report(
 
 
 def evaluation_record(result: Evaluation) -> dict[str, Any]:
-    """Return all of an evaluation as JSON can hold it: NaN becomes None."""
+    """Return all results of an evaluation, ready for JSON: NaN becomes None."""
     spec = result.spec
     record = {
         "format": "ogm.evaluation/5",
@@ -123,7 +123,7 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
 
 
 def write_csv(path: str | Path, result: Evaluation) -> None:
-    """Write every metric of every method in every frame, a row each; a missing value is empty."""
+    """Write a CSV row of metrics for each frame and method; missing values are empty."""
     motion = result.motion
     with atomic_write(path, "w") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -139,7 +139,7 @@ def write_csv(path: str | Path, result: Evaluation) -> None:
 
 
 def describe_extent(result: Evaluation) -> str:
-    """Return how many frames, drives and towns an evaluation is of, as far as they are known."""
+    """Return the numbers of frames, drives and towns of an evaluation as text, as far as known."""
     drives, towns = len({frame.sequence for frame in result.frames} - {""}), result.data.get("towns")
     text = pluralize(len(result.frames), "frame")
     if drives:
@@ -148,14 +148,14 @@ def describe_extent(result: Evaluation) -> str:
 
 
 def describe_intervals(result: Evaluation) -> str:
-    """Return what the intervals are, and what they are not."""
+    """Return a description of the intervals and their validity."""
     drives = set(result.drives)
     if has_parts(result.drives):
-        return f"95 %, Student's t over {MIN_DRIVES} parts of the one drive; they say nothing about other drives"
-    what = "drive" if drives & {frame.sequence for frame in result.frames} else "frame"
+        return f"95 %, Student's t over {MIN_DRIVES} parts of one drive; not valid for other drives"
+    unit = "drive" if drives & {frame.sequence for frame in result.frames} else "frame"
     if len(drives) < MIN_DRIVES:
-        return f"none: {pluralize(len(drives), what)} cannot show how much {what}s differ"
-    return f"95 %, Student's t over {len(drives)} {what}s"
+        return f"none: {pluralize(len(drives), unit)} cannot show how much {unit}s differ"
+    return f"95 %, Student's t over {len(drives)} {unit}s"
 
 
 def _curves(sums: ConfusionSums) -> dict[str, Any]:
@@ -170,8 +170,8 @@ def _curves(sums: ConfusionSums) -> dict[str, Any]:
 
 
 def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return which methods are compared: all of a few; of many, each with the first and a map with its model."""
-    if len(names) <= FEW:
+    """Return the pairs to compare: all pairs of few methods; else each with the first, and maps with their models."""
+    if len(names) <= MAX_ALL_PAIRS:
         return list(combinations(names, 2))
     pairs = [(names[0], name) for name in names[1:]]
     models = [(name.rpartition(" + ")[0], name) for name in names]
@@ -179,20 +179,23 @@ def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _ranked(result: Evaluation) -> NDArray[np.int64]:
-    """Return the frames from the best to the worst of the last method; those without a value only if none has one."""
+    """Return the frames from the best to the worst of the last method, without frames that have no value.
+
+    If no frame has a value, all frames are returned.
+    """
     values = result.of(result.methods[-1], RANKED_BY)
-    order = np.argsort(values, kind="stable")  # those without a value come last
+    order = np.argsort(values, kind="stable")  # NaN last
     return order[: np.count_nonzero(~np.isnan(values)) or None]
 
 
-def _frames_to_show(result: Evaluation, most: int) -> list[int]:
+def _frames_to_show(result: Evaluation, limit: int) -> list[int]:
     """Choose the frames with pictures: the worst, the best, and others spread evenly over the ranks."""
-    order = _ranked(result) if len(result.frames) > most else np.arange(len(result.frames))
-    if len(order) > most:
-        worst = max(round(WORST * most), 1)
-        best = min(round(BEST * most), most - worst)
+    order = _ranked(result) if len(result.frames) > limit else np.arange(len(result.frames))
+    if len(order) > limit:
+        worst = max(round(WORST * limit), 1)
+        best = min(round(BEST * limit), limit - worst)
         between = order[best : len(order) - worst]
-        places = np.linspace(0, len(between) - 1, most - worst - best).round().astype(int)
+        places = np.linspace(0, len(between) - 1, limit - worst - best).round().astype(int)
         order = np.concatenate([order[:best], between[places], order[len(order) - worst :]])
     frames: list[int] = np.sort(order).tolist()
     return frames

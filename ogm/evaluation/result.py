@@ -1,4 +1,4 @@
-"""Result of an evaluation: every metric of every method in every frame, and what follows from it."""
+"""Result of an evaluation: metrics of all methods in all frames, with means, intervals and comparisons."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,32 +25,32 @@ class FrameInfo(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What `ogm.evaluation.evaluate` returns.
+    """Result of `ogm.evaluation.evaluate`.
 
     Parameters
     ----------
     methods : tuple of str
     spec : GridSpec
-        The evaluated cells.
+        Evaluated cells.
     values : dict of str to (methods, frames) float64
-        Each metric of `ogm.metrics.METRICS` of every method in every frame; NaN where a frame has no value.
+        Values of each metric in `ogm.metrics.METRICS`; NaN in frames without a value.
     pooled : tuple of ConfusionSums
-        Of every method, the sums over all frames.
+        Sums over all frames, of each method.
     truth : (frames, 4)
-        Shares of the cells whose truth is unknown, free, occupied, ignored.
+        Shares of cells with true state unknown, free, occupied, ignored.
     frames : tuple of FrameInfo
     data : dict
-        Of the data set: name, kind, truth (what it is made of), and further facts, as JSON can hold them.
+        Facts about the dataset, for JSON: name, kind, truth (its sources), and others.
     facts : dict of str to dict
-        Of every method: its description, and its weights or None.
+        Description and weights (or None) of each method.
     numbers : tuple of int
-        Of the frames in the data set.
+        Numbers of the frames in the dataset.
     cache : ResultCache, optional
-        Where the frames are kept, with their pictures.
+        Stored results of the frames, with their pictures.
     reused : int
-        Frames that were taken from an earlier run.
+        Number of frames reused from an earlier run.
     motion : MotionResult, optional
-        Of methods that make dynamic grids, where the true motion of cells is known.
+        Motion results of methods with dynamic grids, if the true motion is known.
     """
 
     methods: tuple[str, ...]
@@ -67,7 +67,7 @@ class Evaluation:
     motion: MotionResult | None = None
 
     def __str__(self) -> str:
-        """Tabulate the means over frames: a row per metric that has values, a column per method."""
+        """Return a table of means over frames: a row per metric with values, a column per method."""
         return text_table(f"mean of {len(self.frames)} frames", self.table())
 
     def table(self) -> dict[str, dict[str, float]]:
@@ -82,24 +82,24 @@ class Evaluation:
         frames: Iterable[tuple[Sequence[ConfusionSums], NDArray[np.floating]]],
         infos: Iterable[FrameInfo],
     ) -> Self:
-        """Build an evaluation from the sums of every method, and the shares of the true states, of each frame.
+        """Build an evaluation from sums and shares of true states of each frame.
 
         Parameters
         ----------
         methods : iterable of str
-            Names, each once.
+            Unique names.
         spec : GridSpec
-            The evaluated cells.
+            Evaluated cells.
         frames : iterable of (sums, truth)
-            Of each frame, the sums of every method in their order, and the shares of its cells whose truth is
-            unknown, free, occupied, ignored, (4,). Read once, none is kept.
+            For each frame the sums of each method, and the shares of cells with true state unknown, free, occupied,
+            ignored, (4,). Read once and not stored.
         infos : iterable of FrameInfo
         """
         pooled: list[ConfusionSums] = []
         rows, shares = [], []
         for sums, truth in frames:
             pooled = [a.plus(b) for a, b in zip(pooled, sums, strict=True)] if pooled else list(sums)
-            rows.append([list(score(one).values()) for one in sums])
+            rows.append([list(score(method_sums).values()) for method_sums in sums])
             shares.append(truth)
         values = dict(zip(METRICS, np.array(rows).transpose(2, 1, 0), strict=True))
         return cls(tuple(methods), spec, values, tuple(pooled), np.array(shares, np.float64), tuple(infos))
@@ -107,7 +107,7 @@ class Evaluation:
     def of(self, method: str, metric: str) -> NDArray[np.float64]:
         """Return a metric of a method in every frame, (frames,)."""
         if method not in self.methods:
-            raise KeyError(f"there is no method {method!r} here, only {', '.join(self.methods)}")
+            raise KeyError(f"there is no method {method!r}, only {', '.join(self.methods)}")
         if metric not in self.values:
             raise KeyError(f"there is no metric {metric!r}, only {', '.join(self.values)}")
         return np.asarray(self.values[metric][self.methods.index(method)])
@@ -119,7 +119,7 @@ class Evaluation:
         return replace(self, methods=tuple(methods), values=values, pooled=tuple(self.pooled[k] for k in at))
 
     def pictures(self, frame: int) -> dict[str, bytes]:
-        """Return the pictures of a frame by its place; none if the evaluation was run without a folder."""
+        """Return the pictures of a frame by index; empty if the evaluation was run without a folder."""
         return {} if self.cache is None else self.cache.load(self.numbers[frame]).pictures
 
     def macro(self, method: str) -> dict[str, float]:
@@ -127,12 +127,12 @@ class Evaluation:
         return {metric: _mean(self.of(method, metric)) for metric in self.values}
 
     def micro(self, method: str) -> dict[str, float]:
-        """Return every metric of all frames' cells together."""
+        """Return every metric, over the cells of all frames together."""
         return score(self.pooled[self.methods.index(method)])
 
     @property
     def drives(self) -> list[str]:
-        """Drive of every frame; one that stands alone is its own."""
+        """Drive of each frame; a frame without a sequence is its own drive."""
         return drives_of(self.frames)
 
     def interval(self, method: str, metric: str) -> Interval:

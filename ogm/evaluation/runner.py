@@ -1,4 +1,4 @@
-"""`evaluate`: methods on the frames of a data set, chosen by names and numbers, frame by frame, with resume."""
+"""Evaluation of methods on the frames of a dataset, with resume, and selection of methods and frames."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -41,51 +41,51 @@ def evaluate(
     progress: Progress = iter,
     draw: Draw = draw_frame,
 ) -> Evaluation:
-    """Evaluate methods on the same frames of a data set.
+    """Evaluate methods on the same frames of a dataset.
 
-    For a `FusedMethod`, open the data set with ``others="later"``: its truth must not be made of scans that the map has
-    fused, and cells that a frame cannot observe are left out, as the map may know them from other frames.
+    For a `FusedMethod`, open the dataset with ``others="later"``: its truth must not be made from scans in the map, and
+    unobserved cells of a frame are left out, as the map may know them from other frames.
 
     Parameters
     ----------
     methods : dict of str to method, or list of str
-        By its name in the report: any callable with ``.spec`` that maps a `Scan` to an `EvidentialGrid`; the name of a
-        model, see `ogm.models.load_model`; `SingleScanMethod`, `FusedMethod` or `PrecomputedGrids`. Or a list of names
-        of models.
+        Methods by name in the report: a callable with ``.spec`` that maps a `Scan` to an `EvidentialGrid`; the name of
+        a model, see `ogm.models.load_model`; a `SingleScanMethod`, `FusedMethod` or `PrecomputedGrids`. Or a list of
+        names of models.
     dataset : sequence of Frame
-        Frames with truth, as `ogm.datasets.open_dataset` returns them. Without truth, see `evaluate_agreement`.
+        Frames with truth, from `ogm.datasets.open_dataset`. Without truth, see `evaluate_agreement`.
     spec : GridSpec, optional
-        The evaluated cells, around the sensor. By default the 81.92 m x 56.32 m of the paper.
+        Evaluated cells, around the sensor. By default the 81.92 m x 56.32 m of the paper.
     frames : iterable of int, optional
-        Numbers of the evaluated frames; by default all that have truth. Fused methods take in all frames of a sequence
-        up to them.
+        Numbers of the evaluated frames; by default all frames with truth. Fused methods also use all earlier frames of
+        their sequences.
     out : path, optional
-        Folder for finished frames, in ``frames/``, with their pictures. If all data, methods and settings are those of
-        an interrupted run there, it is resumed. An own callable is the same if its `repr` and its source file are.
+        Folder for finished frames, in ``frames/``, with their pictures. An interrupted run in this folder is resumed
+        if data, methods and settings are unchanged. A callable is unchanged if its `repr` and its source file are.
     workers : int
-        1 works in this process; more start processes of this machine, and a script that calls this must guard its own
-        code by ``if __name__ == "__main__":``. They share out frames, or with fused methods sequences. The result is
-        the same to the last bit. Methods and data set must be picklable, as those by name and of `ogm.datasets` are.
+        1 works in this process. More start processes on this machine, and a script that calls this must guard its own
+        code by ``if __name__ == "__main__":``. Processes share the frames, or with fused methods the sequences. The
+        result is identical. Methods and dataset must be picklable, as named methods and `ogm.datasets` are.
     scheduler : str, optional
-        Address of a Dask scheduler to use instead, ``"tcp://host:port"``, whose workers see data set and `out` under
-        the same paths.
+        Address of a Dask scheduler to use instead, ``"tcp://host:port"``; its workers need dataset and `out` under the
+        same paths.
     progress : function
-        Iterates over the numbers of the frames that are read, or with several workers finished, and may draw a progress
-        bar.
+        Iterates over the numbers of the frames to read, or with several workers of the finished frames, and may draw a
+        progress bar.
     draw : function
         Draws a frame for `out`, see `ogm.evaluation.frame_pictures.draw_frame`.
 
     Raises
     ------
     ValueError
-        If there is no method or no frame, a frame has no truth, a grid covers another area than `spec`, or `out` holds
-        an unfinished run with other settings.
+        If there is no method or no frame, a frame has no truth, a grid covers another area than `spec`, or `out`
+        contains an unfinished run with other settings.
     TypeError
-        If methods, data set or `draw` cannot be pickled for other processes.
+        If methods, dataset or `draw` cannot be pickled for other processes.
     BlockingIOError
         If another process evaluates into `out`.
     OSError
-        If workers die again and again, the disk is full, or the scheduler cannot be reached. Finished frames stay.
+        If workers die repeatedly, the disk is full, or the scheduler cannot be reached. Finished frames are kept.
     KeyboardInterrupt
         With `out`, the message counts the finished frames.
     """
@@ -96,7 +96,8 @@ def evaluate(
     about = {"kind": ("format", "frames in Python"), "name": ("name", "frames"), "truth": ("description", "")}
     data = {key: getattr(dataset, *default) for key, default in about.items()} | getattr(dataset, "facts", {})
     facts = {
-        name: {"description": one.description, "weights": getattr(one, "weights", None)} for name, one in used.items()
+        name: {"description": method.description, "weights": getattr(method, "weights", None)}
+        for name, method in used.items()
     }
     task, alone = FrameTask(used, spec, dataset, draw if out else None), workers == 1 and scheduler is None
     cache: ResultCache | None = None
@@ -107,7 +108,7 @@ def evaluate(
             cache = _open_cache(Path(out), task, settings, stack)
             missing = cache.missing(numbers)
             if len(missing) == len(numbers):
-                for name in REPORT_FILES:  # of another run: they would look like this one's if it ended early
+                for name in REPORT_FILES:  # left by another run; they would be mistaken for results of this run
                     (Path(out) / name).unlink(missing_ok=True)
         if alone:
             found = task.run(missing, progress, cache)
@@ -136,14 +137,14 @@ def evaluate(
 def _collecting(
     rows: Iterable[FrameResult], infos: Iterable[FrameInfo], motion: MotionCollector
 ) -> Iterator[tuple[tuple[ConfusionSums, ...], NDArray[np.float64]]]:
-    """Yield sums and true shares of every frame, and collect its motion."""
+    """Yield sums and true shares of each frame, and collect its motion."""
     for row, info in zip(rows, infos, strict=True):
         motion.add(row.motion, info.sequence, info.stamp)
         yield row.sums, row.truth
 
 
 def package_versions() -> dict[str, str]:
-    """Return the versions of the packages that figures may depend on, as far as they are installed."""
+    """Return the versions of installed packages that results may depend on."""
     found = {}
     for name in PACKAGES:
         with suppress(PackageNotFoundError):
@@ -154,32 +155,34 @@ def package_versions() -> dict[str, str]:
 def checked_frames(
     methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: Sequence[int], *, truth: bool = False
 ) -> tuple[FrameInfo, ...]:
-    """Return names, sequences and stamps of the evaluated frames, after a check of what the methods need of them."""
+    """Return names, sequences and stamps of the evaluated frames; raise if the methods cannot use them."""
     if not numbers or not 0 <= numbers[0] <= numbers[-1] < len(dataset):
-        raise ValueError(f"there must be frames to evaluate, in 0 ... {len(dataset) - 1}, got {numbers[:3]} ...")
+        raise ValueError(f"`frames` must be numbers in 0 ... {len(dataset) - 1}, at least one, got {numbers[:3]} ...")
     if truth and not getattr(dataset, "description", True) and dataset[numbers[0]].truth is None:  # may also raise
         raise ValueError(f"{dataset!r} has no truth to compare with; {NO_TRUTH}")
     frames = [dataset[k] for k in numbers]
     for name, method in methods.items():
         if not isinstance(method, SingleScanMethod):
             method.check(name, frames)
-    return tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in frames)
+    return tuple(FrameInfo(frame.name, frame.sequence, frame.stamp) for frame in frames)
 
 
 def _open_cache(out: Path, task: FrameTask, settings: Mapping[str, Any], stack: ExitStack) -> ResultCache:
-    """Open the folder of finished frames, with all that decides what they hold; it is locked until `stack` ends."""
+    """Open the folder of finished frames with the full settings of the run; it is locked until `stack` ends."""
     methods, spec, dataset = task.methods, task.spec, task.dataset
-    grids = [path for one in methods.values() if isinstance(one, PrecomputedGrids) for path in one.files.values()]
-    files = [Path(one) for one in (*getattr(dataset, "files", ()), *grids) if not isinstance(one, ObjectPath)]
+    grids = [
+        path for method in methods.values() if isinstance(method, PrecomputedGrids) for path in method.files.values()
+    ]
+    files = [Path(path) for path in (*getattr(dataset, "files", ()), *grids) if not isinstance(path, ObjectPath)]
     if out.exists() and not out.is_dir():
-        raise ValueError(f"{out} is a file, but the report is a folder")
+        raise ValueError(f"the report needs a folder, but {out} is a file; give another `out`")
     if out.resolve() in {(path if path.is_dir() else path.parent).resolve() for path in files}:
-        raise ValueError(f"{out} holds what is evaluated: pictures of the report would mix with it")
+        raise ValueError(f"{out} contains the evaluated data, which the report would mix with; give another `out`")
     states = {
-        "states": {name: one.state() for name, one in methods.items()},
+        "states": {name: method.state() for name, method in methods.items()},
         "versions": package_versions(),
         "grid": [spec.resolution, spec.shape, spec.origin],
-        "files": files_state(files, out),
+        "files": files_state(files, excluded=out),
         "code": code_state(),
     }
     (out / "frames").mkdir(parents=True, exist_ok=True)
@@ -194,7 +197,7 @@ def named_methods(
     spec: GridSpec,
     resampling: ResampleMethod | None = None,
 ) -> dict[str, Method]:
-    """Return the models, each of them fused by every rule, and the folders of precomputed grids, by short names.
+    """Return methods by short names: models, models fused by each rule, and folders of precomputed grids.
 
     Parameters
     ----------
@@ -212,7 +215,7 @@ def named_methods(
     Raises
     ------
     ValueError
-        If a model or a folder is given twice, or there is none of the name.
+        If a model or a folder is given twice or does not exist.
     """
     scans = {short: SingleScanMethod.named(name, spec) for short, name in short_names(models).items()}
     methods: dict[str, Method] = dict(scans)
@@ -231,19 +234,19 @@ def named_methods(
 def choose_frames(
     dataset: Dataset, samples: int | None = None, every: int = 1, seed: int = 0, *, truth: bool = True
 ) -> list[int]:
-    """Return the numbers of frames, ascending: every N-th, and of these some that are drawn at random.
+    """Return the numbers of every N-th frame, optionally a random sample of them, ascending.
 
     Parameters
     ----------
     dataset : Dataset
     samples : int, optional
-        Number of frames that are drawn; by default all.
+        Number of frames to draw at random; by default all.
     every : int
-        1 or more.
+        Step N, 1 or more.
     seed : int
         Random seed of the draw.
     truth : bool
-        Whether only frames with truth are chosen.
+        Whether to use only frames with truth.
 
     Raises
     ------

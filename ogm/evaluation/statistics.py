@@ -1,9 +1,9 @@
 """Statistics over frames: intervals of means and ratios, and paired comparisons of two methods.
 
-Frames of one drive are alike, so that drives are what is counted: the spread of a mean is estimated by taking one
-drive away at a time (jackknife), and its interval is Student's. One long drive is cut into parts that take the place
-of drives; the interval then holds for this drive alone. ``benchmarks/interval_coverage.py`` measures how often
-intervals hold the truth.
+Frames of a drive are alike, so that drives are the independent units. The spread of a mean is estimated by the
+jackknife, without one drive at a time, and its interval is Student's. A single long drive is cut into parts that
+replace the drives; the interval is then valid only for this drive. ``benchmarks/interval_coverage.py`` measures the
+coverage of the intervals.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,13 +16,13 @@ from ogm.extras import import_extra
 
 Drives = Sequence[str] | NDArray[Any] | None
 LEVEL = 0.95
-MIN_DRIVES = 4  # that an interval needs, and the parts that one drive is cut into
-PART = 25  # frames: parts of fewer are alike, as scans within a drive are
-TIE = 1e-9  # values nearer than this, relative to the larger one, are equal
+MIN_DRIVES = 4  # for an interval; also the number of parts of a single drive
+PART = 25  # least number of frames in a part: shorter parts are as alike as scans within a drive
+TIE = 1e-9  # greatest difference of equal values, relative to the larger value
 
 
 class Interval(NamedTuple):
-    """A value and the interval that holds it with 95 % confidence; NaN limits where drives are too few."""
+    """A value with its 95 % confidence interval; limits are NaN for too few drives."""
 
     value: float
     low: float
@@ -30,21 +30,21 @@ class Interval(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Two methods on the same frames.
+    """Comparison of two methods on the same frames.
 
     Attributes
     ----------
     frames : int
-        Frames in which both have a value; the others are left out of everything here.
+        Number of frames with a value of both methods; other frames are left out.
     wins, ties, losses : int
-        Frames in which the first is better, equal, worse.
+        Numbers of frames in which the first method is better, equal, worse.
     difference : Interval
         Mean of first minus second.
     ratio : Interval
         Mean of the first over mean of the second.
     p : float
-        Of Student's t test over drives, two-sided, that the mean difference is 0: below 0.05 where the interval of the
-        difference leaves out 0. NaN where that has no limits, or all frames are ties.
+        p value of Student's two-sided t test over drives for a mean difference of 0: below 0.05 if the interval of the
+        difference excludes 0. NaN if that interval has no limits, or all frames are ties.
     """
 
     frames: int
@@ -62,16 +62,16 @@ def compare_paired(first: ArrayLike, second: ArrayLike, better: str, drives: Dri
     Parameters
     ----------
     first, second : (frames,) float array
-        A metric of both on the same frames; NaN where a frame has no value.
+        Values of a metric on the same frames; NaN in frames without a value.
     better : {"lower", "higher"}
-        Which values are better.
+        Direction of better values.
     drives : sequence of str, optional
-        The drive of every frame, see `mean_interval`.
+        Drive of each frame, see `mean_interval`.
 
     Returns
     -------
     Comparison
-        With NaN intervals if no frame has both values.
+        Intervals are NaN if no frame has both values.
     """
     if better not in ("lower", "higher"):
         raise ValueError(f'better must be "lower" or "higher", got {better!r}')
@@ -93,23 +93,23 @@ def compare_paired(first: ArrayLike, second: ArrayLike, better: str, drives: Dri
 def mean_interval(values: ArrayLike, drives: Drives = None) -> Interval:
     """Return the mean over frames with its 95 % interval: Student's t of the jackknife over drives.
 
-    It is taken on the scale of log-odds where all values lie in [0, 1], of logarithms where none is negative, as shares
-    and errors spread unevenly; so differences belong to `compare_paired`. Drives of many frames count more: the degrees
-    of freedom are those of Kish's effective number of drives, less one.
+    As shares and errors have skewed distributions, values in [0, 1] are transformed to log-odds, and other non-negative
+    values to logarithms. Use `compare_paired` for differences. Drives with many frames have more weight: the degrees of
+    freedom are Kish's effective number of drives minus one.
 
     Parameters
     ----------
     values : (frames,) float array
         NaN is left out.
     drives : sequence of str, optional
-        The drive of every frame, in order. Without it, frames count as independent. One drive of 100 frames or more is
-        cut into four parts: the interval then holds for this drive, not for others.
+        Drive of each frame, in order. By default frames are independent. A single drive of 100 frames or more is cut
+        into four parts; its interval is not valid for other drives.
 
     Returns
     -------
     Interval
-        NaN if no frame is left; without limits for fewer than four drives, one drive of fewer than 100 frames, or where
-        the value rests on a single drive.
+        NaN without frames. Limits are NaN for fewer than four drives, a single drive of fewer than 100 frames, or a
+        value that depends on a single drive.
     """
     kept = np.asarray(values, np.float64)
     return ratio_interval(kept, np.where(np.isnan(kept), np.nan, 1.0), drives)
@@ -121,25 +121,25 @@ def ratio_interval(first: ArrayLike, second: ArrayLike, drives: Drives = None) -
     Parameters
     ----------
     first, second : (frames,) float array
-        A frame that lacks one of them (NaN) is left out.
+        Frames with NaN in either are left out.
     drives : sequence of str, optional
 
     Returns
     -------
     Interval
-        As of `mean_interval`; NaN where the second mean is 0.
+        See `mean_interval`; NaN if the second mean is 0.
     """
     a, b, groups = _both(first, second, drives)
     return _student(a, b, groups, _scale_of(a, b))[0]
 
 
 def drives_of(frames: Sequence[Any]) -> list[str]:
-    """Return the drive of every `FrameInfo`; one that stands alone is its own."""
+    """Return the drive of each `FrameInfo`; a frame without a sequence is its own drive."""
     return [frame.sequence or f"frame {k}" for k, frame in enumerate(frames)]
 
 
 def has_parts(drives: Sequence[str]) -> bool:
-    """Return whether the frames are of one drive that is long enough to be cut into parts."""
+    """Return whether the frames are of a single drive, long enough to be cut into parts."""
     return len(set(drives)) == 1 and len(drives) >= MIN_DRIVES * PART
 
 
@@ -154,7 +154,7 @@ _LOG_ODDS = _Scale(lambda p: np.log(p / (1 - p)), lambda z: 1 / (1 + np.exp(-z))
 
 
 def _scale_of(a: NDArray[Any], b: NDArray[Any]) -> _Scale:
-    """Return the scale on which the spread of a ratio is even."""
+    """Return the scale on which a ratio has a symmetric distribution."""
     if (a < 0).any() or (b < 0).any():
         return _PLAIN
     return _LOG_ODDS if (b == 1).all() and (a <= 1).all() else _LOG
@@ -164,18 +164,18 @@ def _student(a: NDArray[Any], b: NDArray[Any], groups: NDArray[Any], scale: _Sca
     """Return sum(a) / sum(b) with its interval over groups, and the p value that it is 0 on the scale."""
     special = import_extra("scipy.special", "evaluate")
 
-    nothing = float("nan")
+    nan = float("nan")
     if not len(a) or b.sum() == 0:
-        return Interval(nothing, nothing, nothing), nothing
+        return Interval(nan, nan, nan), nan
     value = a.sum() / b.sum()
-    frames, first, second = (np.bincount(groups, one) for one in (None, a, b))
+    frames, first, second = (np.bincount(groups, weights) for weights in (None, a, b))
     count, effective = len(frames), len(a) ** 2 / (frames**2).sum()
     if count < MIN_DRIVES or effective < 2:
-        return Interval(float(value), nothing, nothing), nothing
-    with np.errstate(divide="ignore", invalid="ignore"):  # on the scale; also of 0 / 0 and log 0
+        return Interval(float(value), nan, nan), nan
+    with np.errstate(divide="ignore", invalid="ignore"):  # 0 / 0 and log 0
         without = (first.sum() - first) / (second.sum() - second)  # one group each
         if np.allclose(without, value, rtol=1e-12, atol=0):  # no spread
-            return Interval(*[float(value)] * 3), 0.0 if value else nothing
+            return Interval(*[float(value)] * 3), 0.0 if value else nan
         middle, each = scale.there(value), scale.there(without)
         error = np.sqrt((count - 1) / count * ((each - each.mean()) ** 2).sum())
         reach = special.stdtrit(effective - 1, 0.5 + LEVEL / 2) * error
@@ -185,12 +185,12 @@ def _student(a: NDArray[Any], b: NDArray[Any], groups: NDArray[Any], scale: _Sca
 
 
 def _both(first: ArrayLike, second: ArrayLike, drives: Drives) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return the values of the frames that have both, and the number of the group of each."""
+    """Return the values of frames with both, and the group of each frame."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if a.ndim != 1 or a.shape != b.shape:
         raise ValueError(f"both methods need one value per frame, got shapes {a.shape} and {b.shape}")
     if drives is not None and len(drives) != len(a):
-        raise ValueError(f"drives must name the drive of each of {len(a)} frames, got {len(drives)}")
+        raise ValueError(f"drives must have a name for each of {len(a)} frames, got {len(drives)}")
     kept = ~(np.isnan(a) | np.isnan(b))
     count = np.count_nonzero(kept)
     if drives is None:

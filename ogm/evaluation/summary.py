@@ -1,4 +1,4 @@
-"""Which method is best in each headline metric, and how significant that is."""
+"""Best methods in the headline metrics, and the significance of their lead."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -10,10 +10,10 @@ SMALL_IOU = 0.05  # a method with a lower IoU hardly ever predicts the state
 
 
 def best_value(record: Record, metric: str, kind: str = "macro") -> float | None:
-    """Return the best mean (or micro average) of a metric over methods; None where there is nothing to compare."""
+    """Return the best mean (or micro average) of a metric over methods; None for a single method or no values."""
     better = record["metrics"][metric]["better"]
-    found = [one[kind][metric] for one in record["methods"].values()]
-    values = [one["value"] if isinstance(one, Mapping) else one for one in found]
+    found = [method[kind][metric] for method in record["methods"].values()]
+    values = [value["value"] if isinstance(value, Mapping) else value for value in found]
     kept: list[float] = [value for value in values if value is not None]
     if not better or not kept or len(values) == 1:
         return None
@@ -24,19 +24,19 @@ class Leader(NamedTuple):
     """The best method in a metric."""
 
     metric: str
-    best: list[str]  # several where they are equal
+    best: list[str]  # several if they are equal
     value: float
     second: str
     next_value: float | None
-    won: str  # in how many frames the best beats the second
+    won: str  # frames in which the best beats the second
     significant: bool
 
 
 def leaders(record: Record) -> list[Leader]:
-    """Return the best methods in the headline metrics, where methods have a value."""
+    """Return the best methods in each headline metric that has values."""
     found = []
     for metric in HEADLINE:
-        means = {name: one["macro"][metric]["value"] for name, one in record["methods"].items()}
+        means = {name: method["macro"][metric]["value"] for name, method in record["methods"].items()}
         valued = [name for name, value in means.items() if value is not None]
         if not valued:
             continue
@@ -49,17 +49,18 @@ def leaders(record: Record) -> list[Leader]:
 
 
 def _compared(record: Record, first: str, second: str, metric: str) -> tuple[str, bool]:
-    """Return in how many frames `first` beats `second`, and whether it is significantly better.
+    """Return the frames in which `first` beats `second` as text, and whether it is significantly better.
 
-    The interval of the difference must leave out zero; without a paired comparison, their own must not overlap.
+    For significance the interval of the difference must exclude zero; without a paired comparison, the intervals of
+    both must not overlap.
     """
     lower = record["metrics"][metric]["better"] == "lower"
     for a, b, won, negative in ((first, second, "wins", lower), (second, first, "losses", not lower)):
-        if one := record["paired"].get(f"{a} against {b}", {}).get(metric):
-            end = one["difference"]["high" if negative else "low"]
+        if paired := record["paired"].get(f"{a} against {b}", {}).get(metric):
+            end = paired["difference"]["high" if negative else "low"]
             apart = end is not None and (end < 0 if negative else end > 0)
-            ties = f", {one['ties']} tied" if one["ties"] else ""
-            return f"{one[won]} of {one['frames']} frames{ties}", apart
+            ties = f", {paired['ties']} tied" if paired["ties"] else ""
+            return f"{paired[won]} of {paired['frames']} frames{ties}", apart
     spans = [record["methods"][name]["macro"][metric] for name in (first, second)]
     if any(span["low"] is None or span["high"] is None for span in spans):
         return "", False
@@ -67,14 +68,14 @@ def _compared(record: Record, first: str, second: str, metric: str) -> tuple[str
 
 
 def summarize(record: Record) -> dict[str, Any]:
-    """Return what the page's summary states.
+    """Return the data of the page's summary.
 
     Returns
     -------
     dict
-        ``leaders``; ``winners``: name, titles of won metrics, how many of them significantly, most first; ``ties`` and
-        ``empty``: titles of metrics with several best methods, without any value; ``cautious``: methods with fewest
-        false free or occupied cells at the lowest IoU.
+        ``leaders``; ``winners``: name, titles of won metrics and number of significant wins, most first; ``ties``:
+        titles of metrics with several best methods; ``empty``: titles of metrics without values; ``cautious``: methods
+        with fewest false free or occupied cells at the lowest IoU.
     """
     metrics, best = record["metrics"], leaders(record)
     won: dict[str, list[Leader]] = {}
@@ -82,21 +83,21 @@ def summarize(record: Record) -> dict[str, Any]:
         if len(leader.best) == 1:
             won.setdefault(leader.best[0], []).append(leader)
     winners = [
-        (name, [metrics[one.metric]["title"] for one in led], sum(one.significant for one in led))
+        (name, [metrics[leader.metric]["title"] for leader in led], sum(leader.significant for leader in led))
         for name, led in won.items()
     ]
     valued = {leader.metric for leader in best}
     return {
         "leaders": best,
         "winners": sorted(winners, key=lambda item: (-len(item[1]), -item[2])),
-        "ties": [metrics[one.metric]["title"] for one in best if len(one.best) > 1],
+        "ties": [metrics[leader.metric]["title"] for leader in best if len(leader.best) > 1],
         "empty": [metrics[m]["title"] for m in HEADLINE if m not in valued],
         "cautious": _cautious(record, best),
     }
 
 
 def _cautious(record: Record, best: Sequence[Leader]) -> list[tuple[str, Leader, float, bool]]:
-    """Return methods with fewest false cells only because they predict the state least.
+    """Return methods that have fewest false cells only because they rarely predict the state.
 
     Returns
     -------
@@ -105,11 +106,11 @@ def _cautious(record: Record, best: Sequence[Leader]) -> list[tuple[str, Leader,
     """
     found = []
     for leader in best:
-        what = leader.metric.removeprefix("false_")
-        if leader.metric == what or f"iou_{what}" not in record["metrics"]:
+        state = leader.metric.removeprefix("false_")
+        if leader.metric == state or f"iou_{state}" not in record["metrics"]:
             continue
-        values = {name: one["macro"][f"iou_{what}"]["value"] for name, one in record["methods"].items()}
+        values = {name: method["macro"][f"iou_{state}"]["value"] for name, method in record["methods"].items()}
         known = [value for value in values.values() if value is not None]
         if len(known) > 1 and {values[name] for name in leader.best} == {min(known)}:
-            found.append((what, leader, min(known), min(known) < SMALL_IOU))
+            found.append((state, leader, min(known), min(known) < SMALL_IOU))
     return found

@@ -1,4 +1,4 @@
-"""The work of an evaluation: some frames by all methods, here or in parts that are independent of each other."""
+"""Work of an evaluation: frames by all methods, in this process or in independent parts."""
 
 import copy
 import pickle
@@ -24,7 +24,7 @@ from ogm.scan import Frame
 from ogm.storage.workers import deaths_explained, work_off
 
 NO_TRUTH = "evaluate labelled data, or compare methods with each other by evaluate_agreement (`--agreement`)"
-_TOGETHER = 20  # frames that a worker evaluates at a time, where they do not depend on each other
+_BATCH = 20  # independent frames of one part
 
 Draw = Callable[..., dict[str, bytes]]
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -32,13 +32,13 @@ Progress = Callable[[Iterable[int]], Iterable[int]]
 
 @dataclass(frozen=True)
 class FrameTask:
-    """What is done with frames.
+    """Evaluation of frames by all methods.
 
     Parameters
     ----------
     methods : dict of str to method
     spec : GridSpec
-        The evaluated cells.
+        Evaluated cells.
     dataset : sequence of Frame
     draw : function, optional
         Draws the pictures of a frame, see `ogm.evaluation.frame_pictures.draw_frame`.
@@ -52,7 +52,7 @@ class FrameTask:
     def run(
         self, numbers: Sequence[int], progress: Progress = iter, cache: ResultCache | None = None
     ) -> Iterator[tuple[int, FrameResult | None]]:
-        """Evaluate frames in this process; yield each number, in order, with its result if that is not in the cache."""
+        """Evaluate frames in order in this process; yield each number with its result, or None if it is cached."""
         runner = MethodRunner(self.methods, self.spec)
         wanted, away, predictions = set(numbers), distances(self.spec), Predictions()
         for number in progress(self.to_read(numbers)):
@@ -69,7 +69,7 @@ class FrameTask:
     def share_out(
         self, numbers: Sequence[int], progress: Progress, cache: ResultCache | None, workers: int, scheduler: str | None
     ) -> Iterator[tuple[int, FrameResult | None]]:
-        """Evaluate frames by processes of this machine or by a Dask cluster; yield as `run`, in any order."""
+        """Evaluate frames with processes on this machine or a Dask cluster; yield as `run`, in any order."""
         if cache is not None:
             cache = copy.copy(cache)
             cache.folder = cache.folder.resolve()
@@ -77,12 +77,12 @@ class FrameTask:
             packed = _Packed(pickle.dumps((self, cache)))
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise TypeError(
-                f"methods and data set go to other processes, so they must be picklable ({error}): give functions and "
-                "classes of modules, no lambdas, or use one worker"
+                f"methods and dataset must be picklable for other processes ({error}): give functions and classes of "
+                "modules, no lambdas, or use one worker"
             ) from error
         parts = self._parts(numbers)
         ticks = iter(progress([number for part in parts for number in part]))
-        next(ticks, None)  # shows a bar, before the first part is done
+        next(ticks, None)  # shows the bar before the first part is done
         with closing(work_off(packed, parts, workers, scheduler)) as done, deaths_explained("frames"):
             for k, found in done:
                 for _ in islice(ticks, len(parts[k])):
@@ -92,7 +92,7 @@ class FrameTask:
     def _evaluate(
         self, runner: MethodRunner, predictions: Predictions, frame: Frame, away: NDArray[Any]
     ) -> FrameResult:
-        """Return the result of the frame that the runner has taken in."""
+        """Return the result of the runner's last frame."""
         spec = self.spec
         if frame.truth is None:
             raise ValueError(f"frame {frame.name} has no truth to compare with; {NO_TRUTH}")
@@ -118,19 +118,19 @@ class FrameTask:
 
     @property
     def _fuses(self) -> bool:
-        return any(isinstance(one, FusedMethod) for one in self.methods.values())
+        return any(isinstance(method, FusedMethod) for method in self.methods.values())
 
     def to_read(self, numbers: Sequence[int]) -> list[int]:
-        """Return the given frames; for fused methods with all frames before them in their sequences."""
+        """Return the frames to read: the given frames, and for fused methods all earlier frames of their sequences."""
         if not self._fuses:
             return list(numbers)
         last = {self.dataset[k].sequence: k for k in numbers}
         return [k for k in range(len(self.dataset)) if k <= last.get(self.dataset[k].sequence, -1)]
 
     def _parts(self, numbers: Sequence[int]) -> list[list[int]]:
-        """Return the frames in parts that do not depend on each other: sequences, where methods fuse."""
+        """Return the frames in independent parts: sequences for fused methods, else batches."""
         if not self._fuses:
-            size = max(1, min(_TOGETHER, len(numbers) // 8))
+            size = max(1, min(_BATCH, len(numbers) // 8))
             return [list(numbers[k : k + size]) for k in range(0, len(numbers), size)]
         parts: dict[str, list[int]] = {}
         for k in numbers:
@@ -140,7 +140,7 @@ class FrameTask:
 
 @dataclass(frozen=True)
 class _Packed:
-    """A task and its cache as bytes: a worker unpacks them once for all parts."""
+    """A pickled task with its cache, unpickled once per worker."""
 
     data: bytes
 
@@ -151,7 +151,7 @@ class _Packed:
 
 
 _unpacked = lru_cache(1)(pickle.loads)
-_one_at_a_time = threading.Lock()  # a Dask worker with several threads still has one set of methods
+_one_at_a_time = threading.Lock()  # threads of a Dask worker share one set of methods
 
 
 def _points(frame: Frame) -> tuple[NDArray[Any] | None, float]:

@@ -1,4 +1,4 @@
-"""Live maps: frames as they come, or a recording at its own pace, are mapped and published while they are new.
+"""Live maps: map and publish frames of a driver as they arrive, or of a recording in real time.
 
 >>> from ogm.live import FoxglovePublisher, serve, warm_up
 >>> warm_up(ism, mapper)                                        # doctest: +SKIP

@@ -1,4 +1,4 @@
-"""Map, scan and poses over the Foxglove WebSocket, for Foxglove, Lichtblick and whatever speaks its protocol."""
+"""Server of map, scan and poses over the Foxglove WebSocket, for viewers such as Foxglove and Lichtblick."""
 
 import socket
 import threading
@@ -22,38 +22,39 @@ from ogm.pose import inverse, pose
 from ogm.scan import Frame
 from ogm.unknown_cause import UnknownCause
 
-MAP, VEHICLE, SENSOR = "map", "vehicle", "sensor"  # frames of coordinates
-BACKLOG = 12  # messages that wait for a slow viewer, the oldest of which is dropped: some 40 MB
+MAP, VEHICLE, SENSOR = "map", "vehicle", "sensor"  # coordinate frames
+BACKLOG = 12  # queued messages per viewer, about 40 MB; with more, the oldest is dropped
 Costs = Callable[[EvidentialGrid], NDArray[np.uint8]]
-PATIENCE = 2.0  # [s] for which closing waits for viewers to go, and for the port to be free
+CLOSING_TIME = 2.0  # [s] to wait for viewers to disconnect and for the port to be free
 
 
 class FoxglovePublisher:
-    """A server for viewers; each step of `ogm.fusion.fuse` that it is given goes to them, with the map as of then.
+    """A server that sends each step of `ogm.fusion.fuse` and the current map to viewers.
 
-    Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/layers`` (the same with the conflict, if the
-    map keeps it), ``/points`` (foxglove.PointCloud, in the sensor's frame) and ``/tf`` (foxglove.FrameTransforms: map,
-    vehicle, sensor). Maps that know why cells are unknown have ``/cause``, in the colours of the reasons (field
-    ``cause``, `ogm.UnknownCause`), and ``/cause_legend``, the texts beside it (foxglove.SceneUpdate). What no viewer
-    has subscribed to is not even made. A viewer that is too slow misses messages, and holds up nothing.
+    Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/layers`` (foxglove.Grid of the conflict, if
+    the map stores it), ``/points`` (foxglove.PointCloud, in the sensor's frame) and ``/tf``
+    (foxglove.FrameTransforms: map, vehicle, sensor). Maps with causes of unknown cells also have ``/cause``, in the
+    colours of the causes (field ``cause``, `ogm.UnknownCause`), and its legend ``/cause_legend``
+    (foxglove.SceneUpdate). Topics without subscribers are not computed. A slow viewer misses messages and delays
+    nothing.
 
     Parameters
     ----------
     host : str
-        Address to listen on. There is no password: addresses other than the loopback's show the map to everybody who
-        can reach them.
+        Address to listen on. There is no password: addresses other than loopback expose the map to everybody who can
+        reach them.
     port : int
-        0 takes any free one.
+        0 takes any free port.
     name : str
         Name of the server, for viewers.
     costs : function, optional
-        Returns the costs of a map, (nx, ny) uint8, such as ``functools.partial(ogm.planning.costmap, ...)``: they are
-        the field ``cost`` of ``/map``.
+        Returns the costs of a map, (nx, ny) uint8, for the field ``cost`` of ``/map``, such as
+        ``functools.partial(ogm.planning.costmap, ...)``.
 
     Raises
     ------
     OSError
-        If the address cannot be listened on.
+        If the server cannot listen at the address.
     ImportError
         If foxglove-sdk is not installed.
 
@@ -70,48 +71,48 @@ class FoxglovePublisher:
         modules = "foxglove", "foxglove.channels"
         foxglove, channels = (optional(name, Path("a map"), "live", "served") for name in modules)
         if not 0 <= port < 2**16:
-            raise ValueError(f"port must be from 0 (any free one) to 65535, got {port}")
-        context = self._context = foxglove.Context()  # kept: the server does not hold it
+            raise ValueError(f"port must be from 0 (any free port) to 65535, got {port}")
+        context = self._context = foxglove.Context()  # kept, as the server has no reference to it
         try:
             self._server = foxglove.start_server(
                 name=name, host=host, port=port, context=context, message_backlog_size=BACKLOG
             )
         except RuntimeError as error:
-            raise OSError(f"cannot serve at {host}:{port}: {error}; give another port, 0 for any free one") from error
+            raise OSError(f"cannot serve at {host}:{port}: {error}; give another port, 0 for any free port") from error
         self.costs = costs
         self.host, self.port = host, int(self._server.port)
         self._map = channels.GridChannel("/map", context=context)
         self._layers = channels.GridChannel("/layers", context=context)
         self._points = channels.PointCloudChannel("/points", context=context)
         self._tf = channels.FrameTransformsChannel("/tf", context=context)
-        self._causes: tuple[Any, ...] = ()  # channels of grid and legend, from the first map that has causes
+        self._causes: tuple[Any, ...] = ()  # channels of grid and legend, made for the first map with causes
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        self._close(0.0 if kind is KeyboardInterrupt else PATIENCE)
+        self._close(0.0 if kind is KeyboardInterrupt else CLOSING_TIME)
 
     @property
     def url(self) -> str:
-        """Where viewers connect to."""
+        """Address for viewers."""
         return f"ws://{self.host}:{self.port}"
 
     def close(self) -> None:
         """End all connections and free the port, within 2 s.
 
-        Connections whose clients send nothing, such as a port scan, are left to a thread that does not hold up the end
-        of the process. The end of a ``with`` block by an interrupt does not wait.
+        Silent connections (port scans) are closed by a thread that does not delay the end of the process.
+        An interrupted ``with`` block does not wait.
         """
-        self._close(PATIENCE)
+        self._close(CLOSING_TIME)
 
-    def _close(self, patience: float) -> None:
-        until = time.monotonic() + patience
+    def _close(self, seconds: float) -> None:
+        until = time.monotonic() + seconds
         for channel in (self._map, self._layers, self._points, self._tf, *self._causes):
             channel.close()
         stopping = threading.Thread(target=self._server.stop, name="ogm-closing", daemon=True)
         stopping.start()  # waits for clients that never finish their handshake
-        stopping.join(patience)  # it returns before the port is free
+        stopping.join(seconds)  # ends before the port is free
         while not _is_free(self.host, self.port) and time.monotonic() < until:
             time.sleep(0.002)
 
@@ -121,7 +122,7 @@ class FoxglovePublisher:
         Parameters
         ----------
         step : FusionStep
-            With a grid, just fused into `mapper`.
+            Step with a grid, just fused into `mapper`.
         mapper : EvidentialMapper or BinaryBayesMapper
         """
         frame = step.frame
@@ -144,7 +145,7 @@ class FoxglovePublisher:
             self._send_causes(mapper, stamp, T)
 
     def _send_causes(self, mapper: EvidentialMapper, stamp: float, T: ArrayLike) -> None:  # noqa: N803
-        """Send why cells are unknown, and what the colours mean."""
+        """Send the causes of unknown cells and their legend."""
         from foxglove import channels
 
         if not self._causes:
@@ -164,15 +165,15 @@ class FoxglovePublisher:
 
 
 def _cause_legend(spec: GridSpec, height: float, stamp: float) -> Any:
-    """Return the text of each reason why cells are unknown in its colour, beside the left edge of a map."""
+    """Return the label of each cause of unknown cells in its colour, at the left edge of a map."""
     from foxglove.messages import Color, Pose, Quaternion, SceneEntity, SceneUpdate, TextPrimitive, Vector3
 
     size = max(spec.length / 40, spec.resolution)
     texts = []
     for row, cause in enumerate(UnknownCause):
         red, green, blue = CAUSE_COLOURS[cause]
-        place = Vector3(x=spec.extent[1] - 2 * size * (row + 1), y=spec.extent[3] + 8 * size, z=height)
-        at = Pose(position=place, orientation=Quaternion(x=0, y=0, z=0, w=1))
+        position = Vector3(x=spec.extent[1] - 2 * size * (row + 1), y=spec.extent[3] + 8 * size, z=height)
+        at = Pose(position=position, orientation=Quaternion(x=0, y=0, z=0, w=1))
         colour = Color(r=red, g=green, b=blue, a=1)
         texts.append(TextPrimitive(pose=at, billboard=True, font_size=size, color=colour, text=cause.label))
     entity = SceneEntity(timestamp=_timestamp(stamp), frame_id=MAP, id="cause", texts=texts)
@@ -180,7 +181,7 @@ def _cause_legend(spec: GridSpec, height: float, stamp: float) -> Any:
 
 
 def _is_free(host: str, port: int) -> bool:
-    """Tell whether an address can be listened on."""
+    """Return whether a server can listen at an address."""
     try:
         socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
     except OSError:
@@ -195,13 +196,13 @@ def _ground_height(frame: Frame) -> float:
 
 
 def _transforms(frame: Frame, sensor: str, stamp: float) -> Any:
-    """Return where vehicle and sensor are."""
+    """Return the poses of vehicle and sensor."""
     from foxglove.messages import FrameTransforms
 
     T_vehicle_sensor = frame.mount.T_vehicle_sensor
     T_map_vehicle = frame.T_map_sensor @ inverse(T_vehicle_sensor)  # type: ignore[operator]
     placed = ((MAP, VEHICLE, T_map_vehicle), (VEHICLE, sensor, T_vehicle_sensor))
-    return FrameTransforms(transforms=[_transform(*one, stamp) for one in placed])
+    return FrameTransforms(transforms=[_transform(*names_and_pose, stamp) for names_and_pose in placed])
 
 
 def _transform(parent: str, child: str, T: ArrayLike, stamp: float) -> Any:
@@ -218,7 +219,7 @@ def _transform(parent: str, child: str, T: ArrayLike, stamp: float) -> Any:
 
 
 def _cloud(frame: Frame, sensor: str, stamp: float) -> Any:
-    """Return the points of a frame, in the frame that they come in."""
+    """Return the points of a frame, in their own coordinate frame."""
     from foxglove.messages import (
         PackedElementField,
         PackedElementFieldNumericType,

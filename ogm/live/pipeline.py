@@ -1,4 +1,4 @@
-"""Mapping and publishing frames while they are new: `serve`, and `warm_up` before the first of them."""
+"""Mapping and publishing frames in real time: `serve`, and `warm_up` to compile kernels before."""
 
 import copy
 import logging
@@ -23,25 +23,25 @@ _logger = logging.getLogger(__name__)
 
 Publish = Callable[[FusionStep, Mapper], object]
 
-KEPT = 10_000  # latencies from which quantiles are computed: memory stays flat
+MAX_LATENCIES = 10_000  # stored for quantiles, so that memory is bounded
 
 
 class LiveReport(NamedTuple):
-    """What `serve` did so far.
+    """Counts and latencies of `serve`.
 
     Attributes
     ----------
     seconds : float
-        Since it began [s].
+        Time since the start [s].
     mapped, dropped, failed : int
-        Frames: in the map and published; replaced by newer ones before they were mapped; damaged, without pose or
-        refused by the mapper.
+        Numbers of frames: mapped and published; replaced by newer frames before mapping; damaged, without pose or
+        rejected by the mapper.
     p50, p99, worst : float
-        Median, 99 % quantile and maximum of the latency of the last 10 000 mapped frames [s]: from when a frame became
-        available to when its map was published. NaN if there is none.
+        Median, 99 % quantile and maximum of the latency of the last 10 000 mapped frames, from the arrival of a frame
+        to the publication of its map [s]. NaN without mapped frames.
     distorted : int
-        Mapped frames whose points may be off, since the vehicle turned by more than 2 degrees while the scan was taken:
-        `serve` does not de-skew.
+        Number of mapped frames during which the vehicle turned by more than 2 degrees, so that points may be
+        displaced: `serve` does not de-skew.
     """
 
     seconds: float
@@ -55,8 +55,8 @@ class LiveReport(NamedTuple):
 
     def __str__(self) -> str:
         counts = f"{self.mapped} mapped, {self.dropped} dropped, {self.failed} failed"
-        p50, p99, worst = (f"{1e3 * one:.1f} ms" for one in (self.p50, self.p99, self.worst))
-        turned = f"; {self.distorted} distorted by a turn, `ogm fuse --deskew` undoes it" if self.distorted else ""
+        p50, p99, worst = (f"{1e3 * latency:.1f} ms" for latency in (self.p50, self.p99, self.worst))
+        turned = f"; {self.distorted} distorted by a turn, `ogm fuse --deskew` corrects it" if self.distorted else ""
         return f"{self.seconds:.0f} s: {counts}; latency p50 {p50}, p99 {p99}, worst {worst}{turned}"
 
 
@@ -73,48 +73,48 @@ def serve(
     on_report: Callable[[LiveReport], object] = lambda report: None,
     report_every: float = 5.0,
 ) -> LiveReport:
-    """Map frames and publish the map, never falling behind.
+    """Map frames and publish the map without falling behind.
 
-    The calling thread takes the frames and reads their scans; another one maps and publishes. Where mapping takes
-    longer than a frame lasts, the newest waiting frame of each sensor is mapped, and older ones are dropped. Ctrl-C
-    ends it as `stop` does: after the frame that waits.
+    The calling thread reads the frames and their scans; another thread maps and publishes. If mapping is slower than
+    the frames, the newest waiting frame of each sensor is mapped, and older frames are dropped. Ctrl-C ends the run as
+    `stop` does, after the waiting frame.
 
     Parameters
     ----------
     frames : iterable of Frame
-        A data set, `receive_frames`, or a driver's own generator; each needs `T_map_sensor` and `stamp`.
+        Frames with `T_map_sensor` and `stamp`: a dataset, `receive_frames`, or a driver's generator.
     ism : callable with `spec`, or mapping of str to these
-        The sensor model: ``ism(scan) -> EvidentialGrid``.
+        Sensor model: ``ism(scan) -> EvidentialGrid``.
     mapper : EvidentialMapper or BinaryBayesMapper
         Updated in place.
     publish : function
-        Called with a step of `ogm.fusion.fuse` and the mapper after every frame that was fused, in the thread that
-        maps: a `FoxglovePublisher`, or what sends the map elsewhere.
+        Called in the mapping thread after each fused frame, with the step of `ogm.fusion.fuse` and the mapper, such as
+        a `FoxglovePublisher`.
     rate : float, optional
-        Play recorded frames at their stamps, this many times as fast; by default each is available when the iterable
-        gives it.
+        Speed of playback at the frames' stamps, 1 for real time; by default frames are available when the iterable
+        yields them.
     duration : float, optional
-        When to stop [s]; by default at the end of `frames`.
+        Time after which to stop [s]; by default at the end of `frames`.
     stop : threading.Event, optional
-        Set from anywhere, it ends `serve`: while it waits for a stamp at once, else with the next frame.
+        Event that ends `serve`: immediately while it waits for a stamp, else at the next frame.
     on_error : function
-        Called with every frame that fails, and its error; by default it is logged.
+        Called with each failed frame and its error; by default the error is logged.
     on_report : function
-        Called with a report every few seconds.
+        Called with a report every `report_every` seconds.
     report_every : float
-        [s]
+        Interval between reports [s].
 
     Returns
     -------
     LiveReport
-        Of the whole time.
+        Report of the whole run.
 
     Raises
     ------
     ValueError
         If `rate`, `duration` or `report_every` is not above 0.
     OgmError
-        If a frame that is played has no stamp.
+        If a frame to play has no stamp.
     """
     for name, value in (("duration", duration), ("report_every", report_every)):
         if value is not None and not value > 0:
@@ -124,14 +124,14 @@ def serve(
     log = _Log(newest, on_error)
 
     def map_frames() -> None:
-        """Fuse and publish what comes, until there is no more."""
+        """Fuse and publish frames until the end."""
         reported, explained = log.start, False
         last: FusionStep | None = None
         distorted = getattr(frames, "motion_distorted", True)
         try:
             for step in fuse(newest, ism, mapper, on_error=log.failed):
                 if step.restart:
-                    _logger.warning("%s: %s; the map begins anew", step.frame.name, step.restart)
+                    _logger.warning("%s: %s; a new map begins", step.frame.name, step.restart)
                 if step.grid is None:
                     continue
                 if not explained and shows_nothing(step.frame.scan, step.grid):
@@ -170,21 +170,20 @@ def serve(
 
 
 def warm_up(ism: SensorModels, mapper: Mapper, frame: Frame | None = None) -> float:
-    """Map a frame for nothing, so that kernels are compiled, or loaded, before the first scan; return how long it took.
+    """Map a frame twice and discard the map, to compile or load kernels; return the time.
 
     Parameters
     ----------
     ism : callable with `spec`, or mapping of str to these
     mapper : EvidentialMapper or BinaryBayesMapper
-        Stays as it is.
+        Not changed.
     frame : Frame, optional
-        With a pose, like those that will come; by default a level ground seen from 1.8 m, without pose or echo of
-        anything else.
+        Frame with a pose, similar to the frames to map; by default level ground 1.8 m below the sensor.
 
     Returns
     -------
     float
-        [s]
+        Time [s].
     """
 
     def fail(frame: Frame, error: Exception) -> None:
@@ -201,12 +200,12 @@ def warm_up(ism: SensorModels, mapper: Mapper, frame: Frame | None = None) -> fl
 
 
 class _Log:
-    """Counts and latencies of a run. Frames may fail in both threads."""
+    """Counts and latencies of a run; frames may fail in both threads."""
 
     def __init__(self, newest: NewestFrames, on_error: OnError) -> None:
         self.start = time.monotonic()
         self._newest, self._on_error = newest, on_error
-        self._latencies: deque[float] = deque(maxlen=KEPT)
+        self._latencies: deque[float] = deque(maxlen=MAX_LATENCIES)
         self._mapped = self._failed = self._distorted = 0
         self._lock = threading.Lock()
 
@@ -228,7 +227,7 @@ class _Log:
 
 
 def _level_ground(height: float) -> NDArray[np.float32]:
-    """Return the points of 32 lasers on a level ground, (N, 4)."""
+    """Return the points of 32 lasers on level ground, (N, 4)."""
     azimuth = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     distance = height / np.tan(np.deg2rad(np.linspace(3, 30, 32)))
     x, y = np.outer(distance, np.cos(azimuth)).ravel(), np.outer(distance, np.sin(azimuth)).ravel()

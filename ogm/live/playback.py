@@ -1,4 +1,4 @@
-"""Frames become available as they come, or at their stamps; of each sensor the newest waits, older ones are dropped."""
+"""Playback of frames as they arrive or at their stamps, with a queue of the newest frame per sensor."""
 
 import math
 import threading
@@ -13,53 +13,52 @@ from ogm.storage.files import OgmError
 
 
 class NewestFrames:
-    """Frames on their way from the thread that reads to the one that maps; at most one of each sensor waits.
+    """Queue between the reading and the mapping thread, with at most one frame per sensor (`Scan.sensor`).
 
-    However slow the mapping is, a frame waits no longer than one frame of every sensor takes. `Scan.sensor` names the
-    sensor.
+    A frame thus waits at most for the mapping of one frame of every sensor.
 
     Attributes
     ----------
     dropped : int
-        Frames that a newer one of their sensor replaced before they were mapped, and those of `drop`.
+        Number of frames replaced by a newer frame of their sensor before mapping, or counted by `drop`.
     due : float
-        When the frame that was taken last became available, by `time.monotonic` [s].
+        Time at which the last mapped frame became available, by `time.monotonic` [s].
     """
 
     def __init__(self) -> None:
         self.dropped = 0
         self.due = 0.0
-        self._waiting: dict[str, tuple[Frame, float]] = {}  # in the order of their turns
+        self._waiting: dict[str, tuple[Frame, float]] = {}  # in the order of mapping
         self._changed = threading.Condition()
         self._closed = False
 
     def put(self, frame: Frame, due: float | None = None) -> None:
-        """Let a frame wait, whose scan has been read; an older one of its sensor is dropped.
+        """Queue a frame with its scan already read; an older frame of its sensor is dropped.
 
         Parameters
         ----------
         frame : Frame
         due : float, optional
-            When it became available, by `time.monotonic` [s]; now by default.
+            Time at which it became available, by `time.monotonic` [s]; by default now.
         """
         with self._changed:
-            self.dropped += frame.scan.sensor in self._waiting  # whose turn the new one takes
+            self.dropped += frame.scan.sensor in self._waiting  # the new frame takes its position in the queue
             self._waiting[frame.scan.sensor] = frame, time.monotonic() if due is None else due
             self._changed.notify()
 
     def drop(self) -> None:
-        """Count a frame that is not even read."""
+        """Count a frame that was dropped unread."""
         with self._changed:
             self.dropped += 1
 
     def close(self) -> None:
-        """End the iteration once what waits is taken."""
+        """End the iteration after the waiting frames."""
         with self._changed:
             self._closed = True
             self._changed.notify()
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames, each as soon as it is there, until `close`."""
+        """Yield frames as soon as they are queued, until `close`."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._closed)
@@ -69,23 +68,23 @@ class NewestFrames:
             yield frame
 
 
-LEAD = 0.2  # [s] from the start, or a new sequence, to its first frame, which must be read first
-LATE = 0.05  # [s] after which frames that are due are dropped unread, until one is not due yet
-BACK = 1.0  # [s] by which stamps may go back without being a new recording
+LEAD = 0.2  # [s] between the start of a sequence and its first frame, to read the frame
+MAX_DELAY = 0.05  # [s] after which overdue frames are dropped unread, until a frame is on time
+MAX_STEP_BACK = 1.0  # [s] by which stamps may decrease within a recording
 _UNREADABLE = (ValueError, TypeError, OSError)
 
 
 def read_ahead(frames: Iterable[Frame], newest: NewestFrames, stop: Event, on_error: OnError) -> None:
-    """Pass frames on as they come, until they end or `stop` is set.
+    """Queue frames as they arrive, until they end or `stop` is set.
 
     Parameters
     ----------
     frames : iterable of Frame
     newest : NewestFrames
-        What takes them.
+        Queue.
     stop : Event
     on_error : function
-        Called with every frame that cannot be read, and its error.
+        Called with each unreadable frame and its error.
     """
     for frame in frames:
         due = time.monotonic()
@@ -96,18 +95,18 @@ def read_ahead(frames: Iterable[Frame], newest: NewestFrames, stop: Event, on_er
 
 
 def play(frames: Iterable[Frame], rate: float, newest: NewestFrames, stop: Event, on_error: OnError) -> None:
-    """Pass frames on at their stamps, until they end or `stop` is set.
+    """Queue frames at their stamps, until they end or `stop` is set.
 
-    Each is read before it is due. When reading falls behind, frames that are overdue are dropped unread.
+    Frames are read before they are due. If reading falls behind, overdue frames are dropped unread.
 
     Parameters
     ----------
     frames : iterable of Frame
-        With stamps; their scans are read on demand.
+        Frames with stamps; their scans are read on demand.
     rate : float
         Speed of the clock: 2 plays twice as fast.
     newest, stop, on_error
-        As for `read_ahead`.
+        See `read_ahead`.
 
     Raises
     ------
@@ -118,7 +117,7 @@ def play(frames: Iterable[Frame], rate: float, newest: NewestFrames, stop: Event
     for frame in frames:
         due = clock.due(frame)
         late = time.monotonic() - due
-        catching_up = late > (0.0 if catching_up else LATE)
+        catching_up = late > (0.0 if catching_up else MAX_DELAY)
         if catching_up:
             newest.drop()
             continue
@@ -130,27 +129,27 @@ def play(frames: Iterable[Frame], rate: float, newest: NewestFrames, stop: Event
 
 
 class _Clock:
-    """When frames are due; every sequence begins anew."""
+    """Clock of a playback, restarted for each sequence."""
 
     def __init__(self, rate: float) -> None:
         if not 0 < rate < math.inf:
             raise ValueError(f"rate must be above 0 and finite, 1 for real time, got {rate}")
         self.rate = rate
         self.sequence: str | None = None
-        self.origin = self.start = self.last = 0.0  # stamp of the first frame, when it is due, and the last stamp
+        self.origin = self.start = self.last = 0.0  # [s] stamp and due time of the first frame, and the last stamp
 
     def due(self, frame: Frame) -> float:
-        """Return when a frame is due, by `time.monotonic` [s]."""
+        """Return the time at which a frame is due, by `time.monotonic` [s]."""
         if frame.stamp is None:
             raise OgmError(f"{frame.name} has no stamp, so that it cannot be played at its time: give times or poses")
-        if frame.sequence != self.sequence or not self.last - BACK <= frame.stamp <= self.last + MAX_GAP:
+        if frame.sequence != self.sequence or not self.last - MAX_STEP_BACK <= frame.stamp <= self.last + MAX_GAP:
             self.sequence, self.origin, self.start = frame.sequence, frame.stamp, time.monotonic() + LEAD
         self.last = frame.stamp
         return self.start + (frame.stamp - self.origin) / self.rate
 
 
 def _read(frame: Frame, on_error: OnError) -> bool:
-    """Read scan and mount of a frame here, not in the mapping thread; return whether they can be read."""
+    """Read scan and mount of a frame in this thread; return whether they are readable."""
     try:
         frame.scan, frame.mount  # noqa: B018
     except _UNREADABLE as error:

@@ -1,9 +1,9 @@
-"""Scans and poses over a TCP connection: fixed binary messages that a driver in any language can write.
+"""Scans and poses over a TCP connection, as fixed binary messages that a driver in any language can write.
 
 A message is a header of 112 bytes and the points, all little-endian:
 
 =======  ===========  =============================================================================
-bytes    type         what
+bytes    type         content
 =======  ===========  =============================================================================
 0-3      4 bytes      ``OGM1``
 4-7      uint32       N, the number of points, at most 4,194,304
@@ -12,7 +12,7 @@ bytes    type         what
 112-     4 N float32  x, y, z [m] in the sensor's frame, intensity [0, 1], point by point
 =======  ===========  =============================================================================
 
-Nothing in it is code, a name or a path, and its length is known from the header, so that a receiver needs no parser.
+Messages contain no code, names or paths, and the header gives their length, so that a receiver needs no parser.
 """
 
 import logging
@@ -37,9 +37,9 @@ from ogm.storage.files import OgmError, error_context
 MAGIC = b"OGM1"
 HEADER = struct.Struct("<4sI13d")
 MAX_POINTS = 2**22
-LATEST = 2**31  # [s] from which on ROS and Foxglove have no stamps
-POLL = 0.1  # [s] after which `stop` is looked at while nothing comes
-MAX_SILENT = 16  # connections without a header that stay open; the oldest is closed
+LATEST = 2**31  # [s] limit of stamps in ROS and Foxglove
+POLL = 0.1  # [s] between checks of `stop`
+MAX_SILENT = 16  # open connections without a header; with more, the oldest is closed
 _COLUMNS = ("x", "y", "z", "intensity")
 
 _log = logging.getLogger(__name__)
@@ -51,7 +51,7 @@ def frame_bytes(scan: Scan, T_map_sensor: ArrayLike) -> bytes:  # noqa: N803
     Raises
     ------
     ValueError
-        If the scan has no such stamp or too many points, or the pose is not rigid.
+        If the scan has too many points or no valid stamp, or the pose is not rigid.
     """
     if scan.stamp is None or not 0 <= scan.stamp < LATEST or len(scan) > MAX_POINTS:
         raise ValueError(f"a message needs a stamp from 0 to 2**31 s and at most {MAX_POINTS} points, got {scan!r}")
@@ -62,34 +62,34 @@ def frame_bytes(scan: Scan, T_map_sensor: ArrayLike) -> bytes:  # noqa: N803
 def receive_frames(
     listener: socket.socket, mount: Mount, *, stop: Event | None = None, on_end: Callable[[str], object] = _log.warning
 ) -> Iterator[Frame]:
-    """Yield the frames that come over a TCP connection, one connection at a time.
+    """Yield frames received over TCP, from one connection at a time.
 
-    A connection replaces the one before with its first valid header, so that a driver that was restarted need not wait
-    and health checks, which send nothing, change nothing. A message that is wrong ends its connection alone. Whoever
-    can connect is trusted to send points: listen on the loopback address, or on a network of your own.
+    The first valid header of a connection replaces the previous connection, so that a restarted driver need not wait
+    and silent health checks have no effect. A wrong message ends only its connection. Every client that can connect is
+    trusted to send points: listen on the loopback address, or on a private network.
 
     Parameters
     ----------
     listener : socket
-        Of ``socket.create_server(("127.0.0.1", 9000))``; stays open.
+        Socket of ``socket.create_server(("127.0.0.1", 9000))``; stays open.
     mount : Mount
-        Of the sensor.
+        Mount of the sensor.
     stop : Event, optional
-        Set from anywhere, it ends the iteration within 0.1 s.
+        Event that ends the iteration within 0.1 s.
     on_end : function
-        Called with a line whenever a connection ends that has sent anything; by default it is logged. Of connections
-        without a valid header there is one line for each address and reason.
+        Called with a line of text when a connection ends that has sent data; by default the line is logged. Connections
+        without a valid header give one line for each address and reason.
 
     Yields
     ------
     Frame
-        With scan, stamp and pose; rows without a point (0, 0, 0 or not finite) are dropped. A connection whose first
-        stamp is not after the last one begins a new sequence, as of a driver that was started anew.
+        Scan, stamp and pose; rows without a point (0, 0, 0 or not finite) are dropped. A connection starts a new
+        sequence if its first stamp is not after the last stamp, for example after a restart of the driver.
     """
     stop, count, sequence, last = stop or Event(), 0, 1, -math.inf
     listener.setblocking(False)
     connections: list[_Connection] = []
-    sender: _Connection | None = None  # of the scans; the others have sent no header so far
+    sender: _Connection | None = None  # current source of scans; the other connections have sent no header
     reported: set[tuple[str, str]] = set()
     try:
         while not stop.is_set():
@@ -98,12 +98,12 @@ def receive_frames(
             if listener in ready and (accepted := _accept(listener)) is not None:
                 connections.append(accepted)
                 if len(connections) > MAX_SILENT + 1:
-                    oldest = next(one for one in connections if one is not sender)
+                    oldest = next(connection for connection in connections if connection is not sender)
                     connections.remove(oldest)
                     oldest.end("")
-            for connection in [one for one in connections if one in ready]:
+            for connection in [candidate for candidate in connections if candidate in ready]:
                 if connection not in connections:
-                    continue  # replaced by the one before
+                    continue  # replaced by the previous connection
                 try:
                     message = connection.receive()
                 except (OgmError, OSError) as error:
@@ -116,7 +116,7 @@ def receive_frames(
                 if connection.sends and connection is not sender:
                     if sender is not None and sender in connections:
                         connections.remove(sender)
-                        on_end(sender.end("replaced by a new one"))
+                        on_end(sender.end("replaced by a new connection"))
                     sender = connection
                 if message is not None:
                     scan, T = message
@@ -134,12 +134,12 @@ def receive_frames(
 
 
 class _Connection:
-    """A sender, and the part of its message that has come."""
+    """A connection, and the received part of its message."""
 
     def __init__(self, connection: socket.socket, address: tuple[str, int]) -> None:
         connection.setblocking(False)
         self.socket, self.host, self.name, self.scans = connection, address[0], f"{address[0]}:{address[1]}", 0
-        self.begun = self.sends = False  # whether anything came, and a valid header
+        self.begun = self.sends = False  # received any data; received a valid header
         self._notices = Counter[str]()
         self._begin()
 
@@ -153,7 +153,7 @@ class _Connection:
         self._target, self._filled = memoryview(self._header), 0
 
     def receive(self) -> tuple[Scan, np.ndarray] | None:
-        """Take what has come; return scan and pose of a message that is whole.
+        """Receive available data; return scan and pose of a complete message.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class _Connection:
             return None
         if not size:
             cut = self._filled or self._points.size
-            raise OgmError("it ended in the middle of a message" if cut else "closed by the sender")
+            raise OgmError("closed in the middle of a message" if cut else "closed by the sender")
         self.begun = True
         self._filled += size
         if self._filled < len(self._target):
@@ -182,37 +182,37 @@ class _Connection:
     def _check_header(self) -> None:
         magic, count, *numbers = HEADER.unpack(self._header)
         if magic != MAGIC:
-            raise OgmError(f"a message begins with {magic!r}, wanted {MAGIC!r}: see ogm.live.stream for the format")
+            raise OgmError(f"a message must begin with {MAGIC!r}, got {magic!r}: see ogm.live.stream for the format")
         if count > MAX_POINTS:
-            raise OgmError(f"a message announces {count} points, allowed are {MAX_POINTS}")
+            raise OgmError(f"a message must have at most {MAX_POINTS} points, got {count}")
         if not (0 <= numbers[0] < LATEST and all(map(math.isfinite, numbers))):
-            raise OgmError(f"a message has the stamp {numbers[0]} s, wanted 0 to 2**31 s, or a pose that is not finite")
+            raise OgmError(f"a message must have a finite pose and a stamp from 0 to 2**31 s, got {numbers[0]} s")
         self.sends = True
         self._points = np.empty(4 * count, "<f4")
         if count:
             self._target, self._filled = memoryview(self._points.data).cast("B"), 0
 
     def _message(self) -> tuple[Scan, np.ndarray]:
-        """Return scan and pose, and wait for the next header."""
+        """Return scan and pose, and prepare for the next header."""
         _, _, stamp, *rows = HEADER.unpack(self._header)
-        where = f"scan {self.scans + 1} of {self.name}"
-        with error_context(where):
+        name = f"scan {self.scans + 1} of {self.name}"
+        with error_context(name):
             T = check_pose(np.append(np.reshape(rows, (3, 4)), [[0, 0, 0, 1]], axis=0), "T_map_sensor")
         columns = dict(zip(_COLUMNS, self._points.reshape(-1, 4).T, strict=True))
         with one_notice_per_kind(self._notices):
-            scan = scan_from_table(Table("message", columns), where, stamp=stamp, intensity_max=1.0)[0]
+            scan = scan_from_table(Table("message", columns), name, stamp=stamp, intensity_max=1.0)[0]
         self.scans += 1
         self._begin()
         return scan, T
 
-    def end(self, why: str) -> str:
-        """Close the connection; return a line about it."""
+    def end(self, reason: str) -> str:
+        """Close the connection; return a line of text about it."""
         self.socket.close()
-        return f"connection from {self.name} ended after {self.scans} scans: {why}"
+        return f"connection from {self.name} ended after {self.scans} scans: {reason}"
 
 
 def _accept(listener: socket.socket) -> _Connection | None:
-    """Return a new connection; None if it has been given up already."""
+    """Return a new connection; None if the client has closed it already."""
     try:
         return _Connection(*listener.accept())
     except (BlockingIOError, ConnectionError):

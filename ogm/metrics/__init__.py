@@ -1,7 +1,7 @@
-"""How good a grid is: metrics of an evidential grid against the true states of its cells, of a dynamic one also motion.
+"""Metrics of evidential grids against true states of cells, and of dynamic grids against true motion.
 
-Every metric leaves out the cells that the truth ignores. A metric without a cell is NaN, never 0, and `reasons` gives
-the reason. `METRICS` describes each.
+All metrics leave out ignored cells of the truth. A metric without cells is NaN, never 0; `reasons` gives the reason.
+`METRICS` describes all metrics.
 
 >>> from ogm.metrics import accumulate, score
 >>> scores = score(accumulate(grid.mass, truth.state))               # one frame           # doctest: +SKIP

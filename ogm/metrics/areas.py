@@ -1,8 +1,8 @@
-"""Areas and other summaries of curves of counts, and the columns that they share with the curves.
+"""Areas and other summaries of curves from counts, and common columns of the curves.
 
-`auroc`, `average_precision` and `false_positive_rate` take histograms of a number over two kinds of cells, positive and
-negative: counts per level, ascending. Cells of one level are ties. The results lie in [0, 1], and are NaN if one of the
-two kinds is absent.
+`auroc`, `average_precision` and `false_positive_rate` take histograms of a number over positive and negative cells:
+counts per level, ascending. Cells in the same level are ties. Results are in [0, 1], or NaN without positive or without
+negative cells.
 """
 
 from typing import Any
@@ -14,8 +14,8 @@ from ogm.metrics.counts import BINS, ConfusionSums
 
 
 def interval_violation(counts: ConfusionSums) -> float:
-    """Return how far the shares of occupied cells lie outside of [Bel, Pl], the mean over known cells' bins."""
-    cells, belief, plausibility, happened = counts.intervals.T  # sums: a bin's distance times its cells
+    """Return the mean distance of shares of occupied cells outside [Bel, Pl], over bins of known cells."""
+    cells, belief, plausibility, happened = counts.intervals.T  # sums over the cells of a bin
     outside = np.maximum(np.maximum(belief - happened, happened - plausibility), 0.0)
     return float(outside.sum() / cells.sum()) if cells.any() else float("nan")
 
@@ -23,40 +23,40 @@ def interval_violation(counts: ConfusionSums) -> float:
 def equal_mass_error(counts: ConfusionSums) -> float:
     """Return the adaptive calibration error: mean distance of P(occupied) from the share of occupied cells, 15 bins.
 
-    The bins have one weight: known cells are sorted by P and cut in 15 equal parts. Cells of one of the 4097
-    levels of P count as equal and are spread evenly over the parts that they reach into.
+    The bins have equal weights: known cells are sorted by P and cut into 15 equal parts. Cells in one of the 4097
+    levels of P are ties, spread evenly over their parts.
     """
     cells = counts.p_occupied_hist[0] + counts.p_occupied_hist[1]
     total = cells.sum()
     if total == 0:
         return float("nan")
-    there = cells > 0
-    ends = np.concatenate([[0.0], np.cumsum(cells[there])])
-    gap = np.concatenate([[0.0], np.cumsum((counts.p_occupied_hist[2] - counts.p_occupied_hist[1])[there])])
+    filled = cells > 0
+    ends = np.concatenate([[0.0], np.cumsum(cells[filled])])
+    gap = np.concatenate([[0.0], np.cumsum((counts.p_occupied_hist[2] - counts.p_occupied_hist[1])[filled])])
     cuts = np.interp(np.linspace(0, total, BINS + 1), ends, gap)
     return float(np.abs(np.diff(cuts)).sum() / total)
 
 
 def risk_areas(counts: ConfusionSums) -> tuple[float, float]:
-    """Return the area under the risk-coverage curve (AURC), and how much larger it is than the oracle's (AUSE)."""
+    """Return the area under the risk-coverage curve (AURC), and its excess over the oracle's area (AUSE)."""
     area = _area(*by_unknown(counts))
     return area, area - _area(*by_error(counts))
 
 
 def free_recall(hist: NDArray[np.float64], false_free: float) -> float:
-    """Return the largest share of free cells found with a share of occupied ones taken for free within a bound.
+    """Return the largest recall of free cells for a bounded share of occupied cells detected as free.
 
     Parameters
     ----------
     hist : (2, levels)
-        Histograms of Bel(free) of free and of occupied cells.
+        Histograms of Bel(free) for free and for occupied cells.
     false_free : float
-        The bound.
+        Bound of the share.
 
     Returns
     -------
     float
-        0 if even the highest threshold breaks the bound; NaN if there are no free or no occupied cells.
+        0 if even the highest threshold exceeds the bound; NaN without free or occupied cells.
     """
     free, occupied = above(hist[0]), above(hist[1])
     if free[-1] == 0 or occupied[-1] == 0:
@@ -74,30 +74,30 @@ def average_precision_of(counts: ConfusionSums, tolerance: int) -> float:
 def overlaps(confusion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return intersection over union of unknown, free, occupied from a (truth, predicted) confusion.
 
-    NaN where the truth has no such cell.
+    NaN for states without true cells.
     """
     predicted, true, both = confusion.sum(axis=0), confusion.sum(axis=1), np.diag(confusion)
     return parts(both, np.where(true > 0, predicted + true - both, 0.0))
 
 
 def parts(some: NDArray[Any] | float, whole: NDArray[Any] | float) -> NDArray[np.float64]:
-    """Return some / whole, NaN where the whole is 0."""
+    """Return some / whole; NaN if the whole is 0."""
     return np.asarray(some, np.float64) / np.where(np.asarray(whole) > 0, whole, np.nan)
 
 
 def above(histogram: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how many lie at each level or above, from the highest level down."""
+    """Return the counts at each level or above, from the highest level down."""
     return np.cumsum(histogram[::-1])
 
 
 def by_unknown(counts: ConfusionSums) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return known cells and wrong ones up to the end of each level of unknown that has cells; both begin with 0."""
+    """Return cumulated numbers of known cells and of wrong cells over the filled levels of unknown, both from 0."""
     known, _, wrong = counts.unknown_hist
     return _ends(known, wrong)
 
 
 def by_error(counts: ConfusionSums) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the same for cells sorted by their error: the right ones, those of P = 1/2, the wrong ones."""
+    """Return these numbers for cells sorted by error: correct cells, cells with P = 1/2, wrong cells."""
     known, _, wrong = counts.unknown_hist
     half = counts.confusion_by_probability[1:, 0].sum()
     all_wrong = max(wrong.sum() - 0.5 * half, 0.0)
@@ -106,13 +106,12 @@ def by_error(counts: ConfusionSums) -> tuple[NDArray[np.float64], NDArray[np.flo
 
 
 def _ends(cells: NDArray[np.float64], wrong: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    there = cells > 0
-    zero = np.zeros(1)
-    return np.concatenate([zero, np.cumsum(cells[there])]), np.concatenate([zero, np.cumsum(wrong[there])])
+    filled, zero = cells > 0, np.zeros(1)
+    return np.concatenate([zero, np.cumsum(cells[filled])]), np.concatenate([zero, np.cumsum(wrong[filled])])
 
 
 def _area(taken: NDArray[np.float64], wrong: NDArray[np.float64]) -> float:
-    """Return the mean over coverage of the risk, wrong / taken, in closed form: between two ends it is a / n + b."""
+    """Return the mean risk, wrong / taken, over coverage, in closed form: between two ends the risk is a / n + b."""
     if taken[-1] == 0:
         return float("nan")
     slope = np.diff(wrong) / np.diff(taken)
@@ -122,7 +121,7 @@ def _area(taken: NDArray[np.float64], wrong: NDArray[np.float64]) -> float:
 
 
 def detection_curve(counts: ConfusionSums, tolerance: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return precision and recall from the highest threshold down; empty if free or occupied cells are absent."""
+    """Return precision and recall from the highest threshold down; empty without free or occupied cells."""
     if tolerance not in (0, 1):
         raise ValueError(f"tolerance must be 0 or 1 cells, got {tolerance}")
     free, occupied, _ = counts.p_occupied_hist
@@ -135,7 +134,7 @@ def detection_curve(counts: ConfusionSums, tolerance: int) -> tuple[NDArray[np.f
 
 
 def auroc(positive: NDArray[Any], negative: NDArray[Any]) -> float:
-    """Return the chance that a positive cell has the higher number of two, a tie counting one half."""
+    """Return the probability that a positive cell has a higher number than a negative cell; ties count 1/2."""
     p, n = np.asarray(positive, np.float64), np.asarray(negative, np.float64)
     pairs = p.sum() * n.sum()
     if pairs == 0:
@@ -145,10 +144,9 @@ def auroc(positive: NDArray[Any], negative: NDArray[Any]) -> float:
 
 
 def average_precision(positive: NDArray[Any], negative: NDArray[Any]) -> float:
-    """Return the mean precision over the recall, cells being detected from the highest number down.
+    """Return the mean precision over recall, with cells detected from the highest number down.
 
-    The sum of precision times gain of recall over all thresholds, without interpolation: the area under the
-    precision-recall curve as scikit-learn defines it.
+    This is the sum of precision times gain of recall over all thresholds, without interpolation, as in scikit-learn.
     """
     p, n = np.asarray(positive, np.float64)[::-1], np.asarray(negative, np.float64)[::-1]
     if p.sum() == 0 or n.sum() == 0:
@@ -158,7 +156,7 @@ def average_precision(positive: NDArray[Any], negative: NDArray[Any]) -> float:
 
 
 def false_positive_rate(positive: NDArray[Any], negative: NDArray[Any]) -> float:
-    """Return the share of negative cells above the highest threshold that finds 95 % of the positive ones."""
+    """Return the share of negative cells above the highest threshold that detects 95 % of positive cells."""
     p, n = np.asarray(positive, np.float64)[::-1], np.asarray(negative, np.float64)[::-1]
     if p.sum() == 0 or n.sum() == 0:
         return float("nan")

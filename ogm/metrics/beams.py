@@ -1,14 +1,14 @@
-"""Likelihood and calibration of beams that a map predicts: the quality of a map without truth.
+"""Likelihood and calibration of beams predicted by a map: the quality of a map without truth.
 
-A beam ends in cell i with the probability that it passes all cells before and not this one (Thrun, Burgard and Fox,
-*Probabilistic Robotics*, 2005, Sec. 6.3; Schaefer, Luft and Burgard, "An analytical lidar sensor model based on ray
-path information", ICRA 2017):
+A beam ends in cell i if it passes all cells before and is stopped in this cell, with the probability (Thrun, Burgard
+and Fox, *Probabilistic Robotics*, 2005, Sec. 6.3; Schaefer, Luft and Burgard, "An analytical lidar sensor model based
+on ray path information", ICRA 2017):
 
     P(end in i) = h_i * prod_{j < i} (1 - h_j),    h_i = 1 - (1 - p_i) ** (d_i / resolution)
 
-with p the probability of occupied of a cell and d the length of the beam in it: a beam that touches a corner seldom
-ends there. The end is spread evenly over d_i, the range has normal noise, and a share of echoes is random, even up to
-the greatest range.
+with p the probability of occupied of a cell and d the length of the beam in it, so that a beam rarely ends in a cell
+that it only touches. The end is distributed evenly over d_i, the range has normal noise, and a share of echoes is
+random, uniform up to the greatest range.
 """
 
 import math
@@ -21,7 +21,7 @@ from ogm.grid import EvidentialGrid
 from ogm.jit import kernel
 
 WITHIN = 2.0  # [cells] between a predicted end and an echo that agrees with it
-NEGLIGIBLE = 1e-9  # chance of passing at which a beam is followed no further
+NEGLIGIBLE = 1e-9  # probability of passing at which tracing stops
 CERTAIN = 1e-6  # least distance of a probability from 0 and 1
 
 
@@ -35,7 +35,7 @@ class PlanarBeams(NamedTuple):
     direction : (N, 2) float64
         Unit vectors.
     distance : (N,) float64
-        Range of the echo; of beams without echo the greatest range of the sensor [m].
+        Range of the echo; without echo the greatest range of the sensor [m].
     echo : (N,) bool
     """
 
@@ -55,7 +55,7 @@ class BeamNoise(NamedTuple):
     range_noise : float
         Standard deviation of a range, errors of the pose included [m].
     p_random : float
-        Share of echoes that the map does not explain (people, dust, mixed pixels), in (0, 1).
+        Share of echoes not explained by the map (people, dust, mixed pixels), in (0, 1).
     """
 
     max_range: float
@@ -64,22 +64,22 @@ class BeamNoise(NamedTuple):
 
 
 class BeamScores(NamedTuple):
-    """Beams against a map, one row per beam.
+    """Scores of beams against a map, one row per beam.
 
     Attributes
     ----------
     log_likelihood : (N,) float64
         Log of the density of the range [nats, of 1/m]; NaN without echo.
     ends_at : (N,) bool
-        Echo within 2 cells of the first occupied cell, h > 1/2, of the beam.
+        Echo within 2 cells of the first occupied cell of the beam, h > 1/2.
     passes_through : (N,) bool
-        Echo more than 2 cells behind that cell; without echo, whether there is one.
+        Echo more than 2 cells behind the first occupied cell; without echo, whether there is an occupied cell.
     ends_in_free : (N,) bool
-        Echo in a cell that the map holds free, by a mass over 1/2.
+        Echo in a cell with a mass of free above 1/2.
     expected : (N,) float64
         Predicted probability of an echo within 2 cells of the likeliest end.
     hit : (N,) bool
-        Whether the echo is there.
+        Whether the echo is within 2 cells of the likeliest end.
     no_echo : (N,) float64
         Predicted probability of passing all cells up to the greatest range.
     """
@@ -94,7 +94,7 @@ class BeamScores(NamedTuple):
 
 
 def score_beams(grid: EvidentialGrid, beams: PlanarBeams, noise: BeamNoise, base_rate: float) -> BeamScores:
-    """Return how well a map predicts beams that are not in it.
+    """Return scores of beams that are not in the map.
 
     Parameters
     ----------
@@ -103,8 +103,8 @@ def score_beams(grid: EvidentialGrid, beams: PlanarBeams, noise: BeamNoise, base
     beams : PlanarBeams
     noise : BeamNoise
     base_rate : float
-        P(occupied) of a cell of which nothing is known, in (0, 1): p = occupied + base_rate * unknown. Cells outside
-        of the map are unknown.
+        P(occupied) of a cell without evidence, in (0, 1): p = occupied + base_rate * unknown. Cells outside the map are
+        unknown.
     """
     p = grid.occupied + np.float32(base_rate) * grid.unknown
     decay = -np.log1p(-np.clip(p.astype(np.float64), CERTAIN, 1 - CERTAIN)) / grid.spec.resolution
@@ -136,33 +136,33 @@ def trace_beams(
     noise: BeamNoise,
     found: np.ndarray,
 ) -> None:
-    """Follow beams through a map.
+    """Trace beams through a map.
 
     Parameters
     ----------
     decay : (nx, ny) float64
         Rate -log(1 - p) / resolution at which beams end in each cell [1/m].
     outside : float
-        The same of cells outside of the map.
+        Rate of cells outside the map [1/m].
     cells : (float, float, float)
         Corner x, y of cell (0, 0) and side of a cell [m].
     beams : PlanarBeams
     noise : BeamNoise
     found : (N, 6) float64
-        Filled with: middle of the likeliest cell to end in [m]; probability of an end within `WITHIN` cells of it;
-        probability of passing all cells; near and far side of the first occupied cell [m], infinite without one;
+        Filled with: middle of the likeliest end cell [m]; probability of an end within `WITHIN` cells of it;
+        probability of passing all cells; near and far side of the first occupied cell [m], infinite if all are passed;
         density of the range of the echo, by the map and the noise of the range [1/m].
     """
     x0, y0, side = cells
     nx, ny = decay.shape
-    most = 2 * int(noise.max_range / side) + 8
-    edges, ends = np.empty(most + 1), np.empty(most)
+    max_cells = 2 * int(noise.max_range / side) + 8
+    edges, ends = np.empty(max_cells + 1), np.empty(max_cells)
     for n in range(len(found)):
         u, v = beams.direction[n, 0], beams.direction[n, 1]
         x, y = (beams.origin[n, 0] - x0) / side, (beams.origin[n, 1] - y0) / side
         i, j = math.floor(x), math.floor(y)
         step_i, step_j = 1 if u > 0 else -1, 1 if v > 0 else -1
-        # Ranges at which the beam meets the next line of cells, and between two of them (Amanatides and Woo, 1987)
+        # Ranges to the next line of cells, and between two lines (Amanatides and Woo, 1987)
         per_i = side / abs(u) if u != 0 else np.inf
         per_j = side / abs(v) if v != 0 else np.inf
         next_i = ((i + 1 - x) if u > 0 else (x - i)) * per_i if u != 0 else np.inf
@@ -170,7 +170,7 @@ def trace_beams(
         passes, at, count = 1.0, 0.0, 0
         likeliest, first, last, mode = -1.0, np.inf, np.inf, 0.0
         edges[0] = 0.0
-        while at < noise.max_range and passes > NEGLIGIBLE and count < most:
+        while at < noise.max_range and passes > NEGLIGIBLE and count < max_cells:
             to = min(next_i, next_j, noise.max_range)
             rate = decay[i, j] if 0 <= i < nx and 0 <= j < ny else outside
             end = -math.expm1(-rate * (to - at))

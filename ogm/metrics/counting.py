@@ -1,4 +1,4 @@
-"""What is counted of every cell, compiled by numba."""
+"""Counting of cells, compiled by numba."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -11,21 +11,21 @@ if TYPE_CHECKING:
     from ogm.metrics.counts import ConfusionSums
 
 _LOG_2 = math.log(2.0)
-_LOG_LEAST = math.log(MIN_UNKNOWN / 2)  # of P(true state) in the log loss: a wrong dogmatic cell costs 11.5 nats
-DETECTION = 0.5  # the mass above which a state is detected
-_TINY = 1e-300  # in place of 0 in logarithms that are multiplied by it
+_MIN_LOG = math.log(MIN_UNKNOWN / 2)  # of P(true state) in the log loss: a wrong dogmatic cell costs 11.5 nats
+DETECTION = 0.5  # mass above which a state is detected
+_TINY = 1e-300  # replaces 0 in logarithms that are multiplied by 0
 _UNKNOWN, _FREE, _OCCUPIED = int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.OCCUPIED)
 
 
 @inline
 def nearest_level(number: Any, levels: int) -> int:
-    """Return which of evenly spaced levels from 0 to 1 is nearest."""
+    """Return the nearest of evenly spaced levels from 0 to 1."""
     return int(min(max(number, 0.0), 1.0) * (levels - 1) + 0.5)
 
 
 @inline
 def _predicted(free: float, occupied: float, unknown: float) -> int:
-    """Return the state that a cell predicts, as `ogm.state.predict_state` does."""
+    """Return the predicted state of a cell, see `ogm.state.predict_state`."""
     if occupied > unknown and occupied >= free:
         return _OCCUPIED
     return _FREE if free > unknown and free > occupied else _UNKNOWN
@@ -42,7 +42,7 @@ def count_neighbours(mass: Any, state: Any, groups: Any, near: Any, best_of_grou
     groups : (nx, ny) int
         Number of the group of touching occupied cells, from 1.
     near : (nx, ny) uint8
-        Zeros; set to 1 where an occupied cell lies within one cell.
+        Zeros; set to 1 in cells within one cell of an occupied cell.
     best_of_group : (groups + 1,) float64
         Zeros; set to the largest P(occupied) within one cell of the group, ignored cells left out.
     sums : ConfusionSums
@@ -72,9 +72,9 @@ def count_cells(mass: Any, state: Any, near: Any, sums: "ConfusionSums") -> None
     mass : (N, 2) float array
     state : (N,) uint8
     near : (N,) uint8
-        Not 0 where an occupied cell lies within one cell.
+        Not 0 in cells within one cell of an occupied cell.
     sums : ConfusionSums
-        Added to; of `p_occupied_hist_tol1` the first two rows.
+        Changed in place; `p_occupied_hist_tol1` in its first two rows.
     """
     bins, levels = sums.reliability.shape[1], sums.unknown_hist.shape[1]
     for k in range(state.shape[0]):
@@ -104,7 +104,7 @@ def count_cells(mass: Any, state: Any, near: Any, sums: "ConfusionSums") -> None
         unknown_level = nearest_level(unknown, levels)
         sums.unknown_hist[0 if truth > 0 else 1, unknown_level] += 1.0
 
-        # Cells whose truth is free or occupied
+        # Known cells
         if truth == _UNKNOWN:
             continue
         is_occupied = 1.0 if truth == _OCCUPIED else 0.0
@@ -115,7 +115,7 @@ def count_cells(mass: Any, state: Any, near: Any, sums: "ConfusionSums") -> None
         sums.squared_error[0] += error * error
         sums.squared_error[1] += (relative - is_occupied) ** 2
         sums.squared_error[2] += error * error + probability * (1.0 - probability) * unknown / (2.0 + unknown)
-        sums.log_loss[truth] -= max(log_occupied if truth == _OCCUPIED else log_free, _LOG_LEAST)
+        sums.log_loss[truth] -= max(log_occupied if truth == _OCCUPIED else log_free, _MIN_LOG)
         level = nearest_level(probability, levels)
         sums.p_occupied_hist[truth - 1, level] += 1.0
         sums.p_occupied_hist[2, level] += probability
@@ -138,7 +138,7 @@ def count_cells(mass: Any, state: Any, near: Any, sums: "ConfusionSums") -> None
 
 @kernel
 def count_ranges(mass: Any, state: Any, distance: Any, edges: Any, sums: "ConfusionSums") -> None:
-    """Add every cell to the sums by its distance, (N,), in bins with these edges, (ranges + 1,) float64."""
+    """Add every cell to the sums by distance, (N,), in bins with given edges, (ranges + 1,) float64."""
     last, levels = edges.shape[0] - 2, sums.range_bel_free_hist.shape[2]
     for k in range(state.shape[0]):
         truth = state[k]

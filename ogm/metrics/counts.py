@@ -1,7 +1,7 @@
-"""What is counted of one grid against the truth.
+"""Counts of a grid against the truth.
 
-Counts add up: the scores of one frame's counts are that frame's scores, and the scores of the sum of all frames'
-counts are those of the pooled cells (micro averages).
+Counts are additive: the counts of a frame give its scores, and the sum of the counts of all frames gives scores of the
+pooled cells (micro averages).
 """
 
 from math import inf
@@ -17,21 +17,21 @@ from ogm.metrics.counting import DETECTION, count_cells, count_neighbours, count
 from ogm.metrics.divergence import MIN_EVIDENCE, from_truth, sum_divergences, to_truth
 from ogm.state import CellState, predict_state
 
-STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are taken for
+STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth in divergences
 BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
 LEVELS = 4097  # of histograms: 0, 1/4096, ..., 1
-RANGES = (0.0, 10.0, 20.0, 30.0, 40.0, inf)  # [m] edges of bins; a cell on an edge is in the farther
-HEIGHTS = (0.10, 0.50)  # [m] from which on obstacles count in metrics that leave lower ones out
-RANGE_LEVELS = 1025  # of those by range: 0, 1/1024, ..., 1
-ROUNDING = 1e-6  # how far a mass may lie outside [0, 1], as float32 makes it
+RANGES = (0.0, 10.0, 20.0, 30.0, 40.0, inf)  # [m] edges of bins; a cell on an edge is in the farther bin
+HEIGHTS = (0.10, 0.50)  # [m] least heights of obstacles in metrics without low obstacles
+RANGE_LEVELS = 1025  # of histograms by range: 0, 1/1024, ..., 1
+ROUNDING = 1e-6  # of masses outside [0, 1], by float32
 
 
 class ConfusionSums(NamedTuple):
-    """Sums over cells; those that the truth ignores are in none of them. Add two with `plus`.
+    """Sums over cells, without ignored cells. Add two with `plus`.
 
-    The axes `truth` and `predicted` are the states 0 unknown, 1 free, 2 occupied. A *known* cell is one whose truth is
-    free or occupied. A histogram has 4097 levels, 0, 1/4096, ..., 1; a number counts at the nearest one. The sums of
-    one grid take 0.4 MB, most of it zeros.
+    The axes `truth` and `predicted` are the states 0 unknown, 1 free, 2 occupied. A *known* cell is truly free or
+    occupied. A histogram has 4097 levels, 0, 1/4096, ..., 1; numbers are rounded to the nearest level. The sums of a
+    grid take 0.4 MB, most of it zeros.
 
     Attributes
     ----------
@@ -40,26 +40,26 @@ class ConfusionSums(NamedTuple):
     mass : (truth, 2)
         Sums of the masses of free and occupied.
     to_truth : (3, truth)
-        Sums of KL[grid || truth] for a truth of evidence 1, of 10, and of 1 with a tenth of the grid's evidence.
+        Sums of KL[grid || truth] for a truth of evidence 1; 10; and 1 with a tenth of the grid's evidence.
     from_truth : (2, truth)
-        Sums of KL[truth || grid] for a truth of evidence 1 and of 10.
+        Sums of KL[truth || grid] for a truth of evidence 1 and 10.
     evilog_kl : (truth,)
         Sums of `evilog_kl`.
     confusion : (truth, predicted)
         Cells by the state of greatest mass, see `ogm.state.predict_state`.
     confusion_by_probability : (truth, predicted)
-        Cells by P(occupied) below, above 1/2; 0 where it is 1/2.
+        Cells by P(occupied): predicted free below 1/2, occupied above 1/2, unknown at 1/2.
     detections : (truth, 2)
-        Cells with a mass of free, of occupied, above 1/2.
+        Cells with a mass above 1/2 of free, of occupied.
     reliability : (3, 15, 3)
-        For P(occupied) on all known cells, on those predicted free or occupied, and for the relative P(occupied) on all
-        known cells: in bins of it, cells, sum of P, cells that are occupied.
+        In bins of P(occupied) on known cells, of P(occupied) on known cells predicted free or occupied, and of the
+        relative P(occupied) on known cells: number of cells, sum of P, number of occupied cells.
     intervals : (15, 4)
-        In bins of Bel(occupied) on known cells: cells, sums of Bel(occupied) and Pl(occupied), cells that are
-        occupied.
+        In bins of Bel(occupied) on known cells: number of cells, sums of Bel(occupied) and Pl(occupied), number of
+        occupied cells.
     squared_error : (3,)
-        Sums over known cells of (P - occupied)**2 for P(occupied) and for the relative one, and of the first's
-        expectation under the grid's Beta density.
+        Sums over known cells of (P - occupied)**2 for P(occupied); for the relative P(occupied); and of the expectation
+        for P under the grid's Beta density.
     log_loss : (truth,)
         Sums of -ln P(true state) over known cells [nats], P being at least 1e-5.
     entropy : (truth,)
@@ -67,26 +67,25 @@ class ConfusionSums(NamedTuple):
     dissonance : (truth,)
         Sums of 2 min(free, occupied).
     unknown_hist : (3, 4097)
-        Histograms of the mass of unknown, of known cells, of cells whose truth is unknown, and of the known ones that
-        are wrong by P(occupied); one of P = 1/2 is half wrong.
+        Histograms of the mass of unknown in known cells, in truly unknown cells, and in known cells with wrong
+        P(occupied); P = 1/2 is half wrong.
     p_occupied_hist : (3, 4097)
-        Histograms of P(occupied), of free cells and of occupied ones, and the sum of P over both.
+        Histograms of P(occupied) in free cells and in occupied cells, and the sum of P over both.
     p_occupied_hist_tol1 : (3, 4097)
-        Histograms of P(occupied), of known cells with and without an occupied cell within one cell (their eight
-        neighbours and themselves); and occupied cells by the largest P(occupied) within one cell that is not
-        ignored.
+        Histograms of P(occupied) in known cells with and without an occupied cell within one cell (eight neighbours and
+        the cell itself); and of occupied cells by the largest P(occupied) within one cell, ignored cells left out.
     bel_free_hist : (2, 4097)
-        Histograms of Bel(free), of free cells and of occupied ones.
+        Histograms of Bel(free) in free cells and in occupied cells.
     obstacles : (2,)
-        Groups of occupied cells that touch at a side or corner, and those of them without a cell of
-        P(occupied) > 1/2 within one cell.
+        Number of groups of occupied cells that touch at a side or corner, and of groups without P(occupied) > 1/2
+        within one cell.
     range_confusion : (ranges, truth, predicted)
     range_detections : (ranges, truth, 2)
     range_bel_free_hist : (ranges, 2, 1025)
-        As without `range_`, by the bins of `RANGES`; zeros if no distances were given.
+        These sums by the bins of `RANGES`; zeros without distances.
     high_confusion : (heights, predicted)
     high_detections : (heights, 2)
-        Of occupied cells whose obstacle is at least as high as each of `HEIGHTS`; zeros if heights are not known.
+        These sums over occupied cells with obstacles at least as high as each of `HEIGHTS`; zeros without heights.
     """
 
     cells: NDArray[np.float64]
@@ -116,7 +115,7 @@ class ConfusionSums(NamedTuple):
 
     @classmethod
     def zeros(cls) -> Self:
-        """Return the sums of no cell."""
+        """Return sums of zero."""
         ranges = len(RANGES) - 1
         shapes = [
             *((3,), (3, 2), (3, 3), (2, 3), (3,), (3, 3), (3, 3), (3, 2), (3, BINS, 3), (BINS, 4), (3,), (3,), (3,)),
@@ -126,7 +125,7 @@ class ConfusionSums(NamedTuple):
         return cls(*map(np.zeros, shapes))
 
     def plus(self, other: Self) -> "ConfusionSums":
-        """Return the sums of both."""
+        """Return the added sums of both."""
         return ConfusionSums(*map(add, self, other))
 
 
@@ -136,26 +135,26 @@ def accumulate(
     distance: NDArray[np.floating] | None = None,
     height_cm: NDArray[np.uint8] | None = None,
 ) -> ConfusionSums:
-    """Return the sums of one grid that the scores and the curves need.
+    """Return the sums of a grid for scores and curves.
 
     Parameters
     ----------
     mass : (nx, ny, 2) float array
-        Masses of free and occupied, as `EvidentialGrid.mass`.
+        Masses of free and occupied, see `EvidentialGrid.mass`.
     state : (nx, ny) uint8
-        True states, as `Truth.state`: 0 unknown, 1 free, 2 occupied, 3 ignored.
+        True states, see `Truth.state`: 0 unknown, 1 free, 2 occupied, 3 ignored.
     distance : (nx, ny) float array, optional
-        Distances of the cells from the sensor [m], see `distances`; without them nothing is counted by range.
+        Distances of the cells from the sensor [m], see `distances`; needed for sums by range.
     height_cm : (nx, ny) uint8, optional
-        Heights of the occupied cells' obstacles, as `Truth.height_cm`; without them nothing is counted by height.
+        Heights of obstacles in occupied cells [cm], see `Truth.height_cm`; needed for sums by height.
 
     Raises
     ------
     ValueError
-        If the shapes do not fit, a mass is invalid (NaN, below 0, a sum above 1), a state is none of the four,
-        or a distance is negative or NaN.
+        If the shapes do not fit, a mass is invalid (NaN, below 0, a sum above 1), a state is above 3, or a distance is
+        negative or NaN.
     TypeError
-        If the masses are not floating numbers.
+        If the masses are not floating-point numbers.
     """
     _check(mass, state)
     sums = ConfusionSums.zeros()
@@ -185,21 +184,21 @@ def accumulate(
 def _count_high(
     mass: NDArray[Any], state: NDArray[np.uint8], height_cm: NDArray[np.uint8], sums: ConfusionSums
 ) -> None:
-    """Count the occupied cells whose obstacle is not lower than each of `HEIGHTS`."""
+    """Count occupied cells with obstacles at least as high as each of `HEIGHTS`."""
     if height_cm.shape != state.shape:
         raise ValueError(f"height_cm must have the cells' shape {state.shape}, got {height_cm.shape}")
     occupied = state == CellState.OCCUPIED
     found, heights = mass[occupied], height_cm[occupied]
     predicted, detected = predict_state(found), found > DETECTION
-    for k, least in enumerate(HEIGHTS):
-        high = heights >= round(100 * least)
+    for k, height in enumerate(HEIGHTS):
+        high = heights >= round(100 * height)
         sums.high_confusion[k] = np.bincount(predicted[high], minlength=3)
         sums.high_detections[k] = detected[high].sum(axis=0)
 
 
 def _count_obstacles(mass: NDArray[Any], state: NDArray[np.uint8], sums: ConfusionSums) -> NDArray[np.uint8]:
-    """Count what needs the eight neighbours of a cell; return where an occupied cell lies within one cell."""
-    ndimage = import_extra("scipy.ndimage", "evaluate")  # here, as it would double the time that the import takes
+    """Count groups and neighbours of occupied cells; return 1 in cells within one cell of an occupied cell."""
+    ndimage = import_extra("scipy.ndimage", "evaluate")  # here, as it would double the import time
 
     groups, count = ndimage.label(state == CellState.OCCUPIED, np.ones((3, 3)))
     near, best = np.zeros(state.shape, np.uint8), np.zeros(count + 1)
@@ -221,16 +220,16 @@ def _check(mass: NDArray[Any], state: NDArray[Any]) -> None:
             f"state must be uint8 with 0 unknown, 1 free, 2 occupied, 3 ignore, got {state.dtype} up to "
             f"{state.max() if state.size else 'nothing'}"
         )
-    least, most = float(mass.min(initial=0)), float((mass[..., 0] + mass[..., 1]).max(initial=0))
-    if not (least >= -ROUNDING and most <= 1 + ROUNDING):
+    low, high = float(mass.min(initial=0)), float((mass[..., 0] + mass[..., 1]).max(initial=0))
+    if not (low >= -ROUNDING and high <= 1 + ROUNDING):
         check_mass(mass, ROUNDING)
 
 
 def _check_distance(distance: NDArray[Any], state: NDArray[Any]) -> None:
     if distance.shape != state.shape or distance.dtype.kind != "f":
         raise ValueError(
-            f"distance must be a float array of the cells' shape {state.shape}, got {distance.dtype} "
+            f"distance must be a float array of shape {state.shape}, got {distance.dtype} "
             f"{distance.shape}; see ogm.metrics.distances"
         )
     if not distance.min(initial=0.0) >= 0:
-        raise ValueError(f"distances [m] are at least 0, got {distance.min()}")
+        raise ValueError(f"distances must be at least 0 m, got {distance.min()} m")

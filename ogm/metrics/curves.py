@@ -1,6 +1,6 @@
-"""Curves from the counts of a frame or of many, short enough to plot.
+"""Curves from counts of one or more frames, short enough to plot.
 
-All are NamedTuples of 1-D float64 arrays of one length, empty where the counts have no cell for the curve.
+All curves are NamedTuples of 1-D float64 arrays of equal length, empty if the counts have no cells for the curve.
 """
 
 from typing import Literal, NamedTuple
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from ogm.metrics.areas import above, by_error, by_unknown, detection_curve
 from ogm.metrics.counts import LEVELS, ConfusionSums
 
-POINTS = 200  # of a curve, at most
+MAX_POINTS = 200  # of a curve
 WHICH = ("all", "predicted_known", "relative")  # rows of ConfusionSums.reliability
 
 
 class Reliability(NamedTuple):
-    """Predicted probability against frequency, per bin of P(occupied) that has cells.
+    """Predicted probability against frequency, per bin of P(occupied) with cells.
 
     Attributes
     ----------
     claimed : (bins,)
         Mean P(occupied).
     happened : (bins,)
-        Share of the cells that are occupied.
+        Share of occupied cells.
     cells : (bins,)
     """
 
@@ -40,7 +40,7 @@ class Intervals(NamedTuple):
     belief, plausibility : (bins,)
         Means of Bel(occupied) = m(occupied) and Pl(occupied) = 1 - m(free).
     happened : (bins,)
-        Share of the cells that are occupied; the grid is consistent where it lies between the two.
+        Share of occupied cells; the grid is consistent if it lies between belief and plausibility.
     cells : (bins,)
     """
 
@@ -51,16 +51,16 @@ class Intervals(NamedTuple):
 
 
 class RiskCoverage(NamedTuple):
-    """Share of wrong cells among the most certain ones, known cells being taken by ascending mass of unknown.
+    """Share of wrong cells among the most certain known cells, which have least mass of unknown.
 
     Attributes
     ----------
     coverage : (points,)
-        Share of the known cells that are taken, ascending to 1.
+        Share of known cells taken, ascending to 1.
     risk : (points,)
-        Share of those that are wrong: P(occupied) beyond 1/2 on the side that is not true; P = 1/2 is half wrong.
+        Share of wrong cells among them: P(occupied) on the wrong side of 1/2; P = 1/2 is half wrong.
     oracle : (points,)
-        The risk if cells were sorted by their error, the wrong ones last: the least possible one.
+        Least possible risk: of cells sorted by error, wrong cells last.
     """
 
     coverage: NDArray[np.float64]
@@ -69,16 +69,16 @@ class RiskCoverage(NamedTuple):
 
 
 class FreeSpace(NamedTuple):
-    """Recall of free space against its risk, known cells with Bel(free) >= threshold being detected as free.
+    """Recall of free space against its risk, with known cells detected as free if Bel(free) >= threshold.
 
     Attributes
     ----------
     false_free : (points,)
-        Share of the occupied cells that are detected as free, ascending.
+        Share of occupied cells detected as free, ascending.
     recall : (points,)
-        Share of the free cells that are.
+        Share of free cells detected as free.
     threshold : (points,)
-        Of Bel(free), descending.
+        Threshold of Bel(free), descending.
     """
 
     false_free: NDArray[np.float64]
@@ -87,16 +87,16 @@ class FreeSpace(NamedTuple):
 
 
 class PrecisionRecall(NamedTuple):
-    """Precision and recall of occupied, known cells with P(occupied) >= threshold being detected.
+    """Precision and recall of occupied, with known cells detected if P(occupied) >= threshold.
 
     Attributes
     ----------
     precision : (points,)
-        Share of the detected known cells that are right; 1 where none is detected.
+        Share of occupied cells among detected known cells; 1 without detections.
     recall : (points,)
-        Share of the occupied cells that are found, ascending.
+        Share of occupied cells that are detected, ascending.
     threshold : (points,)
-        Of P(occupied), descending.
+        Threshold of P(occupied), descending.
     """
 
     precision: NDArray[np.float64]
@@ -105,13 +105,14 @@ class PrecisionRecall(NamedTuple):
 
 
 def reliability(counts: ConfusionSums, which: Literal["all", "predicted_known", "relative"] = "all") -> Reliability:
-    """Return how often known cells are occupied, by bins of P(occupied).
+    """Return the share of occupied cells among known cells, by bins of P(occupied). See `Reliability`.
 
     Parameters
     ----------
     counts : ConfusionSums
     which : {"all", "predicted_known", "relative"}
-        P(occupied) of all known cells, of those predicted free or occupied; or occupied / (free + occupied) of all.
+        P(occupied) of all known cells; P(occupied) of known cells predicted free or occupied; or
+        occupied / (free + occupied) of all known cells.
     """
     if which not in WHICH:
         raise ValueError(f"which must be one of {', '.join(WHICH)}, got {which!r}")
@@ -121,27 +122,27 @@ def reliability(counts: ConfusionSums, which: Literal["all", "predicted_known", 
 
 
 def intervals(counts: ConfusionSums) -> Intervals:
-    """Return how often known cells are occupied, against [Bel(occupied), Pl(occupied)]."""
+    """Return the share of occupied cells among known cells, by bins of Bel(occupied). See `Intervals`."""
     cells, belief, plausibility, happened = counts.intervals[counts.intervals[:, 0] > 0].T
     return Intervals(belief / cells, plausibility / cells, happened / cells, cells)
 
 
 def risk_coverage(counts: ConfusionSums) -> RiskCoverage:
-    """Return the risk of the most certain known cells, by unknown, against their share. See `RiskCoverage`.
+    """Return the risk of the most certain known cells against their share. See `RiskCoverage`.
 
-    Cells of one of the 4097 levels of unknown are taken together, in equal parts.
+    Cells in one of the 4097 levels of unknown are ties, taken in equal parts.
     """
     taken, wrong = by_unknown(counts)
     total = taken[-1]
     if total == 0:
         return RiskCoverage(*np.zeros((3, 0)))
-    some = np.arange(1, POINTS + 1) / POINTS * total
+    some = np.arange(1, MAX_POINTS + 1) / MAX_POINTS * total
     risk, oracle = (np.interp(some, *ends) / some for ends in ((taken, wrong), by_error(counts)))
     return RiskCoverage(some / total, risk, oracle)
 
 
 def free_space(counts: ConfusionSums) -> FreeSpace:
-    """Return the recall of free cells against the share of occupied ones detected as free. See `FreeSpace`."""
+    """Return the recall of free cells against the share of occupied cells detected as free. See `FreeSpace`."""
     free, occupied = above(counts.bel_free_hist[0]), above(counts.bel_free_hist[1])
     if free[-1] == 0 or occupied[-1] == 0:
         return FreeSpace(*np.zeros((3, 0)))
@@ -157,9 +158,9 @@ def precision_recall(counts: ConfusionSums, tolerance: int = 0) -> PrecisionReca
     ----------
     counts : ConfusionSums
     tolerance : {0, 1}
-        In cells, diagonals included. With 1, a detected cell is right if an occupied cell lies within one cell, and
-        an occupied cell is found if a detected one does. Detections count for precision on known cells only; one on
-        a cell whose truth is unknown can find an occupied cell next to it, one on an ignored cell has no effect.
+        Tolerance [cells], diagonals included. With 1, a detection is correct with an occupied cell within one cell, and
+        an occupied cell is found with a detection within one cell. Precision counts detections in known cells only. A
+        detection in a truly unknown cell can find an occupied neighbour; detections in ignored cells have no effect.
     """
     precision, recall = detection_curve(counts, tolerance)
     shown = _thinned(precision, recall) if len(recall) else np.zeros(0, np.intp)
@@ -168,13 +169,13 @@ def precision_recall(counts: ConfusionSums, tolerance: int = 0) -> PrecisionReca
 
 
 def _thresholds(levels: int) -> NDArray[np.float64]:
-    """Return the least number that is rounded to each level or above, from the highest level down."""
+    """Return the smallest number that is rounded to each level, from the highest level down."""
     return np.maximum((np.arange(levels)[::-1] - 0.5) / (levels - 1), 0.0)
 
 
 def _thinned(*coordinates: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the indices of points to plot: both ends, and between them even steps along the curve."""
-    steps = np.sqrt(sum(np.diff(one) ** 2 for one in coordinates))
+    """Return indices of points at even steps along the curve, with both ends."""
+    steps = np.sqrt(sum(np.diff(axis) ** 2 for axis in coordinates))
     along = np.concatenate([np.zeros(1), np.cumsum(steps)])
-    wanted = np.searchsorted(along, np.linspace(0, along[-1], POINTS))
+    wanted = np.searchsorted(along, np.linspace(0, along[-1], MAX_POINTS))
     return np.unique(np.minimum(wanted, len(along) - 1))

@@ -1,4 +1,4 @@
-"""How long a dynamic grid takes to predict that an object moves, once it is in sight."""
+"""Time from the first sight of a moving object to its detection by a dynamic grid."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 from ogm.metrics.motion import MOVING, STILL
 from ogm.state import Motion
 
-SHARE = 0.5  # of an object's occupied cells: from there on it is detected
-LEAST_SCANS = 5  # in which an undetected object is in sight and moves: with fewer it is left out
+SHARE = 0.5  # of an object's occupied cells predicted moving, for a detection
+MIN_SCANS = 5  # with an undetected object in sight and moving; with fewer it is left out
 
 
 class ObjectCells(NamedTuple):
-    """Objects of one frame of which the scan shows a cell or more.
+    """Objects in one frame with at least one cell occupied in the scan.
 
     Attributes
     ----------
     track : (n,) str
         Names of the objects.
     speed : (n,) float64
-        True speed, the mean over cells [m/s].
+        True speed, mean over cells [m/s].
     cells, predicted : (n,) int64
-        Cells that the scan shows as occupied, and those of them that are predicted moving.
+        Number of cells occupied in the scan, and of these cells predicted moving.
     """
 
     track: NDArray[np.str_]
@@ -33,15 +33,16 @@ class ObjectCells(NamedTuple):
 
 
 class Detection(NamedTuple):
-    """When one object was detected.
+    """Detection of an object.
 
     Attributes
     ----------
     track : str
     stamp : float
-        When it was first in sight and faster than 1 m/s [s].
+        Time at which it was first in sight and faster than 1 m/s [s].
     seconds, scans : float
-        From then until half of its occupied cells are predicted moving; 0 at once, infinite if they never were.
+        Time [s] and number of scans from `stamp` until half of its occupied cells are predicted moving; infinite if
+        this never happens.
     from_rest : bool
         Whether it was in sight and static before.
     """
@@ -56,15 +57,15 @@ class Detection(NamedTuple):
 def object_cells(
     motion: Motion, occupied: NDArray[np.bool_], predicted: NDArray[np.bool_], track: Sequence[str]
 ) -> ObjectCells:
-    """Count the cells of every object that a scan shows.
+    """Count the cells of every object in a scan.
 
     Parameters
     ----------
     motion : Motion
     occupied, predicted : (nx, ny) bool
-        Cells that the scan shows as occupied, and cells that the grid predicts moving.
+        Cells occupied in the scan, and cells predicted moving by the grid.
     track : sequence of str
-        Names of the objects that `motion.box` counts; those without a name are left out.
+        Names of the objects in `motion.box`; objects without a name are left out.
     """
     named = np.array([bool(name) for name in track] + [False])
     speed = np.hypot(motion.velocity[..., 0], motion.velocity[..., 1])
@@ -78,7 +79,7 @@ def object_cells(
 
 
 def detection_times(frames: Iterable[tuple[float, ObjectCells]]) -> list[Detection]:
-    """Return how long each moving object of a sequence took to be detected.
+    """Return the detection of each moving object of a sequence.
 
     Parameters
     ----------
@@ -88,23 +89,23 @@ def detection_times(frames: Iterable[tuple[float, ObjectCells]]) -> list[Detecti
     Returns
     -------
     list of Detection
-        One per object that is ever in sight and faster than 1 m/s. Objects that were not detected are left out if they
-        are so in fewer than five scans.
+        One per object that is in sight and faster than 1 m/s at any time. Undetected objects are left out if this
+        holds in fewer than five scans.
     """
     first: dict[str, tuple[float, int]] = {}
     rested: set[str] = set()
     scans: dict[str, int] = {}
     found: dict[str, Detection] = {}
     for k, (stamp, objects) in enumerate(frames):
-        for track, speed, cells, predicted in zip(*(one.tolist() for one in objects), strict=True):
+        for track, speed, cells, predicted in zip(*(column.tolist() for column in objects), strict=True):
             if speed < STILL and track not in first:
                 rested.add(track)
             if speed <= MOVING or track in found:
                 continue
-            start, place = first.setdefault(track, (stamp, k))
+            start, first_scan = first.setdefault(track, (stamp, k))
             scans[track] = scans.get(track, 0) + 1
             if predicted >= SHARE * cells:
-                found[track] = Detection(track, start, stamp - start, k - place, track in rested)
+                found[track] = Detection(track, start, stamp - start, k - first_scan, track in rested)
     never = float("inf")
-    lost = (track for track in first if track not in found and scans[track] >= LEAST_SCANS)
+    lost = (track for track in first if track not in found and scans[track] >= MIN_SCANS)
     return [*found.values(), *(Detection(name, first[name][0], never, never, name in rested) for name in lost)]

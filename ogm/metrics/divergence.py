@@ -1,14 +1,14 @@
 """Sums of Dirichlet divergences over the cells of a grid, from a table of ln Gamma and digamma.
 
-The truth of a cell is one of three densities: Dir(1, 1) where it is unknown, Dir(1 + E, 1) where it is free and
-Dir(1, 1 + E) where it is occupied; E is the strength that is granted to the truth. With ``e`` the evidence of the
-grid, ``alpha = 1 + e``, ``S`` their sum and ``t = digamma(alpha) - digamma(S)``, the expectation of ln p,
+The truth of a cell is one of three densities: Dir(1, 1) for unknown, Dir(1 + E, 1) for free and Dir(1, 1 + E) for
+occupied, with E the assumed evidence of the truth. With ``e`` the evidence of the grid, ``alpha = 1 + e``, ``S`` their
+sum and ``t = digamma(alpha) - digamma(S)``, the expectation of ln p,
 
     KL[Dir(alpha) || truth]  =  sum e t - ln B(alpha) - (ln(1 + E) + E t_true)
     KL[truth || Dir(alpha)]  =  ln B(alpha) - sum e t' + (ln(1 + E) + E t'_true)
 
-with t' the same expectation under the truth; the parentheses are absent where the truth is unknown. So one lookup of
-the special functions per cell serves every E and both directions, and sums over cells need no value per cell. The
+with t' the expectation of ln p under the truth; without the parentheses if the truth is unknown. A single lookup of the
+special functions per cell thus gives every E and both directions, and sums over cells need no value per cell. The
 definition, and the reference of the tests, is `ogm.evidence.dirichlet_kl`.
 """
 
@@ -23,17 +23,17 @@ from ogm.extras import import_extra
 from ogm.jit import inline, vector
 from ogm.state import CellState
 
-MIN_UNKNOWN = 2e-5  # floor of unknown: evidence ends at 1e5, the limit of the resolution of float32 masses
-MIN_EVIDENCE = 1e-7  # Keras' epsilon: floor of the evidence in the divergence of the EviLOG code
+MIN_UNKNOWN = 2e-5  # least mass of unknown: evidence up to 1e5, the limit of the resolution of float32 masses
+MIN_EVIDENCE = 1e-7  # Keras' epsilon: least evidence in the divergence of the EviLOG code
 
-_BITS = 7  # of the mantissa: places of the table per octave
+_BITS = 7  # of the mantissa: 2**7 entries of the table per octave
 _OCTAVES = 18  # from 1 to 2.6e5, above the largest alpha
 _BLOCK = 256  # cells processed together, for vector instructions
-_OCCUPIED = int(CellState.OCCUPIED)  # the last state that counts
+_OCCUPIED = int(CellState.OCCUPIED)  # the last state that is not ignored
 
 
 class DivergenceSums(NamedTuple):
-    """Sums over the cells of each truth (unknown, free, occupied), with evidence times each of some scales.
+    """Sums over the cells of each true state (unknown, free, occupied), for several scales of the evidence.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class DivergenceSums(NamedTuple):
     log_beta : (scales, 3)
         ln B(1 + free, 1 + occupied).
     clipped_log_free, clipped_log_occupied : (3,)
-        ln of the evidence, clipped to [1e-7, 1], without scale.
+        ln of the unscaled evidence, clipped to [1e-7, 1].
     """
 
     uniform_kl: NDArray[np.float64]
@@ -62,12 +62,12 @@ class DivergenceSums(NamedTuple):
 def sum_divergences(
     mass: NDArray[np.floating], state: NDArray[np.uint8], scales: NDArray[np.float64]
 ) -> DivergenceSums:
-    """Return the sums that the divergences of all cells need.
+    """Return sums for the divergences of all cells.
 
     Parameters
     ----------
     mass : (N, 2) float array
-        Masses of free and occupied; unknown is read as at least 2e-5.
+        Masses of free and occupied; unknown is taken as at least 2e-5.
     state : (N,) uint8
         True states; ignored cells are left out.
     scales : (scales,) float64
@@ -79,21 +79,21 @@ def sum_divergences(
 
 
 def to_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: float) -> NDArray[np.float64]:
-    """Return the sums of KL[grid || truth] [nats] for every truth, (3,): the paper's direction, prediction first.
+    """Return sums of KL[grid || truth] [nats] for each true state, (3,): the paper's direction, prediction first.
 
-    A missed cell costs E - ln(1 + E), a false detection of evidence e in an unknown one ln(1 + e) - e / (1 + e). The
-    measure depends much on E and penalises evidence beyond that of the truth: with E = 1, a correct cell with evidence
-    10 costs 0.89, a vacuous one 0.31.
+    A missed cell costs E - ln(1 + E), a false detection with evidence e in an unknown cell ln(1 + e) - e / (1 + e). The
+    measure strongly depends on E and penalises evidence above E: with E = 1, a correct cell with evidence 10 costs
+    0.89, a vacuous cell 0.31.
 
     Parameters
     ----------
     sums : DivergenceSums
     scale : int
-        Which of the scales to use.
+        Index of the scale.
     cells : (3,)
-        Number of cells of every truth.
+        Number of cells of each true state.
     strength : float
-        E, the evidence of the truth for a cell that it knows.
+        E, the evidence of the truth in known cells.
     """
     log_true = np.array([0.0, sums.log_free[scale, CellState.FREE], sums.log_occupied[scale, CellState.OCCUPIED]])
     known = np.array([0.0, 1.0, 1.0])
@@ -104,12 +104,12 @@ def to_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: fl
 
 
 def from_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: float) -> NDArray[np.float64]:
-    """Return the sums of KL[truth || grid] [nats] for every truth, (3,): the other direction, see `to_truth`.
+    """Return sums of KL[truth || grid] [nats] for each true state, (3,): the other direction, see `to_truth`.
 
-    It grows linearly with evidence that is not in the truth: a confident model pays for every cell whose truth is
-    unknown.
+    It grows linearly with evidence that is not in the truth: a confident model is penalised in every truly unknown
+    cell.
     """
-    digamma = import_extra("scipy.special", "evaluate").digamma  # here: it would double the time of the import
+    digamma = import_extra("scipy.special", "evaluate").digamma  # here, as it would double the import time
 
     # Expectations of ln p under Dir(1 + E, 1), for the true state and the other.
     one, alpha, total = (float(digamma(x)) for x in (1.0, 1.0 + strength, 2.0 + strength))
@@ -128,8 +128,8 @@ def from_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: 
 
 @lru_cache(maxsize=1)
 def _table() -> NDArray[np.float64]:
-    """Return places x and, at each, Taylor's coefficients of ln Gamma up to the fifth, (places, 8); one is spare."""
-    special = import_extra("scipy.special", "evaluate")  # here, as it would double the time that the import takes
+    """Return positions x with Taylor coefficients of ln Gamma up to the fifth, (positions, 8); the last is unused."""
+    special = import_extra("scipy.special", "evaluate")  # here, as it would double the import time
 
     within = 1 + (np.arange(1 << _BITS) + 0.5) / (1 << _BITS)
     x = (2.0 ** np.arange(_OCTAVES)[:, None] * within).ravel()
@@ -141,8 +141,8 @@ def _table() -> NDArray[np.float64]:
 def _look_up(x: float, bits: int, places: Any) -> Any:
     """Return ln Gamma(x) and digamma(x) for 1 <= x < 2**18, to 1e-11 (1 + value) and 1e-11.
 
-    Taylor's polynomials around the nearest of 128 places per octave: faster than the functions themselves. `bits` are
-    the same eight bytes as int64: exponent and mantissa give the place.
+    Taylor polynomials around the nearest of 128 positions per octave, which is faster than the functions. `bits` are
+    the eight bytes of x as int64: exponent and mantissa give the position.
     """
     at = (bits >> (52 - _BITS)) - (1023 << _BITS)
     d = x - places[at, 0]

@@ -1,8 +1,8 @@
-"""The metrics of the paper's published code, EviLOG: for comparison with its figures only, not for ranking.
+"""Metrics of the paper's published code, EviLOG: for comparison with its figures only, not for ranking.
 
-Its "KL divergence" is Keras' categorical one of clipped evidence, it averages the baseline's with the other method's,
-and its "accuracy" is the share of cells that are predicted unknown (github.com/ika-rwth-aachen/EviLOG,
-model/evaluate.py and model/metrics.py). None of the three measures the quality of a map; the functions give details.
+Its "KL divergence" is Keras' categorical divergence of clipped evidence, its value of the baseline is averaged with the
+other method's, and its "accuracy" is the share of cells predicted unknown (github.com/ika-rwth-aachen/EviLOG,
+model/evaluate.py and model/metrics.py). These values do not measure the quality of a map; see the functions.
 """
 
 import numpy as np
@@ -16,9 +16,9 @@ def evilog_kl(evidence: NDArray[np.floating], state: NDArray[np.uint8]) -> NDArr
     """Return the "KL divergence" of the EviLOG code for every cell, without its running average.
 
     It is Keras' categorical divergence between the truth as *evidence*, 1 for the state of a known cell and 0
-    elsewhere, and the raw evidence of the grid, both clipped to [1e-7, 1]: -ln(clip(e of the true state)) to six
-    digits. A missing detection costs 16.1, excess and false evidence nothing: evidence of 1 for both states everywhere
-    is perfect.
+    otherwise, and the raw evidence of the grid, both clipped to [1e-7, 1]: -ln(clip(e of the true state)) to six
+    digits. A missed detection costs 16.1, excess and false evidence cost nothing: evidence of 1 for both states in all
+    cells is perfect.
 
     Parameters
     ----------
@@ -29,12 +29,12 @@ def evilog_kl(evidence: NDArray[np.floating], state: NDArray[np.uint8]) -> NDArr
 
     Returns
     -------
-    (...) float64; NaN where the truth is ignored
+    (...) float64; NaN in ignored cells
 
     Notes
     -----
     The code updates one metric object with the network and then, without a reset, with the baseline, so that the
-    published value of the baseline is the mean of both; this function keeps no state.
+    published value of the baseline is the mean of both. This function has no state.
     """
     label = np.stack([state == CellState.FREE, state == CellState.OCCUPIED], axis=-1).astype(np.float64)
     label, clipped = (np.clip(x, MIN_EVIDENCE, 1.0) for x in (label, evidence.astype(np.float64)))

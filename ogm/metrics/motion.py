@@ -1,7 +1,7 @@
-"""What is counted of one dynamic grid against the true motion of its cells.
+"""Counts of a dynamic grid against the true motion of its cells.
 
-Only cells that the scan shows as occupied are compared, as what is not observed has no velocity to estimate. Counts add
-up, as those of `ogm.metrics.counts`.
+Only cells occupied in the scan are compared, as unobserved cells have no velocity to estimate. Counts are additive, see
+`ogm.metrics.counts`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,16 +16,16 @@ from ogm.metrics.counts import LEVELS, RANGES
 from ogm.state import Motion
 
 MOVING, STILL = 1.0, 0.3  # [m/s] true speed above which a cell is moving, below which static; between: ignored
-FASTEST = 2.0  # [m/s] estimated speed above which the belief alone makes the score
+FASTEST = 2.0  # [m/s] estimated speed above which the score depends only on belief
 THRESHOLD = 0.6  # [m/s] score above which a cell is predicted moving
 SLOW = 5.0  # [m/s] up to which a moving cell is slow
 KINDS = ("vehicle", "cyclist", "pedestrian", "other")
-GROUPS = ("moving", *KINDS, "slow", "fast", "static")  # of cells, by truth; a moving cell is in three of them
-LEAST, RATIO, BINS = 0.01, 1.01, 930  # of histograms of errors: [0, 0.01) and then 1 % each, up to 103
+GROUPS = ("moving", *KINDS, "slow", "fast", "static")  # of cells, by truth; a moving cell is in three groups
+FIRST_EDGE, RATIO, BINS = 0.01, 1.01, 930  # of histograms of errors: [0, 0.01) and then 1 % each, up to 103
 SECTORS = 720  # of histograms of heading errors: 0.25 degrees each
 INSIDE = (0.50, 0.95)  # probabilities of the ellipses of a cell's velocity
 
-_WORDS = {  # parts of labels, in the order in which they are looked for
+_WORDS = {  # parts of labels, in the order of the search
     "pedestrian": ("pedestrian", "person", "human", "walker", "stroller", "wheelchair"),
     "cyclist": ("cycl", "rider", "motorbike"),
     "vehicle": ("vehicle", "car", "van", "truck", "bus", "tram", "train", "trailer"),
@@ -33,35 +33,37 @@ _WORDS = {  # parts of labels, in the order in which they are looked for
 
 
 class MotionSums(NamedTuple):
-    """Sums over cells that the scan shows as occupied and whose true motion is known. Add two with `plus`.
+    """Sums over cells occupied in the scan with known true motion. Add two with `plus`.
 
-    The axis `groups` is that of `GROUPS`. *Motion* is the velocity of the grid in cells that it predicts moving, and 0
-    in the others.
+    The axis `groups` follows `GROUPS`. *Motion* is the velocity of the grid in cells predicted moving, and 0 in other
+    cells.
 
     Attributes
     ----------
     score_hist : (2, 4097)
         Histograms of the score of static and of moving cells, see `moving_score`, over [0, 2] m/s.
     cells : (groups, 2)
-        Cells, and those of them predicted moving.
+        Number of cells, and of cells predicted moving.
     range_cells : (ranges, 2, 2)
-        By the bins of `RANGES`: static and moving cells, and those of them predicted moving; zeros without distances.
+        Number of static and moving cells by the bins of `RANGES`, and of these predicted moving; zeros without
+        distances.
     velocity_hist, motion_hist : (groups, 930)
-        Histograms of the length of the error of the velocity, in cells that have one, and of the motion, in all.
+        Histograms of the length of the error of the velocity, in cells with a velocity, and of the motion, in all
+        cells.
     velocity_sums : (groups, 2)
-        Cells that have a velocity, and the sum of their squared errors [m²/s²].
+        Number of cells with a velocity, and the sum of their squared errors [m²/s²].
     motion_sums : (groups,)
         Sums of the error of the motion [m/s].
     relative_hist, relative_sums : (groups, 930), (groups,)
-        The error of the motion over the true speed; of the group ``static`` zeros.
+        Histograms and sums of the error of the motion over the true speed; zeros for the group ``static``.
     heading_hist : (groups, 720)
         Histograms of the error of the heading of the velocity, over [0, 180] degrees.
     ellipses : (groups, 3)
-        Cells that have a velocity and a covariance, and those of them whose true velocity lies in the ellipse that
-        holds 50 % and 95 %.
+        Number of cells with a velocity and a covariance, and of cells with the true velocity in the 50 % and in the
+        95 % ellipse.
     body : (3,)
-        All cells under moving objects of which the scan shows one cell or more; those with more mass on occupied than
-        on free, and those with a mass of free above 1/2.
+        Number of all cells under moving objects with at least one cell occupied in the scan; of cells with more mass on
+        occupied than on free; and of cells with a mass of free above 1/2.
     """
 
     score_hist: NDArray[np.float64]
@@ -79,24 +81,24 @@ class MotionSums(NamedTuple):
 
     @classmethod
     def zeros(cls) -> Self:
-        """Return the sums of no cell."""
+        """Return sums of zero."""
         n = len(GROUPS)
         shapes: list[tuple[int, ...]] = [(2, LEVELS), (n, 2), (len(RANGES) - 1, 2, 2), (n, BINS), (n, BINS), (n, 2)]
         shapes += [(n,), (n, BINS), (n,), (n, SECTORS), (n, 3), (3,)]
         return cls(*map(np.zeros, shapes))
 
     def plus(self, other: Self) -> "MotionSums":
-        """Return the sums of both."""
+        """Return the added sums of both."""
         return MotionSums(*map(add, self, other))
 
 
 def moving_score(grid: DynamicGrid) -> NDArray[np.float64]:
-    """Return how much each cell is predicted to move: belief in dynamic times min(speed, 2 m/s).
+    """Return the score of motion of each cell: belief in dynamic times min(speed, 2 m/s).
 
     Returns
     -------
     (nx, ny) float64
-        In [0, 2] m/s; the belief is dynamic / (static + dynamic), and 0 where nothing is occupied.
+        Score, 0 to 2 m/s; the belief is dynamic / (static + dynamic), and 0 without mass of occupied.
     """
     occupied = grid.static.astype(np.float64) + grid.dynamic
     belief = grid.dynamic / np.where(occupied > 0, occupied, 1.0)
@@ -104,12 +106,12 @@ def moving_score(grid: DynamicGrid) -> NDArray[np.float64]:
 
 
 def predicted_moving(grid: DynamicGrid, threshold: float = THRESHOLD) -> NDArray[np.bool_]:
-    """Return the cells that a grid predicts moving, (nx, ny): those with a `moving_score` above a threshold [m/s]."""
+    """Return the cells predicted moving, (nx, ny), with a `moving_score` above a threshold [m/s]."""
     return moving_score(grid) > threshold
 
 
 def object_kinds(labels: Sequence[str]) -> NDArray[np.int8]:
-    """Return the kind of each object, (B,), a number of `KINDS`, by the words of its data set's label."""
+    """Return the kind of each object, (B,), an index in `KINDS`, by words in its label."""
     found = np.full(len(labels), KINDS.index("other"), np.int8)
     for k, label in enumerate(labels):
         for kind, words in _WORDS.items():
@@ -127,21 +129,21 @@ def accumulate_motion(
     distance: NDArray[np.floating] | None = None,
     predicted: NDArray[np.bool_] | None = None,
 ) -> MotionSums:
-    """Return the sums of one grid that the scores of motion need.
+    """Return the sums of a grid for the scores of motion.
 
     Parameters
     ----------
     grid : DynamicGrid
     motion : Motion
-        The truth on the same cells and axes. Cells of NaN are left out, and so are those of 0.3 to 1 m/s.
+        True motion on the same cells and axes. Cells with NaN or 0.3 to 1 m/s are left out.
     occupied : (nx, ny) bool
-        Cells that the scan shows as occupied: a mass of more than 1/2 in the measurement grid.
+        Cells occupied in the scan, with a mass above 1/2 in the measurement grid.
     labels : sequence of str, optional
-        Of the objects that `motion.box` counts; without them all are of the kind ``other``.
+        Labels of the objects in `motion.box`; by default all objects are of the kind ``other``.
     distance : (nx, ny) float array, optional
-        See `ogm.metrics.distances`; without it nothing is counted by range.
+        Distances of the cells [m], see `ogm.metrics.distances`; needed for sums by range.
     predicted : (nx, ny) bool, optional
-        Cells that are predicted moving; by default, see `predicted_moving`.
+        Cells predicted moving; by default from `predicted_moving`.
 
     Raises
     ------
@@ -198,7 +200,7 @@ def accumulate_motion(
 def _count_body(
     grid: DynamicGrid, box: NDArray[np.int16], moving: NDArray[np.bool_], occupied: NDArray[np.bool_], sums: MotionSums
 ) -> None:
-    """Count all cells under moving objects that the scan shows."""
+    """Count all cells under moving objects that have a cell occupied in the scan."""
     under = moving & (box >= 0)
     cells = under & np.isin(box, np.unique(box[under & occupied]))
     free, full = grid.free[cells], grid.occupied[cells]
@@ -206,7 +208,7 @@ def _count_body(
 
 
 def _squared_distances(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return squared Mahalanobis distances, (n,): 0 of no error, infinite where a covariance has no inverse."""
+    """Return squared Mahalanobis distances, (n,): 0 without error, 1e300 for a singular covariance."""
     (x, y), (xx, xy, yy) = error.T, (covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1])
     determinant = xx * yy - xy * xy
     valid = (determinant > 0) & (xx > 0)
@@ -222,16 +224,16 @@ def _angle_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np
 
 
 def _histogram(errors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Count errors in the bins [0, 0.01), [0.01, 0.0101), ..., the last one open."""
-    place = np.log(np.maximum(errors, LEAST) / LEAST) / np.log(RATIO)
-    place = np.where(errors < LEAST, 0, np.minimum(np.floor(place) + 1, BINS - 1))
-    return np.bincount(place.astype(np.intp), minlength=BINS).astype(np.float64)
+    """Count errors in the bins [0, 0.01), [0.01, 0.0101), ...; the last bin is open."""
+    level = np.log(np.maximum(errors, FIRST_EDGE) / FIRST_EDGE) / np.log(RATIO)
+    level = np.where(errors < FIRST_EDGE, 0, np.minimum(np.floor(level) + 1, BINS - 1))
+    return np.bincount(level.astype(np.intp), minlength=BINS).astype(np.float64)
 
 
 def _check(grid: DynamicGrid, motion: Motion, labels: Sequence[str], arrays: Mapping[str, NDArray[Any] | None]) -> None:
     shape = grid.spec.shape
     for name, array in {"motion.velocity": motion.velocity[..., 0], "motion.box": motion.box, **arrays}.items():
         if array is not None and array.shape != shape:
-            raise ValueError(f"{name} must be of the grid's cells {shape}, got {array.shape}; crop the truth to them")
+            raise ValueError(f"{name} must have the grid's cells {shape}, got {array.shape}; crop the truth to them")
     if len(labels) and motion.box.size and motion.box.max() >= len(labels):
-        raise ValueError(f"motion.box counts to {motion.box.max()}, but there are {len(labels)} labels")
+        raise ValueError(f"labels must have an entry for box {motion.box.max()} of motion.box, got {len(labels)}")

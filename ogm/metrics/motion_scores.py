@@ -1,4 +1,4 @@
-"""The scores of motion that follow from `MotionSums`, and their meanings."""
+"""Scores of motion computed from `MotionSums`, with descriptions."""
 
 from typing import Any, NamedTuple
 
@@ -6,40 +6,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.metrics.areas import above, average_precision, parts
-from ogm.metrics.motion import GROUPS, LEAST, RATIO, SECTORS, MotionSums
+from ogm.metrics.motion import FIRST_EDGE, GROUPS, RATIO, SECTORS, MotionSums
 from ogm.metrics.scores import Metric
 
 _ALL, _STATIC = GROUPS.index("moving"), GROUPS.index("static")
 _TABLE = """\
 motion_ap | AP moving | higher | average precision of the score, belief in dynamic times min(speed, 2 m/s), for cells \
-that move faster than 1 m/s among those that the scan shows as occupied
-motion_iou | IoU moving | higher | IoU of cells predicted moving (score above 0.6 m/s) and moving ones
-motion_precision | precision moving | higher | share of the cells predicted moving that move
-motion_recall | recall moving | higher | share of the moving cells that are predicted moving
-static_moving | static predicted moving | lower | share of the static cells that are predicted moving
-velocity_rmse | velocity RMSE | lower | root mean square of the length of the velocity's error in moving cells that \
-have a velocity [m/s]
-velocity_median | velocity median | lower | median of the same [m/s]
-velocity_known | has a velocity | higher | share of the moving cells that have a velocity
-heading_median | heading median | lower | median error of the velocity's direction in the same cells [degrees]
-normalised_mean | normalised error | lower | mean error of the motion over the true speed, moving cells; one not \
-predicted moving has 1
-normalised_median | normalised error, median | lower | median of the same
+faster than 1 m/s among cells occupied in the scan
+motion_iou | IoU moving | higher | IoU of cells predicted moving (score above 0.6 m/s) and moving cells
+motion_precision | precision moving | higher | share of moving cells among cells predicted moving
+motion_recall | recall moving | higher | share of moving cells predicted moving
+static_moving | static predicted moving | lower | share of static cells predicted moving
+velocity_rmse | velocity RMSE | lower | root mean square of the length of the velocity's error in moving cells with a \
+velocity [m/s]
+velocity_median | velocity median | lower | median length of the velocity's error in these cells [m/s]
+velocity_known | has a velocity | higher | share of moving cells with a velocity
+heading_median | heading median | lower | median error of the velocity's direction in these cells [degrees]
+normalised_mean | normalised error | lower | mean error of the motion over the true speed in moving cells; 1 for cells \
+not predicted moving
+normalised_median | normalised error, median | lower | median error of the motion over the true speed
 inside_50 | in the 50 % ellipse |  | share of moving cells' true velocities within the 50 % ellipse of the cell's \
 covariance; 0.50 is consistent
-inside_95 | in the 95 % ellipse |  | the same of the 95 % ellipse; 0.95 is consistent
-moving_occupied | moving occupied | higher | share of the cells under moving objects in sight with more mass on \
+inside_95 | in the 95 % ellipse |  | share within the 95 % ellipse; 0.95 is consistent
+moving_occupied | moving occupied | higher | share of cells under visible moving objects with more mass on \
 occupied than on free
-moving_free | moving free | lower | share of the same cells with a mass of free above 1/2
+moving_free | moving free | lower | share of these cells with a mass of free above 1/2
 """  # name | title | better | description
 _BY_GROUP = """\
 recall | recall, {0} | higher | recall of moving cells, {1}
 velocity_rmse | velocity RMSE, {0} | lower | velocity RMSE in moving cells, {1} [m/s]
 velocity_median | velocity median, {0} | lower | median error of the velocity in moving cells, {1} [m/s]
 motion_mean | motion error, {0} | lower | mean error of the motion, 0 where not predicted moving, {1} [m/s]
-motion_median | motion median, {0} | lower | median of the same [m/s]
+motion_median | motion median, {0} | lower | median error of the motion, {1} [m/s]
 normalised_mean | normalised error, {0} | lower | mean error of the motion over the true speed, {1}
-normalised_median | normalised median, {0} | lower | median of the same
+normalised_median | normalised median, {0} | lower | median error of the motion over the true speed, {1}
 inside_95 | in the 95 % ellipse, {0} |  | share of true velocities within the 95 % ellipse, {1}
 """
 _DESCRIPTIONS = {
@@ -76,9 +76,9 @@ class MotionCurve(NamedTuple):
     Attributes
     ----------
     recall, precision : (points,) float64
-        Empty if moving or static cells are absent.
+        Empty without moving or static cells.
     threshold : (points,) float64
-        Of the score [m/s].
+        Threshold of the score [m/s].
     """
 
     recall: NDArray[np.float64]
@@ -87,11 +87,11 @@ class MotionCurve(NamedTuple):
 
 
 def score_motion(sums: MotionSums) -> dict[str, float]:
-    """Return the scores of `MOTION_METRICS`, in their order; NaN where there is no cell for one.
+    """Return the scores of `MOTION_METRICS`, in their order; NaN for scores without cells.
 
     Notes
     -----
-    Histograms have bins of 1 % of the error: so exact are medians. An error below 0.01 counts as 0 in them.
+    Medians are exact to 1 %, the width of a histogram's bins. Errors below 0.01 count as 0 in medians.
     """
     (moving, right), (static, wrong) = sums.cells[_ALL], sums.cells[_STATIC]
     whole = _of_group(sums, _ALL)
@@ -114,7 +114,7 @@ def score_motion(sums: MotionSums) -> dict[str, float]:
 
 
 def motion_curve(sums: MotionSums) -> MotionCurve:
-    """Return precision and recall of moving cells over all thresholds that any cell's score reaches."""
+    """Return precision and recall of moving cells over all thresholds reached by scores of cells."""
     static, moving = sums.score_hist
     if not static.any() or not moving.any():
         return MotionCurve(np.zeros(0), np.zeros(0), np.zeros(0))
@@ -125,7 +125,7 @@ def motion_curve(sums: MotionSums) -> MotionCurve:
 
 
 def motion_by_range(sums: MotionSums) -> dict[str, NDArray[np.float64]]:
-    """Return by the bins of `RANGES`: static and moving cells, and the shares of them that are predicted moving."""
+    """Return numbers of static and moving cells and their shares predicted moving, by the bins of `RANGES`."""
     cells, predicted = sums.range_cells[..., 0], sums.range_cells[..., 1]
     shares = parts(predicted, cells)
     return {
@@ -153,19 +153,19 @@ def _of_group(sums: MotionSums, row: int) -> dict[str, Any]:
 
 
 def median_error(histogram: NDArray[np.float64]) -> float:
-    """Return the median of a histogram of errors; 0 below 0.01, NaN of no cell."""
-    place = _middle(histogram)
-    return float("nan") if np.isnan(place) else float(LEAST * RATIO ** (place - 1)) if place >= 1 else 0.0
+    """Return the median of a histogram of errors; 0 below 0.01, NaN without cells."""
+    middle = _middle(histogram)
+    return float("nan") if np.isnan(middle) else float(FIRST_EDGE * RATIO ** (middle - 1)) if middle >= 1 else 0.0
 
 
 def _median_heading(histogram: NDArray[np.float64]) -> float:
     """Return the median heading error [degrees]; 0 in the first bin."""
-    place = _middle(histogram)
-    return float(place * 180 / SECTORS) if np.isnan(place) or place >= 1 else 0.0
+    middle = _middle(histogram)
+    return float(middle * 180 / SECTORS) if np.isnan(middle) or middle >= 1 else 0.0
 
 
 def _middle(histogram: NDArray[np.float64]) -> float:
-    """Return the bin in which half of the cells is reached, and the share of it, as one number."""
+    """Return the fractional bin at which half of the cells is reached."""
     ends = np.cumsum(histogram)
     if not len(ends) or ends[-1] == 0:
         return float("nan")

@@ -1,7 +1,7 @@
-"""What is counted of a predicted dynamic grid against the truth of the time that it was predicted for.
+"""Counts of a predicted dynamic grid against the truth of the predicted time.
 
-The cells of moving objects are compared with a tolerance of one cell: recall is of those that the later scan shows as
-occupied, precision of the cells that are predicted to hold something moving, within a cell of such an object or not.
+Cells of moving objects are compared with a tolerance of one cell: recall is over their cells occupied in the later
+scan, precision over the cells predicted moving.
 """
 
 from operator import add
@@ -19,27 +19,28 @@ from ogm.state import CellState, Truth
 
 LEVELS = 1025  # of histograms: 0, 1/1024, ..., 1
 BINS = 15  # of P(occupied), for calibration
-PRECISION = 0.7  # at which the recall is stated
-MASS = 0.25  # of `moving_mass`, above which a cell is predicted to hold something that moves
+PRECISION = 0.7  # of the stated recall
+MASS = 0.25  # `moving_mass` above which a cell is predicted moving
 
 PREDICTION_METRICS = {
     "recall": Metric(
-        "recall", "higher", "share of the cells of moving objects that the later scan shows as occupied with a moving "
-        f"mass above {MASS} within one cell"
+        "recall", "higher", "share of cells of moving objects, occupied in the later scan, with a moving mass above "
+        f"{MASS} within one cell"
     ),
     "precision": Metric(
-        "precision", "higher", f"share of the cells with a moving mass above {MASS} within one cell of moving objects"
+        "precision", "higher", f"share of cells with a moving mass above {MASS} within one cell of moving objects"
     ),
     "recall_at_70": Metric(
-        "recall at 70 %", "higher", f"the largest recall of any threshold with a precision of {PRECISION} or more"
+        "recall at 70 %", "higher", f"largest recall over thresholds with a precision of {PRECISION} or more"
     ),
-    "best_f1": Metric("best F1", "higher", "the largest harmonic mean of precision and recall of any threshold"),
+    "best_f1": Metric("best F1", "higher", "largest harmonic mean of precision and recall over thresholds"),
     "brier": Metric("Brier", "lower", "mean squared error of P(occupied), cells known at the later time"),
-    "ece": Metric("ECE", "lower", f"calibration error of P(occupied) on the same cells, {BINS} bins"),
+    "ece": Metric("ECE", "lower", f"calibration error of P(occupied), cells known at the later time, {BINS} bins"),
     "brier_moving": Metric(
-        "Brier, moving", "lower", "as brier, on cells that a moving object covers at the later time or now"
+        "Brier, moving", "lower", "mean squared error of P(occupied), cells under a moving object later or now"
     ),
-    "ece_moving": Metric("ECE, moving", "lower", "as ece, on the same cells"),
+    "ece_moving": Metric("ECE, moving", "lower", "calibration error of P(occupied), cells under a moving object later "
+        "or now"),
 }  # fmt: skip
 
 
@@ -49,14 +50,14 @@ class PredictionSums(NamedTuple):
     Attributes
     ----------
     predicted_hist : (2, 1025)
-        Histograms of `moving_mass`, of cells farther than one cell from moving objects and of the others.
+        Histograms of `moving_mass`, for cells farther than one cell from moving objects and for the other cells.
     found_hist : (1025,)
-        Cells of moving objects that the later scan shows as occupied, by the largest moving mass within one cell.
+        Histogram of cells of moving objects occupied in the later scan, by the largest moving mass within one cell.
     reliability : (2, 15, 3)
-        In bins of P(occupied), of all known cells and of those that a moving object covers at the later time or now:
-        cells, sum of P, cells that are occupied.
+        In bins of P(occupied), for all known cells and for known cells under a moving object at the later time or now:
+        number of cells, sum of P, number of occupied cells.
     squared_error : (2,)
-        Sums of (P - occupied)**2 over the same cells.
+        Sums of (P - occupied)**2 over these cells.
     """
 
     predicted_hist: NDArray[np.float64]
@@ -66,16 +67,16 @@ class PredictionSums(NamedTuple):
 
     @classmethod
     def zeros(cls) -> Self:
-        """Return the sums of no cell."""
+        """Return sums of zero."""
         return cls(*map(np.zeros, ((2, LEVELS), (LEVELS,), (2, BINS, 3), (2,))))
 
     def plus(self, other: Self) -> "PredictionSums":
-        """Return the sums of both."""
+        """Return the added sums of both."""
         return PredictionSums(*map(add, self, other))
 
 
 def moving_mass(grid: DynamicGrid) -> NDArray[np.float64]:
-    """Return the mass of dynamic, (nx, ny) in [0, 1], times the share of 2 m/s that its speed reaches."""
+    """Return the mass of dynamic times min(speed / (2 m/s), 1), (nx, ny) in [0, 1]."""
     speed = np.nan_to_num(grid.speed.astype(np.float64))
     return grid.dynamic.astype(np.float64) * np.minimum(speed / FASTEST, 1.0)
 
@@ -83,31 +84,31 @@ def moving_mass(grid: DynamicGrid) -> NDArray[np.float64]:
 def accumulate_prediction(
     predicted: DynamicGrid, truth: Truth, occupied: NDArray[np.bool_], moving_now: NDArray[np.bool_] | None = None
 ) -> PredictionSums:
-    """Return the sums of one predicted grid that its scores need.
+    """Return the sums of a predicted grid for its scores.
 
     Parameters
     ----------
     predicted : DynamicGrid
     truth : Truth
-        Of the later time, with motion, on the same cells and axes. What it ignores is left out.
+        Truth at the later time, with motion, on the same cells and axes. Ignored cells are left out.
     occupied : (nx, ny) bool
-        Cells that the scan of the later time shows as occupied.
+        Cells occupied in the scan at the later time.
     moving_now : (nx, ny) bool, optional
-        Cells that a moving object covers when the prediction is made.
+        Cells under a moving object at the time of the prediction.
 
     Raises
     ------
     ValueError
         If the truth has no motion, or the shapes do not fit.
     """
-    ndimage = import_extra("scipy.ndimage", "evaluate")  # here, as it would double the time of the import
+    ndimage = import_extra("scipy.ndimage", "evaluate")  # here, as it would double the import time
 
     if truth.motion is None:
-        raise ValueError("the truth has no motion to compare with: open a data set whose objects have velocities")
+        raise ValueError("the truth must have motion, got none: open a dataset with velocities of objects")
     shape = predicted.spec.shape
     for name, array in (("truth", truth.state), ("occupied", occupied), ("moving_now", moving_now)):
         if array is not None and array.shape != shape:
-            raise ValueError(f"{name} must be of the grid's cells {shape}, got {array.shape}; crop it to them")
+            raise ValueError(f"{name} must have the grid's cells {shape}, got {array.shape}; crop it to them")
     sums = PredictionSums.zeros()
     speed = np.hypot(truth.motion.velocity[..., 0], truth.motion.velocity[..., 1])
     moving, known = speed > MOVING, (speed > MOVING) | (speed < STILL)
@@ -121,15 +122,15 @@ def accumulate_prediction(
     touched = moving if moving_now is None else moving | moving_now
     for row, cells in enumerate((truth.known, truth.known & touched)):
         p, happened = probability[cells], truth.state[cells] == CellState.OCCUPIED
-        place = np.clip((p * BINS).astype(np.intp), 0, BINS - 1)
+        level = np.clip((p * BINS).astype(np.intp), 0, BINS - 1)
         columns = (None, p, happened.astype(np.float64))
-        sums.reliability[row] = np.stack([np.bincount(place, one, BINS) for one in columns], axis=-1)
+        sums.reliability[row] = np.stack([np.bincount(level, column, BINS) for column in columns], axis=-1)
         sums.squared_error[row] = ((p - happened) ** 2).sum()
     return sums
 
 
 def score_prediction(sums: PredictionSums) -> dict[str, float]:
-    """Return the scores of `PREDICTION_METRICS`; NaN where there is no cell for one."""
+    """Return the scores of `PREDICTION_METRICS`; NaN for scores without cells."""
     recall, precision = prediction_curve(sums)
     at = LEVELS - 1 - int(np.floor(MASS * (LEVELS - 1))) - 1  # the lowest level above the threshold
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
@@ -151,9 +152,9 @@ def score_prediction(sums: PredictionSums) -> dict[str, float]:
 
 
 def prediction_curve(sums: PredictionSums) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return recall and precision, (1025,) each, of the thresholds 1, 1023/1024, ..., 0 of the moving mass.
+    """Return recall and precision, (1025,) each, for thresholds 1, 1023/1024, ..., 0 of the moving mass.
 
-    Precision is NaN where nothing reaches the threshold, recall where there is no moving cell.
+    Precision is NaN if no cell reaches the threshold, recall without moving cells.
     """
     wrong, right = sums.predicted_hist
     found = above(sums.found_hist)

@@ -1,4 +1,4 @@
-"""The scores that follow from counts, also by distance, their meanings, and the reasons for missing ones."""
+"""Scores computed from counts, also by distance, with descriptions and reasons for missing scores."""
 
 from typing import Any, NamedTuple
 
@@ -11,22 +11,22 @@ from ogm.metrics.areas import auroc, average_precision, false_positive_rate, fre
 from ogm.metrics.counts import HEIGHTS, ConfusionSums
 from ogm.state import CellState
 
-FALSE_FREE = {"free_recall_1": 0.01, "free_recall_01": 0.001}  # the bounds of false free
+FALSE_FREE = {"free_recall_1": 0.01, "free_recall_01": 0.001}  # bounds of false free
 
 _UNKNOWN, _FREE, _OCCUPIED = CellState.UNKNOWN, CellState.FREE, CellState.OCCUPIED
 
 
 class Metric(NamedTuple):
-    """The meaning of a score.
+    """Description of a score.
 
     Attributes
     ----------
     title : str
-        For tables and pictures.
+        Title for tables and pictures.
     better : {"lower", "higher", ""}
-        The better of two values; "" where neither is.
+        Direction of better values; "" if there is none.
     description : str
-        The definition in a line.
+        Definition in a line.
     """
 
     title: str
@@ -35,18 +35,18 @@ class Metric(NamedTuple):
 
 
 _TABLE = """\
-nll | NLL | lower | mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 for a vacuous grid
+nll | NLL | lower | mean -ln P(true state) on known cells, with P of at least 1e-5 [nats]; 0.69 for a vacuous grid
 brier | Brier | lower | mean squared error of P(occupied) on known cells
-iou_free | IoU free | higher | IoU of free cells; predicted is the state of greatest mass, unknown included
+iou_free | IoU free | higher | IoU of free cells; the prediction is the state of greatest mass, including unknown
 iou_occupied | IoU occupied | higher | IoU of occupied cells, likewise
 iou_unknown | IoU unknown | higher | IoU of unknown cells, likewise
 false_free | false free | lower | share of occupied cells with a mass of free above 1/2
 missed_occupied | missed occupied | lower | share of occupied cells without a mass of occupied above 1/2
 false_occupied | false occupied | lower | share of free cells with a mass of occupied above 1/2
-missed_obstacles | missed obstacles | lower | share of the groups of touching occupied cells without P(occupied) > \
-1/2 anywhere within one cell
-from10_iou_free | IoU free, from 0.10 m | higher | IoU free, but occupied cells whose obstacle is lower than 0.10 m, \
-such as low kerbs, are left out
+missed_obstacles | missed obstacles | lower | share of groups of touching occupied cells without P(occupied) > \
+1/2 within one cell
+from10_iou_free | IoU free, from 0.10 m | higher | IoU free, without occupied cells with obstacles lower than 0.10 m, \
+such as low kerbs
 from10_iou_occupied | IoU occupied, from 0.10 m | higher | likewise
 from10_false_free | false free, from 0.10 m | lower | likewise
 from10_missed_occupied | missed occupied, from 0.10 m | lower | likewise
@@ -54,49 +54,48 @@ from50_iou_free | IoU free, from 0.50 m | higher | likewise; also without kerbs,
 from50_iou_occupied | IoU occupied, from 0.50 m | higher | likewise
 from50_false_free | false free, from 0.50 m | lower | likewise
 from50_missed_occupied | missed occupied, from 0.50 m | lower | likewise
-free_recall_1 | free recall at 1 % | higher | share of free cells above the least Bel(free) that at most 1 % of \
-occupied cells exceed
-free_recall_01 | free recall at 0.1 % | higher | the same for at most 0.1 %
+free_recall_1 | free recall at 1 % | higher | share of free cells above the least threshold of Bel(free) that at most \
+1 % of occupied cells exceed
+free_recall_01 | free recall at 0.1 % | higher | free recall with at most 0.1 % of occupied cells
 ap_occupied_near | AP occupied, 1 cell | higher | average precision of P(occupied) on known cells, with a tolerance \
 of one cell
-ap_occupied | AP occupied | higher | the same without tolerance
+ap_occupied | AP occupied | higher | average precision of P(occupied) on known cells
 ece | ECE | lower | expected calibration error of P(occupied) on known cells, 15 bins
-ece_relative | ECE, relative | lower | the same of occupied / (free + occupied), 1/2 where both are 0
-ece_called | ECE, predicted known | lower | the same on those known cells that the grid predicts as free or occupied
+ece_relative | ECE, relative | lower | ECE of occupied / (free + occupied), 1/2 if both are 0
+ece_called | ECE, predicted known | lower | ECE on known cells predicted free or occupied
 ace | ACE | lower | calibration error of P(occupied) on known cells, 15 bins of equal weight
-interval_violation | outside [Bel, Pl] | lower | how far the share of occupied cells lies outside [Bel, Pl], mean \
+interval_violation | outside [Bel, Pl] | lower | distance of the share of occupied cells outside [Bel, Pl], mean \
 over 15 bins of Bel(occupied)
-auroc_unknown | AUROC unknown | higher | AUROC of the mass of unknown for cells whose truth is unknown
-aupr_unknown | AUPR unknown | higher | average precision of the mass of unknown for cells whose truth is unknown
-aupr_known | AUPR known | higher | average precision of little unknown for cells whose truth is known
-fpr95_unknown | FPR at 95 % | lower | share of known cells with as much unknown as the least that finds 95 % of the \
-unknown cells
-aurc | AURC | lower | mean risk over coverage: share of wrong P(occupied) among known cells taken by ascending unknown
-ause | AUSE | lower | the same minus its least value, that of cells sorted by their error
+auroc_unknown | AUROC unknown | higher | AUROC of the mass of unknown for truly unknown cells
+aupr_unknown | AUPR unknown | higher | average precision of the mass of unknown for truly unknown cells
+aupr_known | AUPR known | higher | average precision of a low mass of unknown for known cells
+fpr95_unknown | FPR at 95 % | lower | share of known cells at or above the threshold of unknown that finds 95 % of \
+truly unknown cells
+aurc | AURC | lower | mean risk over coverage: share of wrong P(occupied) among known cells in order of unknown
+ause | AUSE | lower | AURC minus its least value, of cells sorted by error
 brier_relative | Brier, relative | lower | squared error of occupied / (free + occupied)
 brier_expected | Brier, expected | lower | mean squared error of p drawn from the grid's Beta density, known cells
 map_score | MapScore | higher | mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 for a vacuous grid
 conflict | conflict | lower | mean mass on the wrong state, known cells
 conflict_free | conflict free | lower | mean mass of free on occupied cells
 conflict_occupied | conflict occupied | lower | mean mass of occupied on free cells
-iou_free_known | IoU free, known | higher | IoU of free by P(occupied) < 1/2, on cells whose truth is known
+iou_free_known | IoU free, known | higher | IoU of free by P(occupied) < 1/2, on known cells
 iou_occupied_known | IoU occupied, known | higher | IoU of occupied by P(occupied) > 1/2, on known cells
 entropy | entropy |  | mean Shannon entropy of P(occupied) [bit]
 dissonance | dissonance |  | mean 2 min(free, occupied)
 mean_free | mean free |  | mean mass of free
 mean_occupied | mean occupied |  | mean mass of occupied
 mean_unknown | mean unknown |  | mean mass of unknown
-kl_e10 | KL, E = 10 | lower | mean KL[grid || truth], truth of evidence 10 [nats]; what the reverse KL loss of `lite` \
-minimises, and no proper score: a right cell with more evidence than 10 is penalised
-kl_e1 | KL, E = 1 | lower | mean KL[grid || truth], truth of evidence 1 [nats]; penalises a right cell with more than 1
-kl_e1_scaled | KL, E = 1, e/10 | lower | the same with a tenth of the grid's evidence: 10 is certain, as in kl_e10
+kl_e10 | KL, E = 10 | lower | mean KL[grid || truth], truth of evidence 10 [nats]; the loss of `lite` (reverse KL); no \
+proper score: a correct cell with evidence above 10 is penalised
+kl_e1 | KL, E = 1 | lower | mean KL[grid || truth], truth of evidence 1 [nats]; penalises correct cells above evidence 1
+kl_e1_scaled | KL, E = 1, e/10 | lower | kl_e1 with a tenth of the grid's evidence: 10 is certain, as in kl_e10
 kl_e10_reverse | reverse KL, E = 10 | lower | mean KL[truth || grid], truth of evidence 10 [nats]
 kl_e1_reverse | reverse KL, E = 1 | lower | mean KL[truth || grid], truth of evidence 1 [nats]
 legacy_kl | released code's KL | lower | categorical KL of clipped evidence, as in the EviLOG code [nats]
-legacy_accuracy | released code's accuracy |  | share of cells predicted unknown, which the EviLOG code reports as \
-accuracy
+legacy_accuracy | released code's accuracy |  | share of cells predicted unknown, the accuracy of the EviLOG code
 """  # name | title | better | description
-# By name: title, which way is better, description
+# By name: title, direction of better values, description
 METRICS = {name: Metric(*rest) for name, *rest in (row.split(" | ") for row in _TABLE.splitlines())}
 
 _NEEDS = {
@@ -107,37 +106,36 @@ _NEEDS = {
     "free_recall_1 free_recall_01 ap_occupied ap_occupied_near",
     "known": "auroc_unknown aupr_unknown aupr_known fpr95_unknown brier nll aurc ause ece ece_relative ece_called ace "
     "interval_violation brier_relative brier_expected conflict map_score",
-}  # the metrics that need cells of this truth; all need some that are not ignored
+}  # metrics by the kind of true cells that they need; all metrics need cells that are not ignored
 
 
 def score(counts: ConfusionSums) -> dict[str, float]:
-    """Return the scores of `METRICS`, in their order; NaN where there is no cell for one.
+    """Return the scores of `METRICS`, in their order; NaN for scores without cells.
 
-    See `METRICS` for definitions and `reasons` for why one is NaN. Means are over all cells that are not ignored unless
-    stated otherwise; *known* cells are those whose truth is free or occupied.
+    See `METRICS` for definitions and `reasons` for the reasons of NaN. Unless stated otherwise, means are over all
+    cells that are not ignored. *Known* cells are truly free or occupied.
 
     Notes
     -----
     Calibration
-        An ECE is the mean distance of P(occupied) from the share of occupied cells of its bin, weighted by cells.
-        P(occupied) = occupied + unknown / 2 comes no nearer to 0 and 1 than the evidence allows: to 1/12 for an
-        evidence of 10, however certain the model is. Where evidence is bounded by convention, the relative one,
-        occupied / (free + occupied), is the probability that the model gives among known cells. The ACE spreads cells
-        of one of the 4097 levels of P evenly over the bins that they reach into.
+        ECE is the mean distance of P(occupied) from the share of occupied cells in its bin, weighted by cells. Evidence
+        limits P(occupied) = occupied + unknown / 2: an evidence of 10 gives at least 1/12, even for a certain model.
+        For evidence bounded by convention, the relative probability occupied / (free + occupied) is the model's
+        probability among known cells. ACE spreads cells in one of the 4097 levels of P evenly over their bins.
     Ranking
-        AUROC, AUPR and average precision take two numbers for equal that share one of 4097 levels.
+        AUROC, AUPR and average precision treat numbers in one of 4097 levels as ties.
     Selection
-        The error of a cell in the AURC and AUSE is 1 where P(occupied) is on the wrong side of 1/2, else 0, and
-        1/2 at P = 1/2. (Squared errors would favour unknown as a score by definition: P is drawn to 1/2 by it.)
+        In AURC and AUSE, the error of a cell is 1 if P(occupied) is on the wrong side of 1/2, 1/2 at P = 1/2, else 0.
+        (Squared errors would favour unknown by definition, as it moves P towards 1/2.)
     Bounded risk
-        The threshold of free_recall is chosen on the evaluated cells themselves: with fewer than 1000 occupied
-        cells, at most 0.1 % means none. The pooled (micro) value has one threshold for all frames.
+        The threshold of free_recall is chosen on the evaluated cells: with fewer than 1000 occupied cells, at most
+        0.1 % means no cell. The pooled (micro) value has one threshold for all frames.
     Second order
-        The expected Brier is (P - occupied)**2 + P (1 - P) / (S + 1) with S the Dirichlet strength: it is least
-        at infinite evidence and not a proper score of it (Bengs et al. 2023), hence no headline.
+        The expected Brier score is (P - occupied)**2 + P (1 - P) / (S + 1) with S the Dirichlet strength. It is least
+        at infinite evidence and no proper score of it (Bengs et al. 2023), hence not in the headline.
     MapScore
-        Of Martin and Moravec (1996): sum over cells of 1 + log2(P_a P_b + (1 - P_a)(1 - P_b)); here for the truth
-        as b, 0 or 1 on known cells (others add 0), with P(true state) at least 1e-5. It is 1 - nll / ln 2.
+        Martin and Moravec (1996): sum over cells of 1 + log2(P_a P_b + (1 - P_a)(1 - P_b)); here with the truth
+        as b, 0 or 1 on known cells (others add 0), and P(true state) of at least 1e-5. It is 1 - nll / ln 2.
     """
     total, known = counts.cells.sum(), counts.cells[1:].sum()
     to_truth, from_truth = (parts(sums.sum(axis=-1), total) for sums in (counts.to_truth, counts.from_truth))
@@ -200,7 +198,7 @@ def score(counts: ConfusionSums) -> dict[str, float]:
 
 
 def reasons(counts: ConfusionSums) -> dict[str, str]:
-    """Return why scores are NaN: of each metric that has no value, what is missing."""
+    """Return the reason for each score that is NaN."""
     cells = [*counts.cells, counts.cells[1:].sum()]
     result = {}
     for name, value in score(counts).items():
@@ -214,14 +212,14 @@ def reasons(counts: ConfusionSums) -> dict[str, str]:
         elif missing:
             result[name] = f"the truth has no {' and no '.join(missing)} cell"
         elif name.startswith("from"):
-            result[name] = "the truth has no obstacle that high, or does not know heights"
+            result[name] = "the truth has no obstacle of this height, or no heights"
         else:
             result[name] = "the grid predicts every known cell as unknown"  # ece_called
     return result
 
 
 def _without_low(counts: ConfusionSums) -> dict[str, float]:
-    """Return the scores that leave out occupied cells lower than each of `HEIGHTS`."""
+    """Return the scores without occupied cells lower than each of `HEIGHTS`."""
     found: dict[str, float] = {}
     for height, predicted, detected in zip(HEIGHTS, counts.high_confusion, counts.high_detections, strict=True):
         cells, name = predicted.sum(), f"from{100 * height:.0f}"
@@ -241,7 +239,7 @@ def _calibration_error(bins: NDArray[Any]) -> float:
 
 
 def distances(spec: GridSpec) -> NDArray[np.float32]:
-    """Return how far the middles of the cells are from the origin of the grid's frame, which is the sensor.
+    """Return the distances of cell centres from the origin of the grid's frame, which is the sensor.
 
     Parameters
     ----------
@@ -257,24 +255,24 @@ def distances(spec: GridSpec) -> NDArray[np.float32]:
 
 
 def by_range(counts: ConfusionSums) -> dict[str, NDArray[np.float64]]:
-    """Return scores by distance, one number per bin of `RANGES`.
+    """Return scores by distance, a number per bin of `RANGES`.
 
     Parameters
     ----------
     counts : ConfusionSums
-        Counted with distances.
+        Counts with distances.
 
     Returns
     -------
     dict of str to (ranges,) float64
-        ``cells``, ``free_cells`` and ``occupied_cells`` (not ignored, truly free, truly occupied), and, as in
-        `METRICS`, ``false_free``, ``missed_occupied``, ``false_occupied``, ``iou_free``, ``iou_occupied``,
-        ``iou_unknown``, ``free_recall_1`` and ``free_recall_01`` (each bin at its own threshold, of 1025
-        levels); NaN where a bin has no such cell.
+        ``cells``, ``free_cells`` and ``occupied_cells`` (not ignored, truly free, truly occupied), and the metrics
+        ``false_free``, ``missed_occupied``, ``false_occupied``, ``iou_free``, ``iou_occupied``, ``iou_unknown``,
+        ``free_recall_1`` and ``free_recall_01`` (with a separate threshold of 1025 levels in each bin); NaN in bins
+        without cells.
     """
     confusion, detections = counts.range_confusion, counts.range_detections
     cells = confusion.sum(axis=-1)
-    overlap = np.array([overlaps(one) for one in confusion])
+    overlap = np.array([overlaps(matrix) for matrix in confusion])
     return {
         "cells": cells.sum(axis=-1),
         "free_cells": cells[:, CellState.FREE],
@@ -285,6 +283,6 @@ def by_range(counts: ConfusionSums) -> dict[str, NDArray[np.float64]]:
         "iou_free": overlap[:, CellState.FREE],
         "iou_occupied": overlap[:, CellState.OCCUPIED],
         "iou_unknown": overlap[:, CellState.UNKNOWN],
-        "free_recall_1": np.array([free_recall(one, 0.01) for one in counts.range_bel_free_hist]),
-        "free_recall_01": np.array([free_recall(one, 0.001) for one in counts.range_bel_free_hist]),
+        "free_recall_1": np.array([free_recall(hist, 0.01) for hist in counts.range_bel_free_hist]),
+        "free_recall_01": np.array([free_recall(hist, 0.001) for hist in counts.range_bel_free_hist]),
     }

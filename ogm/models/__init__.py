@@ -1,4 +1,4 @@
-"""Sensor models by name: geometric, learned, combined, fitted, of lidars and of radars.
+"""Sensor models by name: geometric, learned, combined and fitted models of lidars and radars.
 
 >>> from ogm import GridSpec, Mount
 >>> from ogm.models import MODELS, load_model

@@ -1,4 +1,4 @@
-"""Several sensor models as one: each maps the scan, and their masses are combined cell by cell.
+"""Combination of several sensor models: each maps the scan, and their masses are combined cell by cell.
 
 >>> from ogm import GridSpec, Mount, load_model
 >>> from ogm.models.combined import CombinedISM
@@ -8,8 +8,8 @@
 >>> both.spec == spec
 True
 
-The models see the same scan, so they are not independent, as Dempster's rule assumes: reliabilities below 1, fitted to
-labelled frames, make up for it. ``benchmarks/combined.py`` measures how well the result is calibrated.
+The models map the same scan, so they are not independent, as Dempster's rule assumes. Reliabilities below 1, fitted to
+labelled frames, compensate for it. ``benchmarks/combined.py`` measures the calibration of the result.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,27 +29,27 @@ from ogm.scan import InverseSensorModel, Scan, as_scan
 
 Rule = Callable[..., Any]
 dempster_cell, yager_cell, cumulative_cell, cautious_cell = (rule.cell for rule in COMPILED.values())
-HIT = 0.5  # a cell is a hit where the mass of occupied exceeds this
+HIT = 0.5  # mass of occupied above which a cell is a hit
 
 
 class StateReliability(NamedTuple):
-    """Factors of a model's masses, each in [0, 1]: 1 keeps all, 0 none (Shafer's discounting, per state)."""
+    """Factors in [0, 1] for a model's masses of free and occupied (Shafer's discounting, per state)."""
 
     free: float = 1.0
     occupied: float = 1.0
 
 
 class FreeGate(NamedTuple):
-    """How much of a model's mass of free stays, by the support of the other models.
+    """Factor for a model's mass of free, by the support of the other models.
 
-    The support of a cell is the greatest mass of free that any other model gives it.
+    The support of a cell is its greatest mass of free in any other model.
 
     Attributes
     ----------
     share : float
-        What stays without support, [0, 1]. With 1 the gate is open everywhere.
+        Factor without support, [0, 1]. With 1 the gate is open everywhere.
     low, high : float
-        Up to `low` a cell has no support; from `high` on all stays; linear between. 0 <= low < high.
+        Support up to which the factor is `share`, and from which it is 1; linear between. 0 <= low < high.
     """
 
     share: float
@@ -62,7 +62,7 @@ OPEN = FreeGate(1.0)
 
 @dataclass(frozen=True)
 class Combination:
-    """How the masses of several models are combined: a function of one mass array per model.
+    """Function that combines the masses of several models, one array per model.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Combination:
         Parameters
         ----------
         masses : sequence of (..., 2) float32
-            Of the same shape, in the order of the models. They are not checked to be masses.
+            Arrays of equal shape, in the order of the models. Their values are not checked.
 
         Returns
         -------
@@ -92,12 +92,12 @@ class Combination:
         Raises
         ------
         ValueError
-            If their number or shapes do not fit, or an own rule returns no masses.
+            If number or shapes do not fit, or a custom rule returns no masses.
         """
         if len(masses) != len(self.weights) or len({mass.shape for mass in masses}) > 1:
             got = ", ".join(str(mass.shape) for mass in masses)
             raise ValueError(f"there must be {len(self.weights)} mass arrays of one shape, got {got or 'none'}")
-        rule = next((k for k, one in enumerate(COMPILED.values()) if one.arrays is self.rule), None)
+        rule = next((k for k, compiled in enumerate(COMPILED.values()) if compiled.arrays is self.rule), None)
         if rule is None or len(masses) != 2:
             return self._by_arrays(masses)
         log_compilation(_COMBINERS[rule])
@@ -108,7 +108,7 @@ class Combination:
         return out
 
     def _by_arrays(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Combine any number of masses by any rule, in plain arrays: what the kernels must agree with."""
+        """Combine any number of masses by any rule, in plain arrays; the reference of the kernels."""
         left = np.stack(masses).astype(np.float32, copy=True)
         for k, (reliability, gate) in enumerate(self.weights):
             others = [mass[..., 0] for n, mass in enumerate(masses) if n != k]
@@ -134,17 +134,17 @@ class CombinedISM:
     Parameters
     ----------
     models : sequence of InverseSensorModel
-        At least one; all with the same `spec`.
+        One model or more, all with the same `spec`.
     rule : function
         Combines two masses, ``rule(a, b)``, or a stack, ``rule(stack, axis=0)``: `ogm.evidence.dempster`, `yager`, ...
-        Two models by `dempster`, `yager`, `cumulative` or `cautious` run as one compiled pass.
+        Two models with `dempster`, `yager`, `cumulative` or `cautious` run in one compiled pass.
     reliability : float, or one per model
         Shafer's reliability: a number, or a pair for free and occupied (`StateReliability`).
     free_gates : sequence of FreeGate or None, optional
-        One per model; None leaves a model's free as it is. By default all do.
+        Gate of each model; None does not change the model's free. By default there are no gates.
     keep_hits : int, optional
-        Number of the model whose occupied cells stay: where its mass of occupied exceeds 1/2, the free of all others
-        is dropped, so that none can clear the cell. By default there is no such model.
+        Index of a model with protected hits: in cells with its mass of occupied above 1/2, the free of the other models
+        is dropped. By default no hits are protected.
 
     Attributes
     ----------
@@ -156,12 +156,13 @@ class CombinedISM:
     TypeError
         If a model is no callable with a `spec`, or the rule is no function.
     ValueError
-        If there is no model, the models fill different grids, or a number is out of its range.
+        If there is no model, the models fill different grids, or a number is out of range.
 
     Notes
     -----
-    Of each model's masses (f, o) count ``f * reliability.free * gate``, with the gate's share by the other models' raw
-    free, and ``o * reliability.occupied``; what is taken away becomes unknown. The rule combines the results.
+    The masses (f, o) of each model become ``f * reliability.free * gate`` and ``o * reliability.occupied``, with the
+    gate's factor by the unchanged free of the other models. The removed mass becomes unknown. The rule combines the
+    results.
     """
 
     models: Sequence[InverseSensorModel]
@@ -170,12 +171,12 @@ class CombinedISM:
     free_gates: Sequence[FreeGate | None] | None = None
     keep_hits: int | None = None
     combination: Combination = field(init=False, repr=False)
-    _shared: tuple[int | None, ...] = field(init=False, repr=False)  # for each model: of which it takes the masses
+    _shared: tuple[int | None, ...] = field(init=False, repr=False)  # index of the model whose masses each model takes
 
     def __post_init__(self) -> None:
         models = tuple(self.models)
         if not models:
-            raise ValueError("models must hold at least one sensor model, got none")
+            raise ValueError("models must contain at least one sensor model, got none")
         for model in models:
             if not (callable(model) and isinstance(getattr(model, "spec", None), GridSpec)):
                 raise TypeError(f"models must be callables with a .spec, such as RayISM(spec, mount), got {model!r}")
@@ -188,21 +189,19 @@ class CombinedISM:
         if not callable(self.rule):
             raise TypeError(f"rule must be a function of two masses, such as ogm.evidence.dempster, got {self.rule!r}")
         if self.keep_hits is not None and not 0 <= self.keep_hits < len(models):
-            raise ValueError(f"keep_hits must be the number of a model, 0 to {len(models) - 1}, got {self.keep_hits}")
+            raise ValueError(f"keep_hits must be the index of a model, 0 to {len(models) - 1}, got {self.keep_hits}")
         reliability = _checked_reliability(self.reliability, len(models))
         gates = _checked_gates(self.free_gates, len(models))
-        object.__setattr__(self, "models", models)
-        shared = (
+        shared = tuple(
             next((k for k, other in enumerate(models[:n]) if _takes(model, other)), None)
             for n, model in enumerate(models)
         )
-        object.__setattr__(self, "_shared", tuple(shared))
-        weights = tuple(zip(reliability, gates, strict=True))
-        object.__setattr__(self, "combination", Combination(self.rule, weights, self.keep_hits))
+        combination = Combination(self.rule, tuple(zip(reliability, gates, strict=True)), self.keep_hits)
+        self.__dict__.update(models=models, _shared=shared, combination=combination)
 
     @property
     def spec(self) -> GridSpec:
-        """The grid that every model fills."""
+        """Cells of all models."""
         return self.models[0].spec
 
     def __call__(
@@ -213,21 +212,21 @@ class CombinedISM:
         Parameters
         ----------
         scan : Scan or (N, 4) float32
-            As the models take it.
+            Scan for all models.
         known : mapping of int to (nx, ny, 2) float32, optional
-            Masses of the scan by models, by their place in `models`, that are computed already.
+            Masses of the scan that are computed already, by index in `models`.
 
         Returns
         -------
         CombinedGrid
-            With the masses of each model: an `ogm.fusion.EvidentialMapper` fuses each of them in a map of its own,
-            and combines them when it is read.
+            Combined masses and the masses of each model: an `ogm.fusion.EvidentialMapper` fuses each model in a
+            separate map, and combines the maps when it is read.
         """
         scan = as_scan(scan)
         masses: list[NDArray[np.float32]] = []
-        for place, (model, shared) in enumerate(zip(self.models, self._shared, strict=True)):
-            if known and place in known:
-                masses.append(known[place])
+        for k, (model, shared) in enumerate(zip(self.models, self._shared, strict=True)):
+            if known and k in known:
+                masses.append(known[k])
                 continue
             grid = model(scan) if shared is None else model(scan, masses[shared])  # type: ignore[call-arg]
             masses.append(grid.mass)
@@ -239,7 +238,7 @@ class CombinedISM:
 
 
 def _takes(model: InverseSensorModel, other: InverseSensorModel) -> bool:
-    """Return whether a model, a network, takes the masses of rays of another."""
+    """Return whether a network takes the masses of another model's rays."""
     return hasattr(model, "takes_rays_of") and bool(model.takes_rays_of(other))
 
 
@@ -247,11 +246,11 @@ def _checked_reliability(given: Any, count: int) -> tuple[StateReliability, ...]
     """Return one reliability per model."""
     each = (given,) * count if isinstance(given, int | float | np.number) else tuple(given)
     if len(each) != count:
-        raise ValueError(f"reliability must be one number, or one entry for each of {count} models, got {len(each)}")
+        raise ValueError(f"reliability must be a number, or have an entry for each of {count} models, got {len(each)}")
     found = []
-    for one in each:
-        pair = StateReliability(*((one, one) if isinstance(one, int | float | np.number) else one))
-        if not all(0 <= value <= 1 for value in pair):
+    for value in each:
+        pair = StateReliability(*((value, value) if isinstance(value, int | float | np.number) else value))
+        if not all(0 <= factor <= 1 for factor in pair):
             raise ValueError(f"reliability must lie in [0, 1], got {tuple(pair)}")
         found.append(StateReliability(*map(float, pair)))
     return tuple(found)
@@ -261,23 +260,23 @@ def _checked_gates(given: Any, count: int) -> tuple[FreeGate, ...]:
     """Return one gate per model."""
     each = (None,) * count if given is None else tuple(given)
     if len(each) != count:
-        raise ValueError(f"free_gates must have one entry for each of {count} models, got {len(each)}")
-    gates = tuple(OPEN if one is None else FreeGate(*map(float, one)) for one in each)
+        raise ValueError(f"free_gates must have an entry for each of {count} models, got {len(each)}")
+    gates = tuple(OPEN if gate is None else FreeGate(*map(float, gate)) for gate in each)
     for gate in gates:
         if not (0 <= gate.share <= 1 and 0 <= gate.low < gate.high < np.inf):
-            raise ValueError(f"a gate needs a share in [0, 1] and 0 <= low < high, got {gate}")
+            raise ValueError(f"a gate must have a share in [0, 1] and 0 <= low < high, got {gate}")
     return gates
 
 
 class _Numbers(NamedTuple):
-    """What a kernel needs of one of two models, in float32; the gate's slope is 1 / (high - low)."""
+    """Numbers of a model for a kernel, in float32; the gate's slope is 1 / (high - low)."""
 
     free: np.float32
     occupied: np.float32
     share: np.float32
     low: np.float32
     slope: np.float32
-    most_occupied: np.float32  # of the other model, beyond which this one's free is dropped
+    most_occupied: np.float32  # mass of occupied in the other model above which free is dropped
 
 
 def _numbers(reliability: StateReliability, gate: FreeGate, other_is_kept: bool) -> _Numbers:
@@ -287,7 +286,7 @@ def _numbers(reliability: StateReliability, gate: FreeGate, other_is_kept: bool)
 
 @vector
 def _kept(free: Any, other_free: Any, other_occupied: Any, n: Any) -> Any:
-    """Return what counts of a cell's free."""
+    """Return a cell's free after reliability, gate and protected hits."""
     zero, one = np.float32(0), np.float32(1)
     part = min(max((other_free - n.low) * n.slope, zero), one)
     left = free * (n.free * (n.share + (one - n.share) * part))
@@ -295,7 +294,7 @@ def _kept(free: Any, other_free: Any, other_occupied: Any, n: Any) -> Any:
 
 
 def _combiner(rule: int) -> Any:
-    """Return the kernel that combines the flat masses of two models by a rule, its place in `COMPILED`.
+    """Return the kernel that combines the flat masses of two models by a rule, an index in `COMPILED`.
 
     The rule is a constant of the kernel, so that the other rules are not compiled.
     """

@@ -1,8 +1,8 @@
-"""Compilation of kernels by a second process, so that a first call on two cores takes half the time.
+"""Compilation of kernels in a second process, which halves the time of a first call on two cores.
 
-The kernels of the default model and of its maps take half a minute of one core, once for each installation. While a
-command compiles those that it comes to, another process compiles the longest of those that it will need: `ogm.jit` lets
-each kernel be compiled by one process, and the others take it from the disk.
+The kernels of the default model and of its maps take half a minute of a core, once per installation. While a command
+compiles the kernels of its current step, another process compiles the longest kernels of later steps: `ogm.jit` lets
+one process compile each kernel, and the others load it from disk.
 """
 
 import os
@@ -20,17 +20,17 @@ Kernels = list[tuple[Any, tuple[Any, ...]]]
 
 
 def main_kernels(job: str) -> Kernels:
-    """Return the longest kernels of a job, each with arguments of the types that it is called with.
+    """Return the longest kernels of a job with example arguments.
 
     Parameters
     ----------
     job : {"scan", "map", "dynamic map"}
-        Mapping a scan by `RayISM`; fusing into an `EvidentialMapper`; into a `DynamicMapper`.
+        Mapping a scan by `RayISM`; fusing into an `EvidentialMapper`; fusing into a `DynamicMapper`.
 
     Returns
     -------
     list of (kernel, arguments)
-        The arguments have the right types alone.
+        Only the types of the arguments matter.
     """
     f1, f2, f3 = (np.zeros((1,) * n, np.float32) for n in (1, 2, 3))
     i1, i2, d1, d2 = np.zeros(1, np.int32), np.zeros((1, 1), np.int32), np.zeros(1), np.zeros((1, 1))
@@ -73,7 +73,7 @@ def compile_kernels(*jobs: str) -> None:
 
 @contextmanager
 def compiled_ahead(*jobs: str) -> Iterator[None]:
-    """Compile the longest kernels of jobs in another process meanwhile, unless all are on disk.
+    """Compile the longest kernels of jobs in another process during the block, unless all are on disk.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def compiled_ahead(*jobs: str) -> Iterator[None]:
     code = f"from ogm.models.compilation import compile_kernels; compile_kernels(*{jobs!r})"
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = None
-    with suppress(OSError):  # no memory for another process: this one compiles all
+    with suppress(OSError):  # no memory for another process: this process compiles all kernels
         process = subprocess.Popen([sys.executable, "-c", code], **quiet)  # type: ignore[call-overload]
     try:
         yield

@@ -1,4 +1,4 @@
-"""The model of depth cameras: `RayISM` for rays that end where the view does.
+"""Sensor model of depth cameras: `RayISM` with parameters for a narrow view.
 
 >>> from ogm import GridSpec, Mount
 >>> from ogm.models.depth import depth_model
@@ -26,13 +26,13 @@ PARAMETERS: dict[str, Any] = {
 def depth_model(spec: GridSpec, mount: Mount | None = None) -> RayISM:
     """Return the model of depth cameras.
 
-    A cell is free as far as rays pass it at all heights up to `RayISM.clearance`: what stands in a gap between rays, as
-    something black without depth, or hangs above the view, as the top of a table before a low camera, is not seen.
+    A cell is free only to the extent that rays pass it at all heights up to `RayISM.clearance`. Obstacles can be hidden
+    in gaps between rays (a black object without depth), or above the view (a table top before a low camera).
 
     Parameters
     ----------
     spec : GridSpec
-        The grid to fill.
+        Cells of the grids.
     mount : Mount, optional
         See `RayISM`.
     """

@@ -1,4 +1,4 @@
-"""Fitted parameters of a geometric sensor model: what ``ogm calibrate`` writes and `ogm.models.load_model` reads.
+"""Fitted parameters of a geometric sensor model, written by ``ogm calibrate`` and read by `ogm.models.load_model`.
 
 >>> from ogm.models import Calibration
 >>> Calibration("ray", {"p_miss": 0.1}).parameters
@@ -15,7 +15,7 @@ from ogm.storage.files import OgmError, atomic_write, update_hint
 
 FORMAT = "ogm.calibration/1"
 MAX_PARAMETER = 1e300
-_FEW_DRIVES = 4  # below which there are no standard errors
+_MIN_DRIVES = 4  # for standard errors
 _SAFETY = ("false_free", "missed_occupied")
 
 
@@ -27,18 +27,18 @@ class Calibration:
     ----------
     model : {"ray", "height-band", "planar"}
     parameters : dict of str to float
-        The fitted ones, and those of the calibration that the fit started from.
+        Fitted parameters, and parameters of the calibration that the fit started from.
     start : dict of str to float
-        The same before the fit.
+        Values before the fit.
     errors : dict of str to float or None
-        Standard errors of the fitted parameters; None where there is none: fewer than four drives, a parameter at its
-        bound or without effect, an interrupted fit.
+        Standard errors of the fitted parameters; None for fewer than four drives, a parameter at its bound or without
+        effect, or an interrupted fit.
     before, after : dict of str to float
         Metrics of `ogm.metrics` on the frames of the fit: means over the frames of a drive, then over drives.
     data : dict
-        What the frames are from, how many they and their drives are, and the base rate of the fit.
+        Source of the frames, numbers of frames and drives, and the base rate of the fit.
     evaluations : int
-        How many sets of parameters were tried.
+        Number of evaluated sets of parameters.
     finished : bool
         False if the fit was interrupted.
     """
@@ -63,10 +63,10 @@ class Calibration:
 
     @property
     def warnings(self) -> list[str]:
-        """Reasons not to use the result as it is: few drives, or a model that is less safe than before."""
+        """Warnings about the result: few drives, or a model that is less safe than before."""
         found = []
-        if (drives := self.data.get("drives", _FEW_DRIVES)) < _FEW_DRIVES:
-            found.append(f"fitted to {drives} drives, which tell little about others: fit to {_FEW_DRIVES} or more")
+        if (drives := self.data.get("drives", _MIN_DRIVES)) < _MIN_DRIVES:
+            found.append(f"fitted to {drives} drives, hardly valid for others: fit to {_MIN_DRIVES} or more")
         for name in _SAFETY:
             if name in self.after and self.after[name] > self.before[name]:
                 change = f"{self.before[name]:.4f} to {self.after[name]:.4f}"
@@ -74,42 +74,42 @@ class Calibration:
         return found
 
     def save(self, path: str | Path) -> None:
-        """Write a JSON file, whole or not at all."""
+        """Write a JSON file in one step."""
         with atomic_write(path, "w") as file:
             json.dump({"format": FORMAT} | asdict(self), file, indent=1)
             file.write("\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read what `save` wrote.
+        """Read a file of `save`.
 
         Raises
         ------
         FileNotFoundError
-            If there is no such file.
+            If the file does not exist.
         OgmError
-            If it is no calibration, or one with a model or parameters that this version does not have.
+            If it is no calibration, or has a model or parameters unknown to this version.
         """
         try:
             record = decode_json(Path(path).read_bytes(), Path(path))
             if not isinstance(record, dict) or (found := record.pop("format", None)) != FORMAT:
                 hint = update_hint(found, FORMAT) if isinstance(record, dict) else ""
-                raise OgmError(f"no {FORMAT} that `ogm calibrate` wrote{hint}")
+                raise OgmError(f"no {FORMAT} file of `ogm calibrate`{hint}")
             return cls(**record)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise OgmError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
 
 def model_class(name: str) -> Any:
-    """Return the class of a geometric model whose parameters can be chosen, by its name."""
+    """Return the class of a geometric model with adjustable parameters, by name."""
     from ogm.geometric import HeightBandISM, PlanarISM, RayISM
 
     classes = {"ray": RayISM, "height-band": HeightBandISM, "planar": PlanarISM}
     if name not in classes:
-        raise OgmError(f"there is no geometric model {name!r} with parameters; there are {', '.join(classes)}")
+        raise OgmError(f"a geometric model with parameters must be one of {', '.join(classes)}, got {name!r}")
     return classes[name]
 
 
 def default_parameters(name: str) -> dict[str, float]:
-    """Return the numbers that such a model can be made with, and their defaults."""
-    return {one.name: one.default for one in fields(model_class(name)) if isinstance(one.default, float)}
+    """Return the adjustable parameters of a geometric model with their defaults."""
+    return {number.name: number.default for number in fields(model_class(name)) if isinstance(number.default, float)}

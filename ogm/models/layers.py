@@ -1,4 +1,4 @@
-"""Layers of one scan beside its masses, by name: heights, and why cells are unknown.
+"""Further layers of a scan by name, such as heights and causes of unknown cells.
 
 >>> import numpy as np
 >>> from ogm import GridSpec, Mount, Scan, load_model
@@ -30,9 +30,9 @@ from ogm.planning import costmap, distance_to_obstacles
 from ogm.scan import InverseSensorModel, Scan, as_scan
 
 LayerFunction = Callable[[Any], Mapping[str, NDArray[np.float32]]]
-"""Returns layers of one scan, (nx, ny) each, by its trace; `RayTrace.grid` holds the masses of the whole model."""
+"""Returns layers of one scan, (nx, ny) each, from its trace; `RayTrace.grid` has the masses of the whole model."""
 
-COST_REACH = 2.0  # [m] beyond the inscribed radius, within which obstacles cost
+COST_REACH = 2.0  # [m] from the inscribed radius, up to which obstacles cause costs
 COST_SCALING = 2.0  # [1/m] costs halve every 0.35 m
 
 
@@ -44,7 +44,7 @@ def planning_layers(trace: RayTrace | SectorTrace) -> dict[str, NDArray[np.float
 
 
 def cause_layer(trace: RayTrace | SectorTrace) -> dict[str, NDArray[np.float32]]:
-    """Return why each cell is unknown, codes of `ogm.UnknownCause`."""
+    """Return the layer of causes of unknown cells, codes of `ogm.UnknownCause`."""
     return {"cause": unknown_causes(trace).astype(np.float32)}
 
 
@@ -59,16 +59,16 @@ LAYERS: Mapping[str, LayerFunction] = {
     **dict.fromkeys(("distance", "cost"), planning_layers),
     "cause": cause_layer,
 }
-"""Name of each layer of `map_layers`, and the function that makes it; one function may make several."""
+"""Function of each layer of `map_layers` by name; a function may return several layers."""
 
 
 def map_layers(model: InverseSensorModel, scan: Scan, names: Sequence[str]) -> tuple[EvidentialGrid, LayeredGrid]:
-    """Map one scan to masses, and to layers by their names.
+    """Map one scan to masses and to named layers.
 
     Parameters
     ----------
     model : InverseSensorModel
-        `RayISM`, or a combination that holds one; for the layer ``cause`` also `PlanarISM` and `RadarISM`.
+        `RayISM`, or a combination with one; for the layer ``cause`` also `PlanarISM` and `RadarISM`.
     scan : Scan
     names : sequence of str
         Names in `LAYERS`.
@@ -76,9 +76,9 @@ def map_layers(model: InverseSensorModel, scan: Scan, names: Sequence[str]) -> t
     Returns
     -------
     grid : EvidentialGrid
-        The grid that the model alone returns.
+        Grid of the model.
     layers : LayeredGrid
-        On its cells.
+        Layers on the same cells.
 
     Raises
     ------
@@ -89,10 +89,10 @@ def map_layers(model: InverseSensorModel, scan: Scan, names: Sequence[str]) -> t
     trace = _trace(model, scan)
     if trace is None:
         name = type(model).__name__
-        raise ValueError(f"layers are derived from the rays of RayISM, got {name}: use the model ray or combined")
+        raise ValueError(f"layers need a model with rays (RayISM), got {name}: use the model ray or combined")
     if isinstance(trace, SectorTrace) and (of_ground := [name for name in names if LAYERS[name] is terrain_layers]):
         raise ValueError(
-            f"scans of planar lasers, sonars and radars have no layer {of_ground[0]!r}: they show no ground"
+            f"the layer {of_ground[0]!r} needs scans with ground, got a planar laser, sonar or radar: leave it out"
         )
     made: dict[LayerFunction, Mapping[str, NDArray[np.float32]]] = {}
     for name in names:
@@ -102,20 +102,20 @@ def map_layers(model: InverseSensorModel, scan: Scan, names: Sequence[str]) -> t
 
 
 def check_layers(names: Sequence[str]) -> None:
-    """Raise ValueError if a name is not in `LAYERS`."""
+    """Raise a ValueError if a name is not in `LAYERS`."""
     unknown = [name for name in names if name not in LAYERS]
     if unknown:
-        raise ValueError(f"there is no layer {unknown[0]!r}: give some of {', '.join(LAYERS)}")
+        raise ValueError(f"layers must be of {', '.join(LAYERS)}, got {unknown[0]!r}")
 
 
 @dataclass(frozen=True, eq=False)
 class ExplainedISM:
-    """A sensor model whose grids keep why their cells are unknown, `EvidentialGrid.cause`: maps of it know why, too.
+    """Sensor model with causes of unknown cells in its grids, `EvidentialGrid.cause`, and in maps of them.
 
     Parameters
     ----------
     model : InverseSensorModel
-        `RayISM`, `PlanarISM`, `RadarISM`, or a combination that holds rays; grids of others have no causes.
+        `RayISM`, `PlanarISM`, `RadarISM`, or a combination with `RayISM`; grids of other models have no causes.
 
     Examples
     --------
@@ -128,24 +128,24 @@ class ExplainedISM:
 
     @property
     def spec(self) -> GridSpec:
-        """The grid that the model fills."""
+        """Cells of the model's grids."""
         return self.model.spec
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
-        """Map one scan."""
+        """Return the grid of a scan, with causes."""
         trace = _trace(self.model, scan := as_scan(scan))
         return self.model(scan) if trace is None else trace.grid.with_cause(unknown_causes(trace))
 
 
 def _trace(model: InverseSensorModel, scan: Scan) -> RayTrace | SectorTrace | None:
-    """Return the rays or beams of a scan with the masses of the whole model; None if it has none."""
+    """Return the rays or beams of a scan with the masses of the whole model; None for models without rays."""
     while isinstance(model, ModelsByKind | RadarBySensor):
         model = model.part(scan)
     if isinstance(model, RayISM | PlanarISM | RadarISM):
         return model.trace(scan)
     if isinstance(model, CombinedISM):
-        for place, part in enumerate(model.models):
+        for k, part in enumerate(model.models):
             if isinstance(part, RayISM):
                 trace = part.trace(scan)
-                return trace._replace(grid=model(scan, {place: trace.mass}))
+                return trace._replace(grid=model(scan, {k: trace.mass}))
     return None

@@ -1,4 +1,4 @@
-"""Sensor models by name: geometric ones, also fitted, the network that ogm ships, both combined, own weights, radar.
+"""Sensor models by name: geometric, fitted, the shipped network, combined, trained weights, radar.
 
 >>> from ogm import GridSpec, Mount
 >>> from ogm.models.named import MODELS, load_model
@@ -33,49 +33,48 @@ from ogm.scan import InverseSensorModel, Mount, Scan, as_scan
 GEOMETRIC = RAY, HEIGHT_BAND, PLANAR, DEPTH, RELEASED = "ray", "height-band", "planar", "depth", "height-band-released"
 LITE = "lite"
 COMBINED = "combined"
-COMBINATION: dict[str, Any] = {  # of `ray` and `lite`, fitted to simulated validation towns, see docs/deep.md
+COMBINATION: dict[str, Any] = {  # for `ray` and `lite`, fitted to simulated validation towns, see docs/deep.md
     "reliability": (StateReliability(free=1.0, occupied=0.8), StateReliability(free=0.79, occupied=1.0)),
     "free_gates": (FreeGate(share=0.0, low=0.63, high=0.65), FreeGate(share=0.75, low=0.0, high=0.23)),
 }
 MODELS = {  # name: description
     RAY: "Rays and local ground (RayISM).",
-    HEIGHT_BAND: "The paper's geometric model as its text describes it (HeightBandISM).",
-    PLANAR: "Beams of a laser in one plane, or of a sonar (PlanarISM): free in that plane alone.",
-    DEPTH: "Rays of a depth camera (RayISM): gaps between them hide things.",
-    RELEASED: "The paper's geometric model as its released code has it: 0.32 m cells, evidence 1 at most, mounted "
-    "at 1.61 m.",
-    LITE: "The network that ogm ships (DeepISM), trained on simulated scans.",
+    HEIGHT_BAND: "The paper's geometric model as described in its text (HeightBandISM).",
+    PLANAR: "Beams of a planar laser or a sonar (PlanarISM): free only in their plane.",
+    DEPTH: "Rays of a depth camera (RayISM): obstacles may be hidden between rays.",
+    RELEASED: "The paper's geometric model as in its released code: 0.32 m cells, evidence up to 1, mounted at 1.61 m.",
+    LITE: "The shipped network (DeepISM), trained on simulated scans.",
     COMBINED: "ray and lite, combined cell by cell (CombinedISM).",
     **RADAR_MODELS,
 }
 
 
-_TILT = math.radians(3)  # of a sensor whose tilt the released code may neglect
-NETWORK_CELL, NETWORK_MULTIPLE = 0.16, 16  # [m] side of the cells of `lite`, and what the sides of its grids divide by
+_MAX_TILT = math.radians(3)  # tilt of a sensor that the released code may neglect
+NETWORK_CELL, NETWORK_MULTIPLE = 0.16, 16  # [m] side of cells of `lite`; its grids have multiples of 16 cells
 
 
 def default_model(spec: GridSpec, rule: str = "") -> tuple[str, str]:
-    """Return the name of the model to use where none is given, and why `combined` cannot run.
+    """Return the name of the default model, and the reason if `combined` cannot run.
 
     Parameters
     ----------
     spec : GridSpec
-        The grid to fill.
+        Cells of the grids.
     rule : str
         Rule of the map, see `ogm.fusion.make_mapper`.
 
     Returns
     -------
     name : str
-        ``"combined"``, or ``"ray"`` where the network cannot run and for dynamic maps: borders that move from scan to
-        scan, as those of the network do, look like motion (docs/dynamic.md). Scans of other kinds: `for_all_kinds`.
+        ``"combined"``, or ``"ray"`` if the network cannot run, and for dynamic maps: edges in grids of the network vary
+        from scan to scan, which resembles motion (docs/dynamic.md). For scans of other kinds see `for_all_kinds`.
     reason : str
-        What `combined` lacks; empty if nothing.
+        Reason why `combined` cannot run; else empty.
     """
     if rule in (DYNAMIC, NUSS):
         return RAY, ""
     if find_spec("onnxruntime") is None:
-        return RAY, f"without the learned model, which `{install_line('deep')}` adds"
+        return RAY, f"without the learned model, which `{install_line('deep')}` installs"
     if spec.resolution != NETWORK_CELL or any(n % NETWORK_MULTIPLE for n in spec.shape):
         need = f"cells of {NETWORK_CELL:g} m, their number along x and y a multiple of {NETWORK_MULTIPLE}"
         return RAY, f"the learned model needs {need}"
@@ -85,39 +84,38 @@ def default_model(spec: GridSpec, rule: str = "") -> tuple[str, str]:
 def load_model(
     name: str, spec: GridSpec, mount: Mount | None = None, *, drop_ego_returns: bool = False, device: Any = "cpu"
 ) -> InverseSensorModel:
-    """Return a sensor model by its name.
+    """Return a sensor model by name.
 
-    It can be pickled, for other processes.
+    The model is picklable for other processes.
 
     Parameters
     ----------
     name : str
-        A name in `MODELS`, the path of parameters that ``ogm calibrate`` wrote (``.json``), or that of weights that
-        ``ogm train`` or ``ogm export`` wrote: a ``.safetensors`` file, a run's folder, or an ``.onnx`` file. Names with
-        ``+`` between, as in ``ray+planar+depth``, are for sensors of several kinds: see `ModelsByKind`.
+        A name in `MODELS`; the path of parameters of ``ogm calibrate`` (``.json``); or the path of weights of
+        ``ogm train`` or ``ogm export``: a ``.safetensors`` file, a run's folder, or an ``.onnx`` file. Names joined by
+        ``+``, such as ``ray+planar+depth``, are for sensors of several kinds: see `ModelsByKind`.
     spec : GridSpec
-        The grid to fill. ``height-band-released`` fills cells of twice the side, on the same area.
+        Cells of the grids. ``height-band-released`` has cells of twice the side on the same area.
     mount : Mount, optional
-        Where the sensor is mounted; by default each scan's own, `Scan.mount`. ``height-band-released`` has its own
-        height built in.
+        Mount of the sensor; by default `Scan.mount`. ``height-band-released`` has a fixed height.
     drop_ego_returns : bool
-        Of ``height-band``: ignore returns from the ego footprint, as all other models but the released one do.
+        Whether ``height-band`` ignores returns from the ego footprint, as all other models except the released do.
     device : str or torch.device
-        Where the network of lidars computes, ``"cpu"`` or ``"cuda"``: by torch, unless it is the CPU.
+        Device of the network for lidars, ``"cpu"``, or ``"cuda"`` with torch.
 
     Raises
     ------
     ValueError
-        If there is no such model, it cannot fill the grid, or it has no network that computes on `device`.
+        If the name is unknown, the model cannot fill the grid, or it has no network for `device`.
     FileNotFoundError
-        If there are no such weights.
+        If the weights do not exist.
     """
     if "+" in name:
         first, *others = name.split("+")
         beside = {_kind_of(part): load_model(part, spec, mount) for part in others}
         return ModelsByKind(load_model(first, spec, mount, drop_ego_returns=drop_ego_returns, device=device), beside)
     if str(device) != "cpu" and (name in (*GEOMETRIC, *RADAR_MODELS) or _is_fitted(name)):
-        raise ValueError(f"{name} computes on the CPU, got device={str(device)!r}: leave device out, or load a network")
+        raise ValueError(f"{name} runs on the CPU only, got device={str(device)!r}: leave device out or load a network")
     if name in RADAR_MODELS:
         return load_radar_model(name, spec, mount)
     if name == RELEASED:
@@ -138,8 +136,8 @@ def load_model(
         return model
     if name != LITE and not Path(name).exists() and Path(name).suffix not in (".safetensors", ".onnx"):
         raise ValueError(
-            f"there is no sensor model {name!r}: give {', '.join(MODELS)}, parameters that `ogm calibrate` wrote "
-            "(.json), weights that `ogm train` wrote (a file or a run's folder), or what `ogm export` wrote (.onnx)"
+            f"there is no sensor model {name!r}: give {', '.join(MODELS)}, parameters of `ogm calibrate` (.json), "
+            "weights of `ogm train` (a file or a run's folder) or of `ogm export` (.onnx)"
         )
     from ogm.deep import DeepISM
     from ogm.deep.engines import load_engine
@@ -148,23 +146,23 @@ def load_model(
 
 
 def with_radar(name: str) -> str:
-    """Return the name of a model for all sensors of a vehicle: a lidar's gets ``+radar``."""
+    """Return the name of a model for all sensors of a vehicle, with ``+radar`` added to a lidar's model."""
     return name if any(part in RADAR_MODELS for part in name.split("+")) else f"{name}+{RADAR}"
 
 
 def for_all_kinds(name: str) -> str:
-    """Return the name of a default model with those of planar lasers, sonars and depth cameras beside it."""
+    """Return the name of a model with the models of planar lasers, sonars and depth cameras added."""
     return f"{name}+{PLANAR}+{DEPTH}"
 
 
 def part_for(name: str, scan: Scan) -> str:
-    """Return the part of a model's name that maps a scan, as ``"planar"`` of ``"ray+planar"``."""
+    """Return the part of a model's name that maps a scan, such as ``"planar"`` in ``"ray+planar"``."""
     first, *others = name.split("+")
     return {_kind_of(part): part for part in others}.get(_kind(scan), first)
 
 
 def title_of(name: str, scan: Scan, mount: Mount) -> str:
-    """Return the title of a grid: the model that maps a scan, and of a planar one the height of its free cells.
+    """Return the title of a grid: the model of the scan, and for a planar model the height of its free cells.
 
     Parameters
     ----------
@@ -180,12 +178,10 @@ def title_of(name: str, scan: Scan, mount: Mount) -> str:
 
 
 def _kind_of(name: str) -> str:
-    """Return the kind of scans that a model beside a first one maps."""
+    """Return the kind of scans of an additional model."""
     if name not in (PLANAR, DEPTH, *RADAR_MODELS):
         known = ", ".join((PLANAR, DEPTH, *RADAR_MODELS))
-        raise ValueError(
-            f"there is no sensor model of radars {name!r}, nor of planar lasers; after + may stand {known}"
-        )
+        raise ValueError(f"a model after + must be one of {known}, got {name!r}")
     return RADAR if name in RADAR_MODELS else name
 
 
@@ -195,14 +191,14 @@ def _kind(scan: Scan) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ModelsByKind:
-    """The sensor models of a vehicle with sensors of several kinds.
+    """Sensor models of a vehicle with sensors of several kinds.
 
     Parameters
     ----------
     first : InverseSensorModel
-        Maps all scans that no other model is for.
+        Model of all scans without a model in `others`.
     others : dict of str to InverseSensorModel
-        By ``"radar"``, for scans with `Scan.rcs`, ``"planar"``, for those of planar lasers and sonars, and ``"depth"``.
+        Models by kind: ``"radar"`` for scans with `Scan.rcs`, ``"planar"`` for planar lasers and sonars, ``"depth"``.
     """
 
     first: InverseSensorModel
@@ -210,33 +206,33 @@ class ModelsByKind:
 
     @property
     def spec(self) -> GridSpec:
-        """The grid that the first model fills."""
+        """Cells of the first model's grids."""
         return self.first.spec
 
     def part(self, scan: Scan) -> InverseSensorModel:
-        """Return the model for a scan's kind of sensor."""
+        """Return the model for the kind of a scan."""
         return self.others.get(_kind(scan), self.first)
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
-        """Map one scan by the model for its kind of sensor."""
+        """Return the grid of a scan, by the model for its kind."""
         scan = as_scan(scan)
         return self.part(scan)(scan)
 
 
 class ReleasedISM:
-    """The paper's geometric model as its released code has it: see `HeightBandISM.as_released`.
+    """The paper's geometric model as in its released code, see `HeightBandISM.as_released`.
 
     Parameters
     ----------
     spec : GridSpec
-        Of half the side of the model's cells, on the same area.
+        Cells with half the side of the model's cells, on the same area.
     mount : Mount, optional
-        Only its position counts: the sensor must be in the middle of the points.
+        Only its position is used: the sensor must be at the origin of the points.
 
     Raises
     ------
     ValueError
-        If the number of cells is odd, or the points or the grid are not around the sensor.
+        If a number of cells is odd, or points or grid are not around the sensor.
     """
 
     def __init__(self, spec: GridSpec, mount: Mount | None = None) -> None:
@@ -251,11 +247,11 @@ class ReleasedISM:
 
     @property
     def spec(self) -> GridSpec:
-        """The grid that the model fills."""
+        """Cells of the model's grids."""
         return self.model.spec
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
-        """Map one scan."""
+        """Return the grid of a scan."""
         scan = as_scan(scan)
         self._check(self.mount or scan.mount)
         return self.model(scan)
@@ -263,7 +259,7 @@ class ReleasedISM:
     def _check(self, mount: Mount | None) -> None:
         if mount is None:
             return
-        if mount.points_in == "vehicle" or mount.origin[:2].any() or tilt_of(mount.T_vehicle_sensor) > _TILT:
+        if mount.points_in == "vehicle" or mount.origin[:2].any() or tilt_of(mount.T_vehicle_sensor) > _MAX_TILT:
             raise ValueError(f"{RELEASED} needs points in the frame of a level sensor and a grid around the sensor")
 
 
@@ -272,20 +268,20 @@ def _is_fitted(name: str) -> bool:
 
 
 def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
-    """Return one sentence about a model by its name, and file name and SHA-256 of what it was read from, if it was."""
+    """Return a one-sentence description of a named model, and file name and SHA-256 of its file, else None."""
     if "+" in name:
-        several = [describe_model(part) for part in name.split("+")]
-        return " ".join(one for one, _ in several), several[0][1]
+        parts = [describe_model(part) for part in name.split("+")]
+        return " ".join(description for description, _ in parts), parts[0][1]
     if name in (*GEOMETRIC, RADAR):
         return MODELS[name], None
     if name == DEEP_RADAR:
         data = (files("ogm") / "data" / "radar.onnx").read_bytes()
         return MODELS[name], {"file": "radar.onnx", "sha256": hashlib.sha256(data).hexdigest()}
     if _is_fitted(name):
-        one, path = Calibration.load(name), Path(name)
-        numbers = ", ".join(f"{key} {value:g}" for key, value in one.parameters.items())
+        fitted, path = Calibration.load(name), Path(name)
+        numbers = ", ".join(f"{key} {value:g}" for key, value in fitted.parameters.items())
         facts = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        return f"{MODELS[one.model].rstrip('.')}, with {numbers or 'its defaults'}.", facts
+        return f"{MODELS[fitted.model].rstrip('.')}, with {numbers or 'its defaults'}.", facts
     from ogm.deep.engines import weights_of
 
     with weights_of(LITE if name == COMBINED else name) as path:
@@ -294,12 +290,12 @@ def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
-    """Return a short name for every model: weights go by their run or their file where that is unique.
+    """Return a short name for every model: for weights the name of their run or file, if it is unique.
 
     Returns
     -------
     dict of str to str
-        Short name to the name or path that was given, in the same order.
+        Given name or path by short name, in the given order.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Sensor models of radars by name, with field of view and errors by the name of the sensor."""
+"""Sensor models of radars by name, with field of view and errors of known sensors."""
 
 import math
 from dataclasses import dataclass
@@ -16,37 +16,37 @@ if TYPE_CHECKING:
 
 RADAR, DEEP_RADAR = "radar", "deep-radar"
 RADAR_MODELS = {  # name: description
-    RADAR: "Detections of a radar: ellipses that mark, sectors that clear (RadarISM).",
-    DEEP_RADAR: "The network of radar that ogm ships (DeepRadarISM), trained on simulated sweeps.",
+    RADAR: "Detections of a radar: occupied ellipses, free sectors (RadarISM).",
+    DEEP_RADAR: "The shipped network for radars (DeepRadarISM), trained on simulated sweeps.",
 }
-_NOISE = 0.2, math.radians(0.5)  # [m, rad] of radars that are not known
-_REACH = {"corner": {"reach": 35.0}}  # [m] for which few occupied cells are cleared in training towns; others: default
+_NOISE = 0.2, math.radians(0.5)  # [m, rad] of unknown radars
+_REACH = {"corner": {"reach": 35.0}}  # [m] with few occupied cells cleared in training towns; others: default
 
 
 def load_radar_model(name: str, spec: GridSpec, mount: Mount | None = None) -> "RadarBySensor":
-    """Return a sensor model of radars by its name.
+    """Return a sensor model of radars by name.
 
-    A sensor whose name begins as one of `RADARS`, such as ``ars548-front``, has its numbers. `RadarISM` keeps what
-    moves: the map of a moment holds it, and maps over time forget.
+    Sensors named after one of `RADARS`, such as ``ars548-front``, have its numbers. `RadarISM` keeps moving objects:
+    measurement grids contain them, and maps over time forget them.
 
     Parameters
     ----------
     name : str
-        In `RADAR_MODELS`.
+        A name in `RADAR_MODELS`.
     spec : GridSpec
-        The grid to fill.
+        Cells of the grids.
     mount : Mount, optional
-        By default each scan's own.
+        Mount of the sensor; by default `Scan.mount`.
 
     Raises
     ------
     OgmError
-        If there is no such model.
+        If the name is unknown.
     ImportError
         If a package for the network is missing.
     """
     if name not in RADAR_MODELS:
-        raise OgmError(f"there is no sensor model of radars {name!r}; there are {', '.join(RADAR_MODELS)}")
+        raise OgmError(f"a sensor model of radars must be one of {', '.join(RADAR_MODELS)}, got {name!r}")
     engine = None
     if name == DEEP_RADAR:
         from ogm.deep import DeepRadarISM
@@ -57,16 +57,16 @@ def load_radar_model(name: str, spec: GridSpec, mount: Mount | None = None) -> "
 
 @dataclass(frozen=True)
 class RadarBySensor:
-    """A sensor model of radars that takes the numbers of each radar by the name of its sensor.
+    """Sensor model of radars with the numbers of each radar, by the name of its sensor.
 
     Parameters
     ----------
     spec : GridSpec
-        The grid to fill.
+        Cells of the grids.
     mount : Mount, optional
-        By default each scan's own.
+        Mount of the sensor; by default `Scan.mount`.
     engine : RadarOnnxEngine, optional
-        For `DeepRadarISM`; `RadarISM` without.
+        Engine of `DeepRadarISM`; `RadarISM` is used without it.
     """
 
     spec: GridSpec
@@ -78,7 +78,7 @@ class RadarBySensor:
         return _model(self, scan.sensor)
 
     def __call__(self, scan: Scan) -> EvidentialGrid:
-        """Map one scan."""
+        """Return the grid of a scan."""
         return self.part(scan)(scan)
 
 
@@ -95,7 +95,7 @@ def _model(radar: RadarBySensor, sensor: str) -> InverseSensorModel:
 
 
 def radar_numbers(sensor: str) -> dict[str, float]:
-    """Return arguments of `RadarISM` for a sensor whose name begins as one of `RADARS`, such as ``ars548-front``."""
+    """Return arguments of `RadarISM` for a sensor named after one of `RADARS`, such as ``ars548-front``."""
     kind = sensor.partition("-")[0]
     if kind not in RADARS:
         return {"half_width": math.radians(60), "range_noise": _NOISE[0], "azimuth_noise": _NOISE[1]}
@@ -105,7 +105,7 @@ def radar_numbers(sensor: str) -> dict[str, float]:
 
 
 def radar_noise(sensor: str) -> "RadarNoise":
-    """Return field of view and errors of a radar for `DeepRadarISM` and its training; see `radar_numbers`."""
+    """Return field of view and errors of a radar for `DeepRadarISM` and its training, see `radar_numbers`."""
     from ogm.deep import RadarNoise
 
     numbers = radar_numbers(sensor)

@@ -1,4 +1,4 @@
-"""Pictures of points and grids, the vehicle facing up. The only place that flips axes or knows colours.
+"""Pictures of points and grids, the vehicle facing up. Only this package flips axes and defines colours.
 
 >>> from ogm import EvidentialGrid, GridSpec, plot
 >>> grid = EvidentialGrid.vacuous(GridSpec.centered(length=20.0, width=10.0, resolution=0.5))

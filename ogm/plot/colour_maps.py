@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# 52 colours each, evenly spaced, between which is interpolated: within 1.2 / 255 of the original.
+# 52 evenly spaced colours each; interpolation is within 1.2 / 255 of the original.
 _MAPS = {
     "inferno": bytes.fromhex(
         "00000402020c0504170a072210092d160b391e0c45260c512f0a5b380962400a67490b6a510e6c59106e61136e69166e71196e78"

@@ -1,4 +1,4 @@
-"""The colours of free, occupied and unknown: one definition for pictures, films, reports, viewers and messages.
+"""Colours of free, occupied and unknown, for pictures, films, reports, viewers and messages.
 
 >>> from ogm.plot.colours import colours, use_colours
 >>> colours().text
@@ -22,14 +22,14 @@ Colour = tuple[float, float, float]  # red, green, blue [0, 1]
 
 
 class Colours(NamedTuple):
-    """The colours of a cell that is free, occupied or unknown, and of one that is occupied by what moves.
+    """Colours of free, occupied (or static), unknown and dynamic cells.
 
     Attributes
     ----------
     free, occupied, unknown, dynamic : (red, green, blue)
-        [0, 1]
+        Colours, [0, 1].
     text : str
-        Their names, for alternative texts.
+        Names of the colours, for alternative texts.
     """
 
     free: Colour
@@ -40,16 +40,16 @@ class Colours(NamedTuple):
 
     @property
     def legend(self) -> dict[str, Colour]:
-        """The colours of free, occupied and unknown, by name."""
+        """Colours of free, occupied and unknown by name."""
         return {"free": self.free, "occupied": self.occupied, "unknown": self.unknown}
 
     def mix(self, mass: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the colours of masses of free and occupied, (..., 2), mixed by them, (..., 3); unknown is black."""
+        """Return colours, (..., 3), mixed by masses of free and occupied, (..., 2); unknown is black."""
         return np.asarray(mass, np.float32) @ np.array([self.free, self.occupied], np.float32)
 
 
 COLOURS: dict[str, Colours] = {
-    # Blue and orange differ for eyes that confuse red and green, and in lightness.
+    # Blue and orange differ in lightness, and for red-green colour blindness.
     "safe": Colours(
         free=(0.16, 0.47, 0.85),
         occupied=(1.0, 0.65, 0.12),
@@ -66,7 +66,7 @@ COLOURS: dict[str, Colours] = {
         text="green free, red occupied, black unknown",
     ),
 }
-# Why a cell is unknown: known is light, what no beam reached dark; after Tol's "muted" scheme.
+# Known cells are light, cells without beams dark; after Tol's "muted" scheme.
 CAUSE_COLOURS: dict[UnknownCause, Colour] = {
     UnknownCause.KNOWN: (0.92, 0.92, 0.92),
     UnknownCause.OUTSIDE_VIEW: (0.28, 0.30, 0.33),
@@ -82,18 +82,18 @@ _chosen = ["safe"]
 
 
 def colours() -> Colours:
-    """Return the colours that are in use: blue and orange, unless `use_colours` chose others."""
+    """Return the colours in use: by default blue and orange, see `use_colours`."""
     return COLOURS[_chosen[0]]
 
 
 def use_colours(name: str) -> None:
-    """Choose the colours of all that is drawn from now on by this process: "safe" or "paper".
+    """Set the colours of later pictures in this process: "safe" or "paper".
 
     Raises
     ------
     ValueError
-        If there are no colours of that name.
+        If the name is unknown.
     """
     if name not in COLOURS:
-        raise ValueError(f"there are no colours {name!r}: choose {' or '.join(COLOURS)}")
+        raise ValueError(f"colours must be {' or '.join(COLOURS)}, got {name!r}")
     _chosen[0] = name

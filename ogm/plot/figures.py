@@ -1,4 +1,4 @@
-"""Panels side by side as a picture or in a file: pixels, outlines, arrows, the vehicle, axes and legends."""
+"""Pictures of panels side by side, with outlines, arrows, the vehicle, axes and legends."""
 
 import math
 import os
@@ -20,61 +20,61 @@ from ogm.storage.files import atomic_write
 
 Shown = EvidentialGrid | DynamicGrid | NDArray[Any] | Panel
 
-TALLEST, WIDEST, LIKED = 1024, 1600, 900  # [px] of a panel at most, and its height where cells are whole pixels
+MAX_HEIGHT, MAX_WIDTH, TARGET_HEIGHT = 1024, 1600, 900  # [px] of a panel; the target is for cells of whole pixels
 GAP, MARGIN, AXIS = 26, 14, 84  # [px] between panels, around the picture, left of the first panel
 TITLE, TICKS = 34, 50  # [px] heights of titles, and of numbers and name of the axis below
-TEXT, SMALL = 20, 16  # [px] sizes of titles and of all else
+TEXT, SMALL = 20, 16  # [px] sizes of titles and of other texts
 INK, FRAME = (20, 20, 20), (150, 150, 150)
-FEWEST = 4  # steps along an axis
-MOST = 100  # letters of a title
-FITS, LARGEST = 1600, 2.2  # width of the panels [px] beyond which texts grow with it, up to so many times
+MIN_STEPS = 4  # along an axis
+MAX_TITLE = 100  # letters
+TEXT_WIDTH, MAX_TEXT_SCALE = 1600, 2.2  # width of all panels [px] above which texts grow, and greatest factor
 
 
 def show(*items: Shown, titles: Sequence[str] = ()) -> Image.Image:
-    """Draw grids, clouds and panels side by side.
+    """Draw grids, point clouds and panels side by side.
 
     Parameters
     ----------
     *items : EvidentialGrid, DynamicGrid, (N, 4) array or Panel
-        A grid is shown by its `mass_panel` or `dynamic_panel`; an array by its `points_panel` over the area of the
-        first grid or panel.
+        Grids are drawn by `mass_panel` or `dynamic_panel`, arrays by `points_panel` on the area of the first grid or
+        panel.
     titles : sequence of str, optional
-        One per item.
+        One title per item.
 
     Returns
     -------
     PIL.Image.Image
-        A notebook shows it by itself; in a script, use its ``show()``, or `save_picture`.
+        Displayed by notebooks; in a script, use its ``show()``, or `save_picture`.
 
     Raises
     ------
     ValueError
-        If there is nothing to show, or `titles` has another length, or points come without a grid.
+        If there are no items, `titles` has another length, or points have no grid.
     """
     return _draw(_panels(items, titles))
 
 
 def save_picture(path: str | os.PathLike[str], *items: Shown, titles: Sequence[str] = ()) -> None:
-    """Write what `show` would show to a PNG file, in one step.
+    """Write the picture of `show` to a PNG file, in one step.
 
     Parameters
     ----------
     path : path
         Ends in ``.png``.
     *items, titles
-        As for `show`.
+        See `show`.
     """
     if Path(path).suffix.lower() != ".png":
-        raise ValueError(f"a picture is saved as .png, got {path}")
+        raise ValueError(f"a picture must end in .png, got {path}")
     picture = show(*items, titles=titles)
     with atomic_write(path) as file:
         picture.save(file, "PNG")  # optimize=True takes 8 times as long for 1.6 % fewer bytes
 
 
 def _panels(items: Sequence[Shown], titles: Sequence[str]) -> list[Panel]:
-    """Turn whatever `show` takes into panels."""
+    """Convert the items of `show` to panels."""
     if not items:
-        raise ValueError("nothing to show: give a grid, points or a panel")
+        raise ValueError("there is nothing to show: give a grid, points or a panel")
     if titles and len(titles) != len(items):
         raise ValueError(f"titles must be one per item, got {len(titles)} for {len(items)}")
     spec = next((item.spec for item in items if not isinstance(item, np.ndarray)), None)
@@ -87,23 +87,23 @@ def _panels(items: Sequence[Shown], titles: Sequence[str]) -> list[Panel]:
         elif isinstance(item, DynamicGrid):
             panels.append(dynamic_panel(item, title))
         elif spec is None:
-            raise ValueError("points need an area: show them beside a grid, or as ogm.plot.points_panel(cloud, spec)")
+            raise ValueError("points need an area: show them next to a grid, or as ogm.plot.points_panel(cloud, spec)")
         else:
             panels.append(points_panel(item, spec, title))
     return panels
 
 
 def _size(panel: Panel) -> tuple[int, int]:
-    """Return width and height of a panel [px]: whole pixels per cell where that fits."""
+    """Return width and height of a panel [px]: whole pixels per cell if that fits."""
     rows, columns = panel.spec.shape
-    scale = min(TALLEST / rows, WIDEST / columns)
+    scale = min(MAX_HEIGHT / rows, MAX_WIDTH / columns)
     if scale >= 1:
-        scale = max(1, min(round(LIKED / rows), int(scale)))
+        scale = max(1, min(round(TARGET_HEIGHT / rows), int(scale)))
     return max(1, round(columns * scale)), max(1, round(rows * scale))
 
 
 class _Layout(NamedTuple):
-    """Sizes of texts and of the space around them [px]: larger where a page will shrink a wide picture."""
+    """Sizes of texts and their margins [px]; larger for wide pictures, which pages shrink."""
 
     gap: int
     margin: int
@@ -115,18 +115,18 @@ class _Layout(NamedTuple):
 
     @classmethod
     def of(cls, widths: int) -> "_Layout":
-        """Return the sizes for panels of some width together."""
-        factor = min(max(widths / FITS, 1.0), LARGEST)
-        return cls(*(round(factor * one) for one in (GAP, MARGIN, AXIS, TITLE, TICKS, TEXT, SMALL)))
+        """Return the sizes for panels of a total width [px]."""
+        factor = min(max(widths / TEXT_WIDTH, 1.0), MAX_TEXT_SCALE)
+        return cls(*(round(factor * size) for size in (GAP, MARGIN, AXIS, TITLE, TICKS, TEXT, SMALL)))
 
 
 def _shown(title: str, width: int, size: int) -> str:
-    """Cut a title to what fits over a panel, and replace what the font does not have."""
+    """Shorten a title to the width of its panel, and replace characters that the font does not have."""
     text = title = plain(title)
-    most = min(len(title), MOST)
-    while most > 8 and font(size).getlength(title) > width:
-        most -= 1
-        title = f"{text[: most // 2 - 1]}...{text[-most // 2 + 2 :]}"
+    letters = min(len(title), MAX_TITLE)
+    while letters > 8 and font(size).getlength(title) > width:
+        letters -= 1
+        title = f"{text[: letters // 2 - 1]}...{text[-letters // 2 + 2 :]}"
     return title
 
 
@@ -162,7 +162,7 @@ def _draw(panels: Sequence[Panel]) -> Image.Image:
 
 
 def _rows(panel: Panel, size: int, width: int) -> list[Panel]:
-    """Return a panel for each row of its legend, which are as wide as a width [px] allows."""
+    """Return a panel for each row of the legend, rows being at most `width` px wide."""
     rows = [panel._replace(legend={})]
     for name, colour in panel.legend.items():
         longer = rows[-1]._replace(legend=rows[-1].legend | {name: colour})
@@ -176,52 +176,52 @@ def _rows(panel: Panel, size: int, width: int) -> list[Panel]:
 def _draw_axes(
     picture: Image.Image, panel: Panel, corner: tuple[int, int], size: tuple[int, int], at: _Layout, first: bool
 ) -> None:
-    """Draw numbers [m] along the axes of a panel, and their names; those of x only for the first."""
+    """Draw numbers [m] and names of the axes of a panel; x only for the first panel."""
     (left, top), (wide, high), draw = corner, size, ImageDraw.Draw(picture)
     x_min, x_max, y_min, y_max = panel.spec.extent
     pixels = high / panel.spec.length  # per metre
-    step = _step(min(x_max - x_min, y_max - y_min) if first else y_max - y_min)
+    step = round_length((min(x_max - x_min, y_max - y_min) if first else y_max - y_min) / MIN_STEPS)
     for y in np.arange(np.ceil(y_min / step), np.floor(y_max / step) + 1) * step:
-        place = left + (y_max - y) * pixels
-        draw.line([(place, top + high), (place, top + high + 5)], INK)
-        draw.text((place, top + high + 7), f"{y + 0:g}", INK, font(at.small), anchor="ma")
+        column = left + (y_max - y) * pixels
+        draw.line([(column, top + high), (column, top + high + 5)], INK)
+        draw.text((column, top + high + 7), f"{y + 0:g}", INK, font(at.small), anchor="ma")
     below = top + high + at.ticks - round(1.375 * at.small)
     draw.text((left + wide // 2, below), "y, left [m]", INK, font(at.small), anchor="ma")
     if first:
         for x in np.arange(np.ceil(x_min / step), np.floor(x_max / step) + 1) * step:
-            place = top + (x_max - x) * pixels
-            draw.line([(left - 6, place), (left - 1, place)], INK)
-            draw.text((left - 9, place), f"{x + 0:g}", INK, font(at.small), anchor="rm")
+            row = top + (x_max - x) * pixels
+            draw.line([(left - 6, row), (left - 1, row)], INK)
+            draw.text((left - 9, row), f"{x + 0:g}", INK, font(at.small), anchor="rm")
         name = Image.new("L", (high, at.small + 6))
         ImageDraw.Draw(name).text((high // 2, name.height // 2), "x, forward [m]", 255, font(at.small), anchor="mm")
         upright = name.transpose(Image.Transpose.ROTATE_90)
         picture.paste(INK, (at.margin, top), upright)
 
 
-def _step(length: float) -> float:
-    """Return a round number of metres of which some fit into a length: 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(length / FEWEST))
-    return float(max(one * power for one in (1, 2, 5) if one * power <= length / FEWEST))
+def round_length(limit: float) -> float:
+    """Return the largest of ..., 0.5, 1, 2, 5, 10, 20, ... m up to a limit [m]."""
+    power = 10.0 ** math.floor(math.log10(limit))
+    return max(digit * power for digit in (1, 2, 5) if digit * power <= limit)
 
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
-SMOOTH = 3  # lines of large pictures are drawn this much larger, and shrunk
+SMOOTH = 3  # factor by which lines of large pictures are drawn larger and then shrunk
 
 
 @lru_cache
 def font(size: int) -> Any:
-    """Return the font that Pillow brings (Aileron) at a size [px]. It knows ASCII only."""
+    """Return Pillow's built-in font (Aileron, ASCII only) at a size [px]."""
     return ImageFont.load_default(size)
 
 
 def plain(text: str) -> str:
-    """Replace what the font does not have: accents are left out, other signs become ``?``."""
-    parts = (one for one in unicodedata.normalize("NFKD", text) if not unicodedata.combining(one))
+    """Remove accents, and replace other characters that the font does not have by ``?``."""
+    parts = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
     return "".join(parts).encode("ascii", "replace").decode()
 
 
 def scaled(panel: Panel, size: tuple[int, int]) -> Image.Image:
-    """Return the cells of a panel at a size in pixels: repeated where they are fewer, else their means."""
+    """Return the cells of a panel at a size [px]: repeated if there are fewer cells, else averaged."""
     image = Image.fromarray(np.ascontiguousarray(panel.image))
     grows = image.width < size[0]
     return (
@@ -238,9 +238,9 @@ def draw_marks(image: Image.Image, panel: Panel, head: float, wheel: int, smooth
         The panel's cells, of any size.
     panel : Panel
     head, wheel : float, int
-        Length of the head of an arrow, width of the wheel of headings [px].
+        Length of arrow heads, width of the wheel of headings [px].
     smooth : int
-        By how much larger lines are drawn before they are shrunk, against steps.
+        Factor by which lines are drawn larger and then shrunk, for smooth edges.
     """
     if len(panel.outlines) or len(panel.arrows):
         width = head / 8  # of a line
@@ -260,14 +260,14 @@ def _draw_lines(image: Image.Image, panel: Panel, head: float, width: float) -> 
     (_, x_max, _, y_max), pixels = panel.spec.extent, image.height / panel.spec.length  # per metre
     draw, thin = ImageDraw.Draw(image), max(1, round(width))
     for corners in panel.outlines:
-        dots = [tuple(one) for one in (np.array([y_max, x_max]) - corners[:, ::-1]) * pixels]
+        dots = [tuple(dot) for dot in (np.array([y_max, x_max]) - corners[:, ::-1]) * pixels]
         draw.line([*dots, dots[0]], WHITE, 3 * thin)
         draw.line([*dots, dots[0]], BLACK, thin)
     for x, y, dx, dy in panel.arrows:
-        start, way = np.array([y_max - y, x_max - x]) * pixels, -np.array([dy, dx]) * pixels
-        long = way * min(1.0, head / max(math.hypot(*way), 1e-9))
-        tip, neck, side = start + way, start + way - long, 0.45 * long[::-1] * (-1, 1)
-        shaft, triangle = [tuple(start), tuple(neck)], [tuple(one) for one in (tip, neck + side, neck - side)]
+        start, arrow = np.array([y_max - y, x_max - x]) * pixels, -np.array([dy, dx]) * pixels
+        length = arrow * min(1.0, head / max(math.hypot(*arrow), 1e-9))  # of the head
+        tip, neck, side = start + arrow, start + arrow - length, 0.45 * length[::-1] * (-1, 1)
+        shaft, triangle = [tuple(start), tuple(neck)], [tuple(dot) for dot in (tip, neck + side, neck - side)]
         draw.line(shaft, WHITE, 4 * thin)
         draw.polygon(triangle, WHITE, WHITE, 2 * thin)
         draw.line(shaft, BLACK, 2 * thin)
@@ -275,7 +275,7 @@ def _draw_lines(image: Image.Image, panel: Panel, head: float, width: float) -> 
 
 
 def draw_vehicle(draw: Any, spec: GridSpec, corner: tuple[int, int], height: int, size: int) -> None:
-    """Draw a triangle where the vehicle is, if a panel of some height [px] with its corner there shows that place."""
+    """Draw a triangle at the vehicle, if the panel with this corner and height [px] shows it."""
     x_min, x_max, y_min, y_max = spec.extent
     if x_min <= 0 < x_max and y_min <= 0 < y_max:
         pixels = height / spec.length  # per metre
@@ -284,7 +284,7 @@ def draw_vehicle(draw: Any, spec: GridSpec, corner: tuple[int, int], height: int
 
 
 def draw_legend(draw: Any, x: int, y: int, panel: Panel, size: int, inks: tuple[Any, Any]) -> None:
-    """Draw what the colours of a panel mean, in a line; `size` is of the font [px], `inks` are of text and frames."""
+    """Draw the legend of a panel in a line; `size` is of the font [px], `inks` are of text and frames."""
     half = round(0.45 * size)
     for name, colour in panel.legend.items():
         filled = tuple(colour_bytes(np.array(colour)).tolist())
@@ -294,5 +294,5 @@ def draw_legend(draw: Any, x: int, y: int, panel: Panel, size: int, inks: tuple[
 
 
 def legend_width(panel: Panel, size: int) -> int:
-    """Return how wide the legend of a panel is [px]."""
+    """Return the width of a panel's legend [px]."""
     return sum(round(2.27 * size + font(size).getlength(plain(name))) for name in panel.legend)

@@ -1,4 +1,4 @@
-"""The panel of a dynamic grid: what moves by its heading, an arrow for each moving group."""
+"""Panel of a dynamic grid: moving cells coloured by heading, with an arrow for each moving group."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,26 +9,27 @@ from ogm.plot.panels import Panel, cells_panel, heading_colours, heading_legend
 from ogm.scan import Boxes
 
 BOX = (1.0, 1.0, 1.0)
-SLOWEST = 0.5  # [m/s] of a group that has an arrow
-FEWEST = 3  # cells of a group that has an arrow
+MIN_SPEED = 0.5  # [m/s] of a group with an arrow
+MIN_CELLS = 3  # of a group with an arrow
 _NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1))  # each pair once
-_HOLE = 0.45  # of the radius of a wheel
+_HOLE = 0.45  # inner radius of a wheel, relative to its radius
 
 
 def dynamic_panel(grid: DynamicGrid, title: str = "", seconds: float = 1.0, boxes: Boxes | None = None) -> Panel:
-    """Show what stands and what moves: free, occupied and unknown as in `mass_panel`, the heading of what moves.
+    """Draw a dynamic grid: static, free and unknown in the colours of `mass_panel`, dynamic coloured by heading.
 
-    The colours of a cell are mixed by its masses. Each group of moving cells has an arrow as long as its way in some
-    seconds (`moving_arrows`), and the panel a wheel with the colours of the headings.
+    The colours of a cell are mixed by its masses. An arrow shows the motion of each moving group (`moving_arrows`), and
+    a wheel explains the colours of headings.
 
     Parameters
     ----------
     grid : DynamicGrid
     title : str
     seconds : float
-        Way of the arrows [s]; 0 for none.
+        Time of motion shown by arrows [s]; 0 for no arrows.
     boxes : Boxes, optional
-        Moving objects in the grid's frame, with velocities: these are outlined and have the arrows, not the groups.
+        Moving objects in the grid's frame, with velocities. They are outlined, and their arrows replace the arrows of
+        groups.
 
     Raises
     ------
@@ -43,7 +44,7 @@ def dynamic_panel(grid: DynamicGrid, title: str = "", seconds: float = 1.0, boxe
     legend = {"free": chosen.free, "static": chosen.occupied, "unknown": chosen.unknown}
     legend |= {f"moves {axis}": colour for axis, colour in heading_legend().items()}
     arrows = moving_arrows(grid, seconds) if boxes is None else _box_arrows(boxes, seconds)
-    title = title or "heading of what moves" + (f", arrows: {seconds:g} s" if seconds and len(arrows) else "")
+    title = title or "heading of moving cells" + (f", arrows: {seconds:g} s" if seconds and len(arrows) else "")
     if boxes is not None and len(boxes):
         legend["box: object"] = BOX
     panel = cells_panel(cells, grid.spec, title, legend)
@@ -52,11 +53,11 @@ def dynamic_panel(grid: DynamicGrid, title: str = "", seconds: float = 1.0, boxe
 
 
 def moving_groups(grid: DynamicGrid) -> NDArray[np.int32]:
-    """Return the number of the moving group of each cell, (nx, ny), from 1 on; 0 where nothing moves.
+    """Return the number of the moving group of each cell, (nx, ny), from 1 up; 0 in cells that do not move.
 
-    A cell moves where the mass of occupied is above 1/2, and most of it that of dynamic. Cells that touch, also at a
-    corner, belong together if their velocities differ by at most half of the faster one, or 1 m/s: two vehicles side by
-    side that drive in opposite directions are two groups.
+    A cell moves if the mass of occupied is above 1/2 and dynamic exceeds static. Touching cells, also at a corner, are
+    in one group if their velocities differ by at most 1 m/s, or half of the greater speed. Two adjacent vehicles in
+    opposite directions are thus two groups.
     """
     moving = (grid.occupied > 0.5) & (grid.dynamic > grid.static) & np.isfinite(grid.speed)
     count = int(np.count_nonzero(moving))
@@ -76,43 +77,43 @@ def moving_groups(grid: DynamicGrid) -> NDArray[np.int32]:
 
 
 def _components(count: int, of: NDArray[np.intp], to: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the number of the connected component of each of some nodes, by pairs of nodes that are connected."""
+    """Return the connected component of each of `count` nodes, by pairs of connected nodes."""
     label = np.arange(count)
     while (apart := label[of] != label[to]).any():
         low, high = np.minimum(label[of], label[to])[apart], np.maximum(label[of], label[to])[apart]
         np.minimum.at(label, high, low)
-        while (label != label[label]).any():  # each node to the lowest of its component so far
+        while (label != label[label]).any():  # each node to the lowest known node of its component
             label = label[label]
     return np.unique(label, return_inverse=True)[1]
 
 
 def moving_arrows(grid: DynamicGrid, seconds: float = 1.0) -> NDArray[np.float64]:
-    """Return where each moving group is, and how far it comes: x, y, dx, dy [m] along the grid's axes, (A, 4).
+    """Return position and motion x, y, dx, dy [m] of each moving group along the grid's axes, (A, 4).
 
     Parameters
     ----------
     grid : DynamicGrid
     seconds : float
-        For which its mean velocity is kept [s]. Means are weighted by the mass of dynamic.
+        Time of motion at the mean velocity [s]. Means are weighted by the mass of dynamic.
     """
     if not (np.isfinite(seconds) and seconds >= 0):
         raise ValueError(f"seconds of the arrows must be 0 or more, got {seconds}")
     groups = moving_groups(grid)
     at = np.nonzero(groups)
     label, mass = groups[at], grid.dynamic[at].astype(np.float64)
-    x, y = (np.broadcast_to(one, grid.spec.shape)[at] for one in grid.spec.cell_centers)
+    x, y = (np.broadcast_to(centers, grid.spec.shape)[at] for centers in grid.spec.cell_centers)
     vx, vy = grid.velocity[at].astype(np.float64).T
     total = np.bincount(label, mass)
-    mean = np.stack([np.bincount(label, mass * one) for one in (x, y, vx, vy)], axis=-1)
-    kept = np.bincount(label) >= FEWEST
+    mean = np.stack([np.bincount(label, mass * column) for column in (x, y, vx, vy)], axis=-1)
+    kept = np.bincount(label) >= MIN_CELLS
     arrows: NDArray[np.float64] = mean[kept] / total[kept, None]
-    arrows = arrows[np.hypot(arrows[:, 2], arrows[:, 3]) >= SLOWEST]
+    arrows = arrows[np.hypot(arrows[:, 2], arrows[:, 3]) >= MIN_SPEED]
     arrows[:, 2:] *= seconds
     return arrows
 
 
 def _box_arrows(boxes: Boxes, seconds: float) -> NDArray[np.float64]:
-    """Return x, y, dx, dy [m] of the boxes that have a velocity, (A, 4)."""
+    """Return position and motion x, y, dx, dy [m] of boxes with a velocity, (A, 4)."""
     velocity = np.full((len(boxes), 2), np.nan) if boxes.velocity is None else boxes.velocity
     arrows = np.hstack([boxes.center[:, :2], velocity * seconds])
     return arrows[np.isfinite(arrows).all(axis=1)]
@@ -128,7 +129,7 @@ def _corners(boxes: Boxes) -> NDArray[np.float64]:
 
 
 def heading_wheel(size: int) -> NDArray[np.uint8]:
-    """Return a ring with the colour of each heading, forward up, (size, size, 4): red, green, blue, opacity."""
+    """Return a ring in the colours of headings, forward up, (size, size, 4): red, green, blue, opacity."""
     right, down = np.meshgrid(*2 * [(np.arange(size) + 0.5) / (size / 2) - 1])
     radius = np.hypot(right, down)
     ring = np.clip((1 - radius) * size / 2, 0, 1) * np.clip((radius - _HOLE) * size / 2, 0, 1)
@@ -137,7 +138,7 @@ def heading_wheel(size: int) -> NDArray[np.uint8]:
 
 
 def _shifted(step: int) -> tuple[slice, slice]:
-    """Return the cells that have a neighbour some cells further, and those neighbours, along an axis."""
+    """Return the cells with a neighbour `step` cells further along an axis, and these neighbours."""
     if step < 0:
         return slice(-step, None), slice(None, step)
     return (slice(None, -step), slice(step, None)) if step else (slice(None), slice(None))

@@ -1,4 +1,4 @@
-"""How notebooks show grids, scans and data sets: a small picture and a table of facts.
+"""Display of grids, scans and datasets in notebooks: a small picture and a table of facts.
 
 `EvidentialGrid`, `DynamicGrid`, `LayeredGrid` and `Scan` call `png` and `html`, see `ogm.grid.ShownInNotebooks`.
 """
@@ -23,21 +23,21 @@ from ogm.plot.panels import CAUSE_LAYER, CONFLICT_LAYERS, VELOCITY_LAYERS
 from ogm.plot.view_layers import CAUSE_STEPS
 from ogm.scan import Scan
 
-LONGEST, SHORTEST = 520, 260  # [px] along the longer side of a panel
-PANELS, GAP = 4, 6  # of layers side by side; [px] between them
-STRIP = 1024  # rows that are shrunk at once; even
-NEAREST, FURTHEST = 5.0, 60.0  # [m] around the sensor that are shown, by where 98 % of the points are
+MAX_SIDE, MIN_SIDE = 520, 260  # [px] along the longer side of a panel
+PANELS, GAP = 4, 6  # layers side by side; [px] between them
+STRIP = 1024  # rows that are shrunk together; even
+MIN_REACH, MAX_REACH = 5.0, 60.0  # [m] shown around the sensor, to include 98 % of the points
 
 
 @singledispatch
 def png(value: object) -> bytes:
-    """Return the picture of a value as PNG; no bytes if there is nothing to show."""
+    """Return the picture of a value as PNG; empty if there is nothing to show."""
     raise TypeError(f"there is no picture of {type(value).__name__}")
 
 
 @singledispatch
 def html(value: object) -> str:
-    """Return the picture of a value and a table of facts."""
+    """Return HTML with the picture of a value and a table of facts."""
     raise TypeError(f"there is no page of {type(value).__name__}")
 
 
@@ -51,8 +51,8 @@ def _grid_png(grid: EvidentialGrid) -> bytes:
 
 @html.register
 def _grid_html(grid: EvidentialGrid) -> str:
-    """Return the picture of a grid, its cells and how much of it is free, occupied and unknown."""
-    free, occupied = (float(one.mean()) for one in (grid.free, grid.occupied))
+    """Return the picture of a grid, its cells and mean masses."""
+    free, occupied = (float(mass.mean()) for mass in (grid.free, grid.occupied))
     shares = {"free": free, "occupied": occupied, "unknown": max(0.0, 1 - free - occupied)}
     facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
     text = f"belief: {colours().text}; x, forward, is up"
@@ -61,11 +61,8 @@ def _grid_html(grid: EvidentialGrid) -> str:
 
 @png.register
 def _dynamic_png(grid: DynamicGrid) -> bytes:
-    """Return a picture of what stands and what moves: `ogm.plot.dynamic_panel` without arrows.
-
-    Where cells are smaller than a pixel, it shows the most occupied one of each pixel.
-    """
-    step = -(-max(grid.spec.shape) // LONGEST)
+    """Return the picture of `ogm.plot.dynamic_panel` without arrows; pixels show their most occupied cell."""
+    step = -(-max(grid.spec.shape) // MAX_SIDE)
     occupied = np.pad(grid.occupied, [(0, -count % step) for count in grid.spec.shape], constant_values=-1)
     nx, ny = (count // step for count in occupied.shape)
     most = occupied.reshape(nx, step, ny, step).swapaxes(1, 2).reshape(nx, ny, -1).argmax(axis=-1)
@@ -77,26 +74,26 @@ def _dynamic_png(grid: DynamicGrid) -> bytes:
 
 @html.register
 def _dynamic_html(grid: DynamicGrid) -> str:
-    """Return the picture of a dynamic grid, its cells, its shares and how fast what moves is."""
+    """Return the picture of a dynamic grid, its cells, mean masses and the median speed of moving cells."""
     shares = {name: float(getattr(grid, name).mean()) for name in ("free", "static", "dynamic", "unknown")}
     facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
     moving = moving_groups(grid) > 0
     facts["moving cells"] = f"{np.count_nonzero(moving)}" + (
         f", median {np.median(grid.speed[moving]):.1f} m/s" if moving.any() else ""
     )
-    text = f"{colours().text}, pale the heading of what moves; x, forward, is up"
+    text = f"{colours().text}, pale the heading of moving cells; x, forward, is up"
     return _html("DynamicGrid", _spec_facts(grid.spec) | facts, _dynamic_png(grid), text)
 
 
 @png.register
 def _layers_png(layers: LayeredGrid) -> bytes:
-    """Return a picture of the first layers, side by side; none (no bytes) where there are none."""
+    """Return a picture of the first layers, side by side; empty without layers."""
     return _png(_layer_panels(layers))
 
 
 @html.register
 def _layers_html(layers: LayeredGrid) -> str:
-    """Return the picture of some layers, and what numbers they hold."""
+    """Return the picture of layers, and their ranges of numbers."""
     facts = _spec_facts(layers.spec)
     for name, layer in layers.layers.items():
         low, high = (f"{number:.4g}" for number in Steps.of(layer)[:2])
@@ -110,8 +107,8 @@ def _layers_html(layers: LayeredGrid) -> str:
 def _scan_png(scan: Scan) -> bytes:
     """Return a picture of the points around the sensor, by height."""
     xyz = scan.points[np.isfinite(scan.points[:, :3]).all(axis=1), :3]
-    reach = float(np.quantile(np.abs(xyz[:, :2]).max(axis=1), 0.98)) if len(xyz) else NEAREST
-    half = min(max(1.05 * reach, NEAREST), FURTHEST)
+    reach = float(np.quantile(np.abs(xyz[:, :2]).max(axis=1), 0.98)) if len(xyz) else MIN_REACH
+    half = min(max(1.05 * reach, MIN_REACH), MAX_REACH)
     spec = GridSpec(2 * half / 200, (200, 200), (-half, -half))
     return _png([plot.points_panel(xyz, spec)])
 
@@ -139,7 +136,7 @@ def _scan_html(scan: Scan) -> str:
 
 
 def facts_html(title: str, facts: Mapping[str, str]) -> str:
-    """Return names and values as a table."""
+    """Return names and values as an HTML table."""
     left = 'style="text-align:left;padding-right:1em"'
     lines = ((escape(name), escape(value)) for name, value in facts.items())
     rows = "".join(f"<tr><th {left}>{name}</th><td {left}>{value}</td></tr>" for name, value in lines)
@@ -164,7 +161,7 @@ def _spec_facts(spec: GridSpec) -> dict[str, str]:
 
 
 def _layer_panels(layers: LayeredGrid) -> list[plot.Panel]:
-    """Return panels of the first layers; those that belong together in one."""
+    """Return panels of the first layers; pairs of velocity and conflict layers share a panel."""
     names, panels = list(layers.layers), []
     for pair, panel in ((VELOCITY_LAYERS, plot.velocity_panel), (CONFLICT_LAYERS, plot.conflict_panel)):
         if set(pair) <= set(names):
@@ -175,7 +172,7 @@ def _layer_panels(layers: LayeredGrid) -> list[plot.Panel]:
 
 
 def _small(layers: LayeredGrid, names: Sequence[str]) -> LayeredGrid:
-    """Return some layers at the resolution of the picture."""
+    """Return layers at the resolution of the picture."""
     steps = Steps.of(*(layers[name] for name in names), symmetric=len(names) > 1)
     halve: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] = partial(halve_numbers, steps=steps)
     if names == (CAUSE_LAYER,):
@@ -192,23 +189,23 @@ def _small(layers: LayeredGrid, names: Sequence[str]) -> LayeredGrid:
 def _shrunk(
     spec: GridSpec, rows: Callable[[slice], NDArray[np.uint8]], halve: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 ) -> tuple[NDArray[np.uint8], GridSpec]:
-    """Return bytes at half the resolution, and half of that, until they fit into the picture, with their cells."""
-    large = max(spec.shape) > LONGEST
+    """Return bytes and spec at a resolution that is halved until the cells fit into the picture."""
+    large = max(spec.shape) > MAX_SIDE
     strips = (rows(slice(start, start + STRIP)) for start in range(0, spec.shape[0], STRIP))
     cells = np.concatenate([halve(strip) if large else strip for strip in strips])
     factor = 2 if large else 1
-    while max(cells.shape) > LONGEST:
+    while max(cells.shape) > MAX_SIDE:
         cells, factor = halve(cells), 2 * factor
     return cells, GridSpec(spec.resolution * factor, cells.shape[:2], spec.origin)
 
 
 def _png(panels: Sequence[plot.Panel]) -> bytes:
-    """Return panels side by side as PNG; small ones larger."""
+    """Return panels side by side as PNG; small panels are enlarged."""
     if not panels:
         return b""
     images = []
     for panel in panels:
-        times = max(1, SHORTEST // max(panel.image.shape))
+        times = max(1, MIN_SIDE // max(panel.image.shape))
         images += [panel.image.repeat(times, axis=0).repeat(times, axis=1)]
         images += [np.full((len(images[-1]), GAP, 3), 255, np.uint8)]
     file = BytesIO()

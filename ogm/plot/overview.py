@@ -1,12 +1,12 @@
-"""Smaller pictures of large grids: numbers as bytes, and levels of half the resolution that keep what is occupied.
+"""Overviews of large grids: numbers as bytes, and levels of half the resolution that keep occupied cells.
 
-A level is made from the one before. A block of 2 x 2 cells has
+Each level is made from the previous level. A block of 2 x 2 cells has
 
-* masses: those of its most occupied cell, if that cell is predicted occupied (`ogm.state.predict_state`), else the mean
-  of its cells. So a cell that is occupied is occupied at every level;
-* other numbers: those of the cell that is furthest from zero, which for a velocity is the fastest cell; no value only
-  where none of its cells has one;
-* codes: the code of its first cell.
+* the masses of its most occupied cell, if that cell is predicted occupied (`ogm.state.predict_state`), else the mean
+  masses. An occupied cell is thus occupied at every level;
+* the other numbers of the cell furthest from zero, which for a velocity is the fastest cell; no value only if all four
+  cells have no value;
+* the code of its first cell.
 
 >>> import numpy as np
 >>> from ogm.plot.overview import halve_mass, mass_to_bytes
@@ -27,7 +27,7 @@ FULL = 255  # the byte of a mass of 1
 
 
 def mass_to_bytes(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Return masses in steps of 1/255: free and occupied are at most half a step off, unknown one step.
+    """Return masses in steps of 1/255; errors are at most half a step for free and occupied, one step for unknown.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ def mass_to_bytes(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def halve_mass(mass: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return masses at half the resolution; where a cell was predicted occupied, its block is.
+    """Return masses at half the resolution; a block with a cell predicted occupied is occupied.
 
     Parameters
     ----------
     mass : (rows, columns, 2) uint8
-        As `mass_to_bytes` gives them. At a far border of odd length, blocks have fewer cells.
+        Masses of `mass_to_bytes`. At a far border of odd length, blocks have fewer cells.
 
     Returns
     -------
@@ -60,15 +60,15 @@ def halve_mass(mass: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """
     cells = _blocks(mass)
     total = np.zeros((*cells[0].shape[:2], 2), np.uint16)
-    most = np.zeros((*cells[0].shape[:2], 2), np.uint8)
+    greatest = np.zeros((*cells[0].shape[:2], 2), np.uint8)  # of cells predicted occupied
     for cell in cells:
         total += cell
         free, occupied = cell[..., 0], cell[..., 1]
-        rest = FULL - occupied  # of free and unknown: bytes cannot overflow
-        better = (occupied >= free) & (occupied > rest - free) & (occupied > most[..., 1])
-        np.copyto(most, cell, where=better[..., None])
+        rest = FULL - occupied  # free and unknown, without overflow of bytes
+        better = (occupied >= free) & (occupied > rest - free) & (occupied > greatest[..., 1])
+        np.copyto(greatest, cell, where=better[..., None])
     mean = (total >> 2).astype(np.uint8)
-    np.copyto(mean, most, where=most[..., 1:] > 0)
+    np.copyto(mean, greatest, where=greatest[..., 1:] > 0)
     return mean
 
 
@@ -80,7 +80,7 @@ class Steps(NamedTuple):
 
     @classmethod
     def of(cls, *layers: NDArray[np.floating], symmetric: bool = False) -> "Steps":
-        """Return steps that hold all finite numbers of some layers; infinite ones become the ends."""
+        """Return steps for all finite numbers of layers; infinite numbers become the ends."""
         low, high = np.inf, -np.inf
         for layer in layers:
             for strip in np.array_split(layer, max(1, layer.size >> 22)):
@@ -95,7 +95,7 @@ class Steps(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Difference of two neighbouring bytes; numbers are at most half of it off."""
+        """Difference between neighbouring bytes; the error of a number is at most half of it."""
         return (self.high - self.low) / 254
 
     def to_bytes(self, numbers: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -105,19 +105,19 @@ class Steps(NamedTuple):
 
     @property
     def numbers(self) -> NDArray[np.float64]:
-        """The numbers that the 256 bytes stand for; NaN first."""
+        """Numbers of the 256 bytes; NaN first."""
         return np.concatenate([[np.nan], self.low + self.step * np.arange(255)])
 
 
 def halve_numbers(values: NDArray[np.uint8], steps: Steps) -> NDArray[np.uint8]:
-    """Return numbers at half the resolution: those of the cell of each block that is furthest from zero.
+    """Return numbers at half the resolution, from the cell of each block that is furthest from zero.
 
     Parameters
     ----------
     values : (rows, columns, K) uint8
-        K numbers of each cell that belong together, such as the parts of a velocity.
+        K related numbers of each cell, such as the components of a velocity.
     steps : Steps
-        What the bytes stand for.
+        Meaning of the bytes.
 
     Returns
     -------
@@ -137,12 +137,12 @@ def halve_numbers(values: NDArray[np.uint8], steps: Steps) -> NDArray[np.uint8]:
 
 
 def halve_codes(values: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return every second cell of every second row: codes, such as the reasons why cells are unknown, have no mean."""
+    """Return every second cell of every second row, as codes, such as causes of unknown cells, have no mean."""
     return values[::2, ::2]
 
 
 def _blocks(cells: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:
-    """Return the four cells of each block of 2 x 2, each (rows / 2, columns / 2, ...); the far border is repeated."""
+    """Return the four cells of blocks of 2 x 2, each (rows / 2, columns / 2, ...); an odd far border is repeated."""
     odd = [(0, size % 2) for size in cells.shape[:2]]
     if any(more for _, more in odd):
         cells = np.pad(cells, [*odd, (0, 0)], mode="edge")

@@ -1,4 +1,4 @@
-"""Panels: pictures of grids and points from above, the vehicle facing up. Only here axes flip and colours are known."""
+"""Panels: pictures of grids and points from above, the vehicle facing up."""
 
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ CAUSE_LAYER = "cause"
 CONFLICT_LAYERS, VELOCITY_LAYERS = ("free_to_occupied", "occupied_to_free"), ("velocity_x", "velocity_y")
 BLACK = (0.0, 0.0, 0.0)
 APPEARED, WENT_AWAY = (1.0, 0.62, 0.10), (0.25, 0.62, 1.0)
-NO_VALUE = NO_CONFLICT = (0.16, 0.17, 0.19)  # black is unknown
+NO_VALUE = NO_CONFLICT = (0.16, 0.17, 0.19)  # not black, which is unknown
 
 
 class Panel(NamedTuple):
@@ -25,16 +25,16 @@ class Panel(NamedTuple):
     image : (rows, columns, 3) uint8
         Row 0 is the front, column 0 the left.
     spec : GridSpec
-        The area that it shows.
+        Area of the picture.
     title : str
     legend : dict of str to (red, green, blue)
-        What the colours mean, [0, 1].
+        Colours [0, 1] by meaning.
     arrows : (A, 4) float array
         x, y, dx, dy [m] of arrows in the frame of `spec`.
     outlines : (B, 4, 2) float array
         x, y [m] of the corners of boxes in the frame of `spec`, the front first.
     wheel : bool
-        Whether colours of `heading_colours` need a legend of their own.
+        Whether to draw a wheel as legend of `heading_colours`.
     """
 
     image: NDArray[np.uint8]
@@ -47,7 +47,7 @@ class Panel(NamedTuple):
 
 
 def upright(cells: NDArray[Any]) -> NDArray[Any]:
-    """Turn ``[ix, iy, ...]``, without a copy, into rows from the front to the back and columns from left to right."""
+    """Return a view of ``[ix, iy, ...]`` with rows from front to back and columns from left to right."""
     return cells[::-1, ::-1]
 
 
@@ -60,12 +60,12 @@ def colour_bytes(colours: NDArray[Any]) -> NDArray[np.uint8]:
 def cells_panel(
     colours: NDArray[Any], spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]
 ) -> Panel:
-    """Show a colour for every cell.
+    """Draw a colour for every cell.
 
     Parameters
     ----------
     colours : (nx, ny, 3) float array
-        Red, green, blue [0, 1] of each cell of `spec`, or of finer cells of the same area.
+        Red, green, blue [0, 1] of each cell of `spec`, or of finer cells on the same area.
     spec : GridSpec
     title : str
     legend : dict of str to (red, green, blue)
@@ -74,13 +74,13 @@ def cells_panel(
 
 
 def mass_panel(grid: EvidentialGrid, title: str = "") -> Panel:
-    """Show belief: the colours of `ogm.plot.colours` for free, occupied and unknown, mixed by their masses."""
+    """Draw belief: the colours of `ogm.plot.colours` for free, occupied and unknown, mixed by their masses."""
     grid.check()
     return cells_panel(colours().mix(grid.mass), grid.spec, title or "belief", colours().legend)
 
 
 def probability_panel(grid: EvidentialGrid, title: str = "") -> Panel:
-    """Show the expected probability of occupied: white 0, grey 1/2 (also where nothing is known), black 1."""
+    """Draw the expected probability of occupied: white 0, grey 1/2 (also unknown cells), black 1."""
     grid.check()
     grey = np.repeat(1 - grid.probability[..., None], 3, axis=-1)
     legend = {"P(occupied) = 0": (1.0, 1.0, 1.0), "1/2": (0.5, 0.5, 0.5), "1": (0.0, 0.0, 0.0)}
@@ -88,7 +88,7 @@ def probability_panel(grid: EvidentialGrid, title: str = "") -> Panel:
 
 
 def unknown_panel(grid: EvidentialGrid, title: str = "") -> Panel:
-    """Show the mass of unknown: black 0, yellow 1 (matplotlib's "inferno")."""
+    """Draw the mass of unknown: black 0, yellow 1 (matplotlib's "inferno")."""
     grid.check()
     colours = colour_map("inferno", grid.unknown * 0.92)
     legend = {f"unknown = {u:g}": tuple(colour_map("inferno", np.array([u * 0.92]))[0]) for u in (0, 0.5, 1)}
@@ -96,13 +96,12 @@ def unknown_panel(grid: EvidentialGrid, title: str = "") -> Panel:
 
 
 def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
-    """Show where sources contradict each other: orange what appeared, blue what went away, grey no conflict.
+    """Draw conflict between sources: orange from free to occupied, blue from occupied to free, grey no conflict.
 
     Parameters
     ----------
     conflict : LayeredGrid
-        With the layers ``free_to_occupied`` and ``occupied_to_free`` in [0, 1], as `ogm.fusion.EvidentialMapper` has
-        them.
+        Layers ``free_to_occupied`` and ``occupied_to_free`` in [0, 1], see `ogm.fusion.EvidentialMapper`.
     title : str
     """
     appeared, went_away = (conflict[name] for name in CONFLICT_LAYERS)
@@ -113,9 +112,9 @@ def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
 
 
 def layer_panel(layers: LayeredGrid, name: str, title: str = "") -> Panel:
-    """Show numbers from their lowest, purple, to their highest, yellow (matplotlib's "viridis"); grey without value.
+    """Draw numbers from the lowest, purple, to the highest, yellow (matplotlib's "viridis"); grey without value.
 
-    The layer ``cause`` has a colour for each `ogm.UnknownCause`, and the shares of the cells in its legend.
+    The layer ``cause`` is drawn with a colour for each `ogm.UnknownCause`, and shares of cells in the legend.
     """
     layer = layers[name]
     if name == CAUSE_LAYER:
@@ -131,12 +130,12 @@ def layer_panel(layers: LayeredGrid, name: str, title: str = "") -> Panel:
     colours = np.where(np.isnan(layer)[..., None], NO_VALUE, colour_map("viridis", share))
     steps = np.linspace(0, 1, 3 if high > low else bool(finite.size))
     colours_of = colour_map("viridis", steps)
-    legend = {f"{low + at * (high - low):.4g}": tuple(one) for at, one in zip(steps, colours_of, strict=True)}
+    legend = {f"{low + at * (high - low):.4g}": tuple(colour) for at, colour in zip(steps, colours_of, strict=True)}
     return cells_panel(colours, layers.spec, title or name, legend | {"no value": NO_VALUE})
 
 
 def cause_codes(layer: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Return the numbers of a layer ``cause`` as codes of `ogm.UnknownCause`; what is none is outside the view."""
+    """Return a layer ``cause`` as codes of `ogm.UnknownCause`; other numbers become `OUTSIDE_VIEW`."""
     codes = np.where((layer >= 0) & (layer < len(UnknownCause)), layer, UnknownCause.OUTSIDE_VIEW)
     return np.rint(codes).astype(np.uint8)
 
@@ -147,15 +146,15 @@ def cause_colours(codes: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None = None) -> Panel:
-    """Show velocities: the direction by colour, the speed by brightness; black what stands or has none.
+    """Draw velocities: direction by colour, speed by brightness; black without motion or velocity.
 
     Parameters
     ----------
     layers : LayeredGrid
-        With the layers ``velocity_x`` (forward) and ``velocity_y`` (left) [m/s].
+        Layers ``velocity_x`` (forward) and ``velocity_y`` (left) [m/s].
     title : str
     fastest : float, optional
-        Speed of full brightness [m/s]; by default the greatest.
+        Speed of full brightness [m/s]; by default the greatest speed.
     """
     x, y = (np.nan_to_num(layers[name]) for name in VELOCITY_LAYERS)
     speed = np.hypot(x, y)
@@ -168,7 +167,7 @@ def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None =
 
 
 def heading_colours(heading: NDArray[Any]) -> NDArray[np.float64]:
-    """Return red, green, blue [0, 1] of directions [rad], (..., 3): pale, as free and occupied are not."""
+    """Return red, green, blue [0, 1] of directions [rad], (..., 3); pale, unlike free and occupied."""
     return 0.7 + 0.3 * np.cos(heading[..., None] - np.array([0, 2, -2]) * np.pi / 3)
 
 
@@ -179,11 +178,11 @@ def heading_legend() -> dict[str, Any]:
 
 
 BEHIND_POINTS = (0.08, 0.08, 0.08)
-TURBO = (0.15, 0.825)  # of matplotlib's "turbo", what stands out from BEHIND_POINTS: contrast 4.5 or more (WCAG 2)
-LOWEST, HIGHEST = -0.5, 3.5  # [m] over ground: heights with colours of their own
-GROUND_CELL = 2.0  # [m] the ground is the median of the lowest points of cells this wide
+TURBO = (0.15, 0.825)  # part of matplotlib's "turbo" with a contrast of 4.5 or more to BEHIND_POINTS (WCAG 2)
+LOWEST, HIGHEST = -0.5, 3.5  # [m] heights above ground with distinct colours
+GROUND_CELL = 2.0  # [m] side of cells whose lowest points give the ground, by their median
 DOTS, SPARSE_DOTS = 512, 384  # along the longer side of a picture
-SPARSE = 0.05  # share of a picture of which dots of one half cell cover less
+SPARSE = 0.05  # share of a picture covered by dots of one half cell, below which dots are wider
 
 
 def dots_panel(
@@ -194,24 +193,25 @@ def dots_panel(
     legend: dict[str, tuple[float, float, float]],
     width: int | None = 1,
 ) -> Panel:
-    """Show points from above, each in a colour of its own, on cells half as wide as those of `spec`.
+    """Draw points from above in given colours, on cells half as wide as the cells of `spec`.
 
     Parameters
     ----------
     xyz : (N, 3 or more) float array
-        x, y, z [m] in the frame of `spec`. Where several fall into a cell, the highest is shown.
+        x, y, z [m] in the frame of `spec`. The highest point of each cell is shown.
     colours : (N, 3) float array
-        Red, green, blue [0, 1].
+        Red, green, blue [0, 1] of each point.
     spec : GridSpec
-        The area to show.
+        Area of the picture.
     title : str
     legend : dict of str to (red, green, blue)
     width : int, optional
-        Of a dot [half cells]; wider dots cover no others. None: by the size of the picture and how many there are.
+        Width of a dot [half cells]; wider dots do not cover others. None chooses it by the size of the picture and the
+        number of points.
     """
     fine = spec.refined(2)
     image, drawn = np.full((*fine.shape, 3), BEHIND_POINTS), np.zeros(fine.shape, bool)
-    order = np.argsort(xyz[:, 2], kind="stable")  # the highest of a cell is drawn last
+    order = np.argsort(xyz[:, 2], kind="stable")  # the highest point of a cell is drawn last
     order = order[fine.contains(xyz[order, 0], xyz[order, 1])]
     cells = fine.index(xyz[order, 0], xyz[order, 1])
     image[cells], drawn[cells] = colours[order], True
@@ -222,11 +222,11 @@ def dots_panel(
 
 
 def _widen(image: NDArray[Any], drawn: NDArray[np.bool_], width: int) -> None:
-    """Copy each dot that is drawn to the cells behind it and beside it, where there is none."""
+    """Widen dots to `width` cells, without covering other dots."""
     for axis in (0, 1):
-        to, of = (np.swapaxes(one, 0, axis) for one in (image, drawn))
+        to, of = (np.swapaxes(array, 0, axis) for array in (image, drawn))
         for step in range(1, width):
-            # even steps grow one way and odd ones the other, so that dots stay where they are
+            # even and odd steps grow in opposite directions, so that dots stay centred
             source, target = (slice(1, None), slice(-1)) if step % 2 else (slice(-1), slice(1, None))
             grown = of[source] & ~of[target]
             to[target][grown] = to[source][grown]
@@ -236,19 +236,19 @@ def _widen(image: NDArray[Any], drawn: NDArray[np.bool_], width: int) -> None:
 def points_panel(
     cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z: float | None = None, width: int | None = None
 ) -> Panel:
-    """Show points from above, coloured by height.
+    """Draw points from above, coloured by height.
 
     Parameters
     ----------
     cloud : (N, 3 or more) float array
         x, y, z [m] in the frame of `spec`.
     spec : GridSpec
-        The area to show.
+        Area of the picture.
     title : str
     ground_z : float, optional
         Height of the ground in that frame [m]; by default the median of the lowest points of cells of 2 m.
     width : int, optional
-        Of a dot [half cells]; by default wider in large pictures, and where there are few points.
+        Width of a dot [half cells]; by default wider in large pictures and for few points.
     """
     cloud = cloud[np.isfinite(cloud[:, :3]).all(axis=1)]
     cloud = cloud[spec.contains(cloud[:, 0], cloud[:, 1])]
@@ -259,13 +259,13 @@ def points_panel(
 
 
 def height_colours(height: NDArray[Any]) -> NDArray[np.float64]:
-    """Return red, green, blue [0, 1] of points by their height over ground [m], (..., 3): readable on black."""
+    """Return red, green, blue [0, 1] of heights above ground [m], (..., 3); readable on black."""
     share = np.clip((height - LOWEST) / (HIGHEST - LOWEST), 0, 1)
     return colour_map("turbo", TURBO[0] + (TURBO[1] - TURBO[0]) * share)
 
 
 def _ground_z(cloud: NDArray[Any]) -> float:
-    """Return about where the ground is [m]: most cells hold a point of it. 0 without points."""
+    """Return an estimate of the ground's height [m], as most cells contain a ground point; 0 without points."""
     if not len(cloud):
         return 0.0
     ix, iy = np.floor(cloud[:, :2].T / GROUND_CELL).astype(np.int64)

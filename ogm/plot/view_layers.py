@@ -1,4 +1,4 @@
-"""What the page of `ogm.plot.viewer` can show: each layer as tables of colours, taken from the panels of `ogm.plot`."""
+"""Layers of the page of `ogm.plot.viewer`, as tables of colours taken from the panels of `ogm.plot`."""
 
 from base64 import b64encode
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ from ogm.unknown_cause import UnknownCause
 
 Layer = dict[str, Any]
 CAUSE_STEPS = Steps(0.0, 254.0)  # whole numbers
-_AXES = "directions are those of the map's axes, x up and y to the left"
-_SHADES = 24  # of the bar that shows a continuous scale
+_AXES = "directions along the map's axes, x up and y to the left"
+_SHADES = 24  # of the bar of a continuous scale
 
 
 def mass_layers(stored: int) -> list[Layer]:
@@ -28,7 +28,7 @@ def mass_layers(stored: int) -> list[Layer]:
     Parameters
     ----------
     stored : int
-        Number of its masses among what the page stores.
+        Index of its masses in the stored numbers of the page.
     """
     mass = np.arange(FULL + 1) / FULL
     none = np.zeros_like(mass)
@@ -49,14 +49,14 @@ def mass_layers(stored: int) -> list[Layer]:
 
 
 def number_layer(stored: int, name: str, steps: Steps) -> Layer:
-    """Return a layer that shows one number of each cell."""
+    """Return the layer of one number per cell."""
     panel = plot.layer_panel(_cells({name: steps.numbers}), name)
     *scale, _ = panel.legend
     return _layer(name, "sum", [[stored, 0]], [panel], "", scale, {"no value": NO_VALUE})
 
 
 def cause_layer(stored: int) -> Layer:
-    """Return the layer of the reasons why cells are unknown, codes of `ogm.UnknownCause`, stored in `CAUSE_STEPS`."""
+    """Return the layer of causes of unknown cells, codes of `ogm.UnknownCause` stored in `CAUSE_STEPS`."""
     numbers = np.nan_to_num(CAUSE_STEPS.numbers, nan=-1.0)
     panel = plot.layer_panel(_cells({CAUSE_LAYER: numbers}), CAUSE_LAYER)
     swatches = {cause.label: CAUSE_COLOURS[cause] for cause in UnknownCause}
@@ -64,38 +64,38 @@ def cause_layer(stored: int) -> Layer:
 
 
 def conflict_layer(stored: Sequence[tuple[int, Steps]]) -> Layer:
-    """Return the layer that shows both kinds of conflict, by where each is stored and in which steps."""
+    """Return the layer of both kinds of conflict, by the index and the steps of each."""
     panels = []
     for name, (_, steps) in zip(CONFLICT_LAYERS, stored, strict=True):
         numbers = {other: np.zeros(FULL + 1) for other in CONFLICT_LAYERS}
         panels.append(plot.conflict_panel(_cells(numbers | {name: np.nan_to_num(steps.numbers)})))
     grey = colour_bytes(np.array(NO_CONFLICT) / 2)  # the page adds both colours
     panels = [panel._replace(image=np.maximum(panel.image, grey) - grey) for panel in panels]
-    text = "of scans and map: what was free is occupied, or what was occupied is free"
+    text = "of scans and map: free cells became occupied, or occupied cells free"
     return _layer("conflict", "sum", [[place, 0] for place, _ in stored], panels, text, swatches=panels[0].legend)
 
 
 def motion_layer(masses: int, dynamic: int, velocity: int, grid: DynamicGrid) -> Layer:
-    """Return the layer that shows what stands, and what moves by its heading, with arrows of moving groups.
+    """Return the layer of static cells, dynamic cells coloured by heading, and arrows of moving groups.
 
     Parameters
     ----------
     masses, dynamic, velocity : int
-        Numbers of free and occupied, of dynamic and of both parts of the velocity among what the page stores.
+        Indices of free and occupied, of dynamic, and of the velocity in the stored numbers of the page.
     grid : DynamicGrid
-        Of which the arrows are.
+        Grid for the arrows.
     """
     legend = plot.dynamic_panel(grid, seconds=0.0).legend
     mass = np.arange(FULL + 1) / FULL
     free, static = (plot.mass_panel(_masses(*parts)) for parts in ((mass, 0 * mass), (0 * mass, mass)))
-    text = f"mixed by the masses of the cell; {_AXES}; an arrow is the way of a moving group in 1 s"
+    text = f"mixed by the masses of the cell; {_AXES}; an arrow shows the motion of a group in 1 s"
     of = [[masses, 0], [masses, 1], [dynamic, 0], [velocity, 0], [velocity, 1]]
     layer = _layer("motion", "motion", of, [_headings(), free, static], text, swatches=legend)
     return layer | {"arrows": moving_arrows(grid).round(3).tolist()}
 
 
 def velocity_layer(stored: int, steps: Steps) -> Layer:
-    """Return the layer that shows velocities: the direction by colour, the speed by brightness."""
+    """Return the layer of velocities: direction by colour, speed by brightness."""
     panel = _headings()
     text = f"direction by colour, speed by brightness, up to {steps.high:.3g} m/s; {_AXES}"
     layer = _layer("velocity", "velocity", [[stored, 0], [stored, 1]], [panel], text, swatches=panel.legend)
@@ -103,7 +103,7 @@ def velocity_layer(stored: int, steps: Steps) -> Layer:
 
 
 def _headings() -> plot.Panel:
-    """Return the panel of 256 directions, from forward on."""
+    """Return the panel of 256 directions, starting forward."""
     heading = np.arange(256) * (2 * np.pi / 256)
     parts = zip(VELOCITY_LAYERS, (np.cos(heading), np.sin(heading)), strict=True)
     return plot.velocity_panel(_cells(dict(parts)))
@@ -118,29 +118,29 @@ def _layer(
     scale: Sequence[str] = (),
     swatches: dict[str, tuple[float, float, float]] | None = None,
 ) -> Layer:
-    """Return a layer: how the page paints which stored numbers, by which tables of colours, and what they mean."""
+    """Return a layer: painting method, stored numbers, tables of colours, and legend."""
     colours = [panel.image[0, ::-1] for panel in tables]  # in the order of the bytes
     shades = colours[0][np.linspace(len(colours[0]) > 1, len(colours[0]) - 1, _SHADES).astype(int)]
     return {
         "name": name,
         "paint": paint,
         "of": of,
-        "tables": [b64encode(one.tobytes()).decode() for one in colours],
+        "tables": [b64encode(table.tobytes()).decode() for table in colours],
         "text": text,
         "scale": list(scale),
-        "shades": [one.tolist() for one in shades] if scale else [],
+        "shades": shades.tolist() if scale else [],
         "swatches": [[key, [round(255 * part) for part in colour]] for key, colour in (swatches or {}).items()],
     }
 
 
 def _cells(numbers: dict[str, NDArray[np.float64]]) -> LayeredGrid:
-    """Return a row of cells, one for each byte."""
+    """Return a row of cells with layers, a cell for each byte."""
     count = len(next(iter(numbers.values())))
     spec = GridSpec(1.0, (1, count), (0.0, 0.0))
     return LayeredGrid(spec, {name: layer[None].astype(np.float32) for name, layer in numbers.items()})
 
 
 def _masses(free: NDArray[np.float64], occupied: NDArray[np.float64]) -> EvidentialGrid:
-    """Return a row of cells, one for each byte."""
+    """Return a row of cells with masses, a cell for each byte."""
     mass = np.stack([free, occupied], axis=-1)[None].astype(np.float32)
     return EvidentialGrid(GridSpec(1.0, mass.shape[:2], (0.0, 0.0)), mass)

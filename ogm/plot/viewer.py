@@ -1,8 +1,8 @@
-"""A grid as one HTML page that needs no other file and no network, for any number of cells.
+"""Viewer of a grid of any size, as one HTML page without external files or network access.
 
-The page holds the numbers of the cells as bytes, in tiles of 512 x 512 cells: at full resolution, and at levels of half
-the resolution each (`ogm.plot.overview`). Tiles are deflated and stand in the page as base64; the browser unpacks those
-on the screen. Tiles without any number are left out.
+The page contains the numbers of the cells as bytes, in tiles of 512 x 512 cells: at full resolution, and at levels of
+half the resolution each (`ogm.plot.overview`). Tiles are deflated and encoded as base64; the browser unpacks visible
+tiles. Tiles without numbers are left out.
 
 >>> from ogm import EvidentialGrid, GridSpec
 >>> from ogm.plot.viewer import write_view
@@ -46,19 +46,19 @@ from ogm.unknown_cause import UnknownCause
 
 __all__ = ["ROUGHEST", "TILE", "page_of_tiles", "write_view"]
 
-TILE = 512  # [cells] along a side; even, so that no block of 2 x 2 cells lies in two tiles
-ROUGHEST = 64  # [cells] along the longer side of the last level: on any screen, a cell of it is wider than a pixel
-TRACK = 2000  # places of a path that are kept
-_TILES = "<!-- tiles -->"  # where they stand in the page
+TILE = 512  # [cells] along a side; even, so that blocks of 2 x 2 cells lie within a tile
+ROUGHEST = 64  # [cells] along the longer side of the last level, whose cells are wider than a pixel on any screen
+MAX_TRACK = 2000  # positions of a path
+_TILES = "<!-- tiles -->"  # position of the tiles in the page
 
 
 class _Stored(NamedTuple):
-    """Numbers that are stored together, K of each cell."""
+    """Numbers that are stored together, K per cell."""
 
     names: Sequence[str]
-    rows: Callable[[slice], NDArray[np.uint8]]  # (rows, columns, K) of some rows from the front
+    rows: Callable[[slice], NDArray[np.uint8]]  # (rows, columns, K) for a slice of rows from the front
     halve: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
-    first: int  # the byte that stands for `low`; smaller ones are no value
+    first: int  # byte of `low`; smaller bytes are no value
     low: float
     step: float
     labels: Sequence[str] = ()  # texts of the numbers 0, 1, ...
@@ -78,34 +78,34 @@ def write_view(
     Parameters
     ----------
     path : path
-        The page (.html). Its folder must exist.
+        Page (.html). Its folder must exist.
     grid : EvidentialGrid, DynamicGrid or LayeredGrid
-        Of an evidential grid, the page shows belief, free, occupied, unknown, probability and state; of a dynamic one
+        Of an evidential grid, the page shows belief, free, occupied, unknown, probability and state; of a dynamic grid
         also motion (`ogm.plot.dynamic_panel`), velocity, speed, static, dynamic and covariances. Of a layered grid,
-        it shows every layer; ``free_to_occupied`` and ``occupied_to_free`` together as conflict, ``velocity_x`` and
-        ``velocity_y`` together as velocity, ``cause`` by the texts of `ogm.UnknownCause`.
+        it shows every layer: ``free_to_occupied`` and ``occupied_to_free`` combined as conflict, ``velocity_x`` and
+        ``velocity_y`` combined as velocity, ``cause`` with the texts of `ogm.UnknownCause`.
     layers : LayeredGrid, optional
-        More layers, on the cells of the grid.
+        Further layers on the same cells.
     title : str
     T_grid_vehicle : (4, 4) array, optional
-        Pose of the vehicle in the coordinates of the grid, shown as a triangle that points forward.
+        Pose of the vehicle in the frame of the grid, shown as a triangle that points forward.
     track : (N, 2) array, optional
-        Path of the vehicle there [m], shown as a line.
+        Path of the vehicle in the frame of the grid [m], shown as a line.
 
     Raises
     ------
     ValueError
-        If the name does not end in ``.html``, the numbers of the grid are no masses, `layers` has other cells than
+        If the path does not end in ``.html``, the numbers of the grid are no masses, `layers` has other cells than
         `grid`, or there is no layer.
 
     Notes
     -----
-    Masses are stored in steps of 1/255: free and occupied are at most 0.002 off, unknown 0.004. Other layers are stored
-    in 254 steps from their lowest to their highest number. The values under the pointer are those of the cell, at every
-    zoom; the page states the steps.
+    Masses are stored in steps of 1/255, with errors of at most 0.002 for free and occupied, 0.004 for unknown. Other
+    layers are stored in 254 steps from the lowest to the highest number. At every zoom, the values under the pointer
+    are of the full-resolution cell; the page states the steps.
     """
     if not str(path).lower().endswith(".html"):
-        raise ValueError(f"a page is written as .html, got {path}")
+        raise ValueError(f"a page must end in .html, got {path}")
     if layers is not None and layers.spec != grid.spec:
         raise ValueError(f"layers must have the cells of the grid, {grid.spec}, got {layers.spec}")
     stored: list[_Stored] = []
@@ -122,35 +122,31 @@ def write_view(
     if layers is not None:
         _add_layers(layers, stored, shown)
     if isinstance(grid, DynamicGrid):
-        place = {name: k for k, one in enumerate(stored) for name in one.names}
-        shown.insert(0, motion_layer(0, place["dynamic"], place["velocity_x"], grid))
+        index = {name: k for k, numbers in enumerate(stored) for name in numbers.names}
+        shown.insert(0, motion_layer(0, index["dynamic"], index["velocity_x"], grid))
     if not shown:
         raise ValueError("there is nothing to show: the grid has no layers")
     facts = {"title": title or "grid", "made": f"{datetime.now():%Y-%m-%d %H:%M}", "tile": TILE, "layers": shown}
-    facts |= {
-        "roughest": ROUGHEST,
-        "resolution": grid.spec.resolution,
-        "shape": grid.spec.shape,
-        "origin": grid.spec.origin,
-    }
+    spec = grid.spec
+    facts |= {"roughest": ROUGHEST, "resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin}
     if T_grid_vehicle is not None:
         T = check_pose(T_grid_vehicle, "T_grid_vehicle")
         facts["vehicle"] = [float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0])]
     if track is not None:
-        places = np.asarray(track, np.float64).reshape(-1, 2)
-        facts["track"] = places[:: len(places) // TRACK + 1].round(3).tolist() + places[-1:].round(3).tolist()
+        xy = np.asarray(track, np.float64).reshape(-1, 2)
+        facts["track"] = xy[:: len(xy) // MAX_TRACK + 1].round(3).tolist() + xy[-1:].round(3).tolist()
     with atomic_write(path) as file, ThreadPoolExecutor(os.cpu_count()) as pool:
         _write_page(file, facts, stored, pool)
 
 
 def _moving_layers(grid: DynamicGrid, more: LayeredGrid | None) -> LayeredGrid:
-    """Return what a dynamic grid has besides free and occupied, and more layers."""
+    """Return the layers of a dynamic grid except free and unknown, its speed, and further layers."""
     layers = {name: layer for name, layer in grid.to_layers().layers.items() if name not in ("free", "unknown")}
     return LayeredGrid(grid.spec, {"speed": grid.speed} | layers | dict(more.layers if more else {}))
 
 
 def _add_layers(layers: LayeredGrid, stored: list[_Stored], shown: list[Layer]) -> None:
-    """Store the layers of a grid, and show those that belong together as one."""
+    """Add layers to the stored numbers and the shown layers; velocity and conflict are combined."""
     names = list(layers.layers)
     if set(VELOCITY_LAYERS) <= set(names):
         names = [name for name in names if name not in VELOCITY_LAYERS]
@@ -161,8 +157,8 @@ def _add_layers(layers: LayeredGrid, stored: list[_Stored], shown: list[Layer]) 
         names.remove(CAUSE_LAYER)
         shown.append(cause_layer(len(stored)))
         labels = [cause.label for cause in UnknownCause]
-        of_cells = _numbers(layers, (CAUSE_LAYER,), CAUSE_STEPS)
-        stored.append(of_cells._replace(labels=labels, halve=halve_codes))
+        codes = _numbers(layers, (CAUSE_LAYER,), CAUSE_STEPS)
+        stored.append(codes._replace(labels=labels, halve=halve_codes))
     found = {name: (len(stored) + k, Steps.of(layers[name])) for k, name in enumerate(names)}
     stored += [_numbers(layers, (name,), steps) for name, (_, steps) in found.items()]
     if set(CONFLICT_LAYERS) <= set(names):
@@ -182,25 +178,25 @@ def _mass_rows(grid: EvidentialGrid, of: slice) -> NDArray[np.uint8]:
 
 
 def page_of_tiles(**facts: Any) -> bytes:
-    """Return a page that loads its tiles from where it comes from, ``tiles/STORED/LEVEL/ROW/COLUMN``.
+    """Return a page that loads its tiles from its own server, ``tiles/STORED/LEVEL/ROW/COLUMN``.
 
     Parameters
     ----------
     **facts
-        ``title, tile, layers, resolution, shape, origin, stored``, as `write_view` gives them to the page.
+        ``title, tile, layers, resolution, shape, origin, stored``, see `write_view`.
     """
     facts |= {"made": f"{datetime.now():%Y-%m-%d %H:%M}", "roughest": ROUGHEST}
     parts = _parts()
     streamed = Markup((resources.files("ogm") / "data" / "view_streamed.js").read_text("utf-8"))  # noqa: S704
-    return b"".join(one(facts, streamed) for one in parts)
+    return b"".join(render(facts, streamed) for render in parts)
 
 
 def _parts() -> tuple[Callable[..., bytes], Callable[..., bytes]]:
-    """Return what renders the page up to its tiles, and the rest of it."""
+    """Return functions that render the page before and after its tiles."""
     folder = resources.files("ogm") / "data"
     code = {name: Markup((folder / f"view.{name}").read_text("utf-8")) for name in ("css", "js")}  # noqa: S704
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-    head, tail = (environment.from_string(one) for one in (folder / "view.html").read_text("utf-8").split(_TILES))
+    head, tail = map(environment.from_string, (folder / "view.html").read_text("utf-8").split(_TILES))
 
     def render(template: Template, facts: dict[str, Any], streamed: Markup | None = None) -> bytes:
         text = json.dumps(facts, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
@@ -211,16 +207,15 @@ def _parts() -> tuple[Callable[..., bytes], Callable[..., bytes]]:
 
 
 def _write_page(file: IO[bytes], facts: dict[str, Any], stored: Sequence[_Stored], pool: Executor) -> None:
-    """Write the page from top to bottom; the tiles go to the file as they are made."""
+    """Write the page from top to bottom, tile by tile."""
     head, tail = _parts()
     file.write(head(facts))
     facts["stored"] = [
-        {"names": one.names, "first": one.first, "low": one.low, "step": one.step, "labels": one.labels}
-        for one in stored
+        {name: getattr(numbers, name) for name in ("names", "first", "low", "step", "labels")} for numbers in stored
     ]
-    for number, one in enumerate(stored):
-        totals = np.zeros(len(one.names))
-        for level, row, tiles in _strips(one, facts["shape"]):
+    for number, numbers in enumerate(stored):
+        totals = np.zeros(len(numbers.names))
+        for level, row, tiles in _strips(numbers, facts["shape"]):
             if level == 0:
                 totals += sum(tile.sum(axis=(0, 1), dtype=np.float64) for tile in tiles)
             for column, packed in enumerate(pool.map(_packed, tiles)):
@@ -232,7 +227,7 @@ def _write_page(file: IO[bytes], facts: dict[str, Any], stored: Sequence[_Stored
 
 
 def _strips(stored: _Stored, shape: tuple[int, int]) -> Iterator[tuple[int, int, list[NDArray[np.uint8]]]]:
-    """Yield level, row and tiles of every row of tiles: of all cells, then of every level."""
+    """Yield level, row and tiles of every row of tiles, from full resolution to the last level."""
     strips, level, size = (stored.rows(slice(start, start + TILE)) for start in range(0, shape[0], TILE)), 0, max(shape)
     while True:
         smaller = []
@@ -246,5 +241,5 @@ def _strips(stored: _Stored, shape: tuple[int, int]) -> Iterator[tuple[int, int,
 
 
 def _packed(tile: NDArray[np.uint8]) -> bytes:
-    """Return a tile, one of its K numbers after the other, deflated, as base64; nothing for a tile of zeros."""
+    """Return a tile, with its K numbers in sequence, deflated, as base64; empty for a tile of zeros."""
     return b64encode(zlib.compress(np.moveaxis(tile, -1, 0).tobytes())) if tile.any() else b""

@@ -2,21 +2,21 @@
 
 Simulated and labelled data share the rules of van Kempen et al. 2021, Sec. IV-B:
 
-* a cell with *ground* is free; what a vehicle may drive over counts as ground;
+* a cell with *ground* is free; drivable surfaces count as ground;
 * a cell with an *obstacle* between the obstacle height and the clearance above ground (`HeightLimits`) is occupied,
-  also where ground was hit: a cell with road and kerb is occupied;
-* a cell without any hit is unknown. Nothing is drawn between the sensor and a hit;
-* all cells of a traffic participant that returned at least `MIN_RETURNS` points to the *input* scan are occupied;
-  one with fewer is occupied only where it was hit;
-* cells under the ego vehicle, and those that were not observed, are to be ignored: neither free nor unknown.
+  even if ground was hit, too: a cell with road and kerb is occupied;
+* a cell without any hit is unknown. Cells between the sensor and a hit are not filled;
+* all cells of a traffic participant with at least `MIN_RETURNS` points in the *input* scan are occupied; with fewer
+  points, only its hit cells are occupied;
+* cells under the ego vehicle and unobserved cells are ignored: neither free nor unknown.
 
-One hit is enough in either case: the hits of a simulator carry no noise, and real scans are too sparse to ask
-for more. Points of a sensor that invents returns must be cleaned before.
+A single hit is enough, as hits of a simulator have no noise, and real scans are sparse. Sensors with false returns need
+cleaning of their points before.
 
-Real data sets give several kinds of evidence: classes of points, boxes, the road of a map, other scans of the
-same place. Each makes a truth of its own (`truth_from_points`, `truth_from_boxes`, `truth_from_road`,
-`truth_from_scans`), and `combine_truths` makes one of them; unlabelled cells are to be ignored there, not unknown.
-The simulator's rays are counted by `ogm.truth.rays`, which is compiled and not imported here.
+Real datasets have several kinds of evidence: classes of points, boxes, the road of a map, other scans of the
+same area. Each gives a separate truth (`truth_from_points`, `truth_from_boxes`, `truth_from_road`,
+`truth_from_scans`), and `combine_truths` combines them; unlabelled cells are ignored there, not unknown. The rays of
+the simulator are counted by `ogm.truth.rays`, which is compiled and not imported here.
 
 >>> from ogm import Boxes, GridSpec
 >>> from ogm.truth import cells_in_boxes

@@ -1,7 +1,7 @@
-"""Truth of boxes around objects and of a map's road.
+"""Truth from boxes around objects and from the road of a map.
 
-Boxes: the cells they cover, the points they hold, and which of them move. A road is free where it is drivable, in sight
-of the sensor, and no obstacle was hit.
+For boxes: covered cells, points within, and moving tracks. A road cell is free if it is drivable, visible from the
+sensor, and without obstacle hits.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,13 @@ from ogm.scan import Boxes
 from ogm.state import CellState, Truth
 from ogm.truth.scans import MARGIN, STANDING
 
-MIN_RETURNS = 50  # points in the input scan that make all cells of an object occupied (Sec. IV-B)
-MOVING_SPEED = 1.0  # [m/s] from the first box of a track to the last, above which an object moves
-MOVING_DISTANCE = 3.0  # [m] or so far from its first box at any time: it may have driven a little, then waited
+MIN_RETURNS = 50  # points in the input scan for all cells of an object to be occupied (Sec. IV-B)
+MOVING_SPEED = 1.0  # [m/s] mean speed between first and last box of a track above which an object moves
+MOVING_DISTANCE = 3.0  # [m] from the first box above which it moves, too: it may have driven a little, then waited
 
 
 def _covers(boxes: Boxes, k: int, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Return which places lie on the footprint of box k; in float64, whatever the places are in."""
+    """Return whether each position lies on the footprint of box k; computed in float64."""
     c, s = np.cos(boxes.yaw[k]), np.sin(boxes.yaw[k])
     px, py = x - boxes.center[k, 0], y - boxes.center[k, 1]
     length, width = boxes.size[k, :2]
@@ -28,7 +28,7 @@ def _covers(boxes: Boxes, k: int, x: NDArray[np.floating], y: NDArray[np.floatin
 
 
 def cells_around(boxes: Boxes, k: int, spec: GridSpec) -> tuple[slice, slice]:
-    """Return rows and columns of the cells around box k: all that it covers are among them."""
+    """Return slices of rows and columns that include all cells of box k."""
     (x, y), reach = boxes.center[k, :2], 0.5 * np.hypot(*boxes.size[k, :2]) + spec.resolution
     window = spec.index(*np.array([[x - reach, x + reach], [y - reach, y + reach]]), unbounded=True)
     rows, columns = (slice(max(first, 0), max(last + 1, 0)) for first, last in window)
@@ -36,15 +36,14 @@ def cells_around(boxes: Boxes, k: int, spec: GridSpec) -> tuple[slice, slice]:
 
 
 def cells_in_boxes(boxes: Boxes, spec: GridSpec) -> NDArray[np.bool_]:
-    """Return which cells any of some boxes covers.
+    """Return the cells covered by boxes.
 
-    A box covers the cells whose centers lie in it, and the cell that holds its own center. Counting centers keeps
-    the area right on average.
+    A box covers the cells with centers in it, and the cell of its own center. Centers preserve the area on average.
 
     Parameters
     ----------
     boxes : Boxes
-        In the grid's frame; heights are not used.
+        Boxes in the grid's frame; heights are not used.
     spec : GridSpec
 
     Returns
@@ -62,12 +61,12 @@ def cells_in_boxes(boxes: Boxes, spec: GridSpec) -> NDArray[np.bool_]:
 
 
 def cells_in_footprint(footprint: Sequence[float], spec: GridSpec) -> NDArray[np.bool_]:
-    """Return which cells have their centers on the ego vehicle.
+    """Return the cells with centers on the ego vehicle.
 
     Parameters
     ----------
     footprint : (x_min, x_max, y_min, y_max)
-        In the grid's frame [m], as `Mount.ego_footprint`.
+        Ego vehicle in the grid's frame [m], see `Mount.ego_footprint`.
     spec : GridSpec
 
     Returns
@@ -80,7 +79,7 @@ def cells_in_footprint(footprint: Sequence[float], spec: GridSpec) -> NDArray[np
 
 
 def cells_in_hit_boxes(boxes: Boxes, returns: ArrayLike | None, spec: GridSpec) -> NDArray[np.bool_]:
-    """Return which cells are covered by boxes with `MIN_RETURNS` points or more in the scan (`count_returns`)."""
+    """Return the cells covered by boxes with at least `MIN_RETURNS` points in the scan (`count_returns`)."""
     counts = np.asarray(returns)
     if counts.shape != (len(boxes),):
         raise ValueError(f"returns must have shape ({len(boxes)},), one per box, got {counts.shape}")
@@ -88,7 +87,7 @@ def cells_in_hit_boxes(boxes: Boxes, returns: ArrayLike | None, spec: GridSpec) 
 
 
 def boxes_over_points(points: NDArray[np.floating], boxes: Boxes) -> NDArray[np.bool_]:
-    """Return which points lie over, in or under any of the boxes, (N,): at any height."""
+    """Return whether each point lies on the footprint of a box, at any height, (N,)."""
     result = np.zeros(len(points), bool)
     for k in range(len(boxes)):
         result |= _covers(boxes, k, points[:, 0], points[:, 1])
@@ -104,7 +103,7 @@ def count_returns(points: ArrayLike, boxes: Boxes, *, above_bottom: float = 0.0)
         x, y, z [m] in the boxes' frame.
     boxes : Boxes
     above_bottom : float
-        Points lower than this over a box's bottom [m] are left out, as ground. 0 if ground was removed before.
+        Height above a box's bottom [m] below which points are left out as ground. 0 if ground was removed before.
 
     Returns
     -------
@@ -130,7 +129,7 @@ def boxes_seen_from(T: ArrayLike, poses: ArrayLike, sizes: ArrayLike) -> Boxes:
     Parameters
     ----------
     T : (4, 4) float
-        ``T_grid_world``, from the frame of the poses to that of the grid.
+        ``T_grid_world``, from the frame of the poses to the frame of the grid.
     poses : (B, 4, 4) float
         ``T_world_object``; origin in the middle of the footprint, x forward, z up.
     sizes : (B, 3) float
@@ -139,8 +138,8 @@ def boxes_seen_from(T: ArrayLike, poses: ArrayLike, sizes: ArrayLike) -> Boxes:
     Returns
     -------
     Boxes
-        Where the frames tilt against each other, the center is that of the body at half its height, and the
-        box's height holds the whole body.
+        If the frames are tilted relative to each other, the center is the center of the body, and the height of the box
+        covers the whole body.
     """
     poses = np.asarray(poses, np.float64).reshape(-1, 4, 4)
     sizes = np.asarray(sizes, np.float64).reshape(-1, 3)
@@ -154,19 +153,19 @@ def boxes_seen_from(T: ArrayLike, poses: ArrayLike, sizes: ArrayLike) -> Boxes:
 
 
 def moving_tracks(stamps: Sequence[float], boxes: Sequence[Boxes]) -> frozenset[str]:
-    """Return the tracks of the objects that move while they are recorded.
+    """Return the tracks of objects that move during the recording.
 
     Parameters
     ----------
     stamps : sequence of K float
-        Times of some frames [s], in any order.
+        Times of frames [s], in any order.
     boxes : sequence of K Boxes
-        The boxes of each, in the map's frame. Those without a track are left out.
+        Boxes of each frame, in the map's frame. Boxes without a track are left out.
 
     Returns
     -------
     frozenset of str
-        Tracks above `MOVING_SPEED` or `MOVING_DISTANCE`. An object that was seen once is none of them.
+        Tracks above `MOVING_SPEED` or `MOVING_DISTANCE`. Objects in a single frame are not included.
     """
     if len(stamps) != len(boxes):
         raise ValueError(f"there must be one stamp per frame, got {len(stamps)} stamps and {len(boxes)} frames")
@@ -177,44 +176,44 @@ def moving_tracks(stamps: Sequence[float], boxes: Sequence[Boxes]) -> frozenset[
     track.pop("", None)
     moving = set()
     for name, rows in track.items():
-        t, *place = np.array(rows).T
-        away, time = np.hypot(*(np.array(place) - np.array(place)[:, :1])), t[-1] - t[0]
+        t, *xy = np.array(rows).T
+        away, time = np.hypot(*(np.array(xy) - np.array(xy)[:, :1])), t[-1] - t[0]
         if away.max() > MOVING_DISTANCE or (time > 0 and away[-1] > MOVING_SPEED * time):
             moving.add(name)
     return frozenset(moving)
 
 
 def truth_from_boxes(boxes: Boxes, returns: ArrayLike, spec: GridSpec) -> Truth:
-    """Return the truth of boxes alone: objects with enough returns are occupied (van Kempen et al. 2021, Sec. IV-B).
+    """Return the truth from boxes: objects with enough returns are occupied (van Kempen et al. 2021, Sec. IV-B).
 
     Parameters
     ----------
     boxes : Boxes
-        In the grid's frame.
+        Boxes in the grid's frame.
     returns : (B,) integer
-        Points that each has in the scan: `count_returns`. `MIN_RETURNS` make the cells of a box occupied.
+        Points of each box in the scan, see `count_returns`. Boxes with at least `MIN_RETURNS` are occupied.
     spec : GridSpec
 
     Returns
     -------
     Truth
-        Never free or unknown: boxes with fewer returns, and all outside of boxes, are to be ignored.
+        Occupied or ignored: boxes with fewer returns and cells outside boxes are ignored.
     """
     hit = cells_in_hit_boxes(boxes, returns, spec)
     return Truth(spec, np.where(hit, np.uint8(CellState.OCCUPIED), np.uint8(CellState.IGNORE)))
 
 
-SECTOR = np.radians(0.4)  # [rad] of azimuth in which a return hides the road; a VLP-32C fires every 0.2 deg
+SECTOR = np.radians(0.4)  # [rad] azimuth sector in which a return hides the road; a VLP-32C fires every 0.2 deg
 
 
 def cells_in_areas(outlines: Sequence[ArrayLike], spec: GridSpec) -> NDArray[np.bool_]:
-    """Return which cells have their middle in any of some areas.
+    """Return the cells with centres in areas.
 
     Parameters
     ----------
     outlines : sequence of (N, 2) float
-        Corners of the areas, in turn [m]; the last is joined to the first. Where an outline crosses itself,
-        what it goes around twice is outside (even-odd rule).
+        Corners of the areas, in order [m]; the last is joined to the first. Outlines that cross themselves follow the
+        even-odd rule.
     spec : GridSpec
 
     Returns
@@ -229,9 +228,9 @@ def cells_in_areas(outlines: Sequence[ArrayLike], spec: GridSpec) -> NDArray[np.
             raise ValueError(f"an outline must be finite, of shape (N, 2), got {corners.shape}")
         inside = np.zeros(spec.shape, bool)
         for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            rows = np.flatnonzero((xs < x0) != (xs < x1))  # the edge crosses the line of middles at this x
+            rows = np.flatnonzero((xs < x0) != (xs < x1))  # the edge crosses the line of centres at this x
             y = y0 + (y1 - y0) * (xs[rows] - x0) / (x1 - x0)
-            # Middles below the crossing change sides; a middle on it lies inside the area to its left
+            # Centres below the crossing change sides; a centre on it lies inside the area to its left
             count = np.ceil((y - spec.origin[1]) / spec.resolution - 0.5)
             inside[rows] ^= np.arange(spec.shape[1]) < count[:, None]
         result |= inside
@@ -248,32 +247,31 @@ def truth_from_road(
     boxes: Boxes | None = None,
     min_range: float = 0.0,
 ) -> Truth:
-    """Return the truth of a map's road: free where it is in sight of a sensor at (0, 0, 0), ignored elsewhere.
+    """Return the truth from a map's road: free if visible from a sensor at (0, 0, 0), else ignored.
 
-    Left out are cells of boxes (all of them, however few returns they have, and `MARGIN` around them) and cells with
-    a return from an obstacle. A cell is in sight if no such return lies nearer in its direction, on or above the
-    line from the sensor to the cell's ground.
+    Cells of all boxes, with `MARGIN` around them, and cells with an obstacle return are ignored. A cell is visible if
+    no obstacle return lies nearer in its direction, on or above the line from the sensor to the cell's ground.
 
     Parameters
     ----------
     drivable : (nx, ny) bool
-        `cells_in_areas` of the map's outlines.
+        Drivable cells, see `cells_in_areas`.
     ground : (nx, ny) float
-        z of the ground at the cells' middles [m].
+        z of the ground at the centres of cells [m].
     points : (N, 3 or more) float
-        Returns of all lidars, in the frame of the one whose scan is evaluated [m].
+        Returns of all lidars, in the frame of the evaluated lidar [m].
     above : (N,) float
-        Their heights above ground [m].
+        Height of each return above ground [m].
     spec : GridSpec
     boxes : Boxes, optional
         Objects; their heights are not used.
     min_range : float
-        Cells nearer than this [m] are left out: the ego vehicle is there.
+        Range below which cells are ignored, for the ego vehicle [m].
 
     Returns
     -------
     Truth
-        Never occupied or unknown.
+        Free or ignored.
     """
     xyz = np.asarray(points, np.float64)[:, :3]
     standing = xyz[(above > STANDING[0]) & (above < STANDING[1])]

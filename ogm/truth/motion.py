@@ -1,4 +1,4 @@
-"""Motion of the cells under boxes, and of boxes that are followed from frame to frame."""
+"""Motion of cells under boxes, and of tracked boxes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,21 +11,21 @@ from ogm.scan import Boxes
 from ogm.state import Motion
 from ogm.truth.boxes import cells_around
 
-AROUND = 0.15  # [m] around a box: returns from its sides lie there too
-REACH = 0.35  # [s] before and after a frame that a track is followed: seven frames at 10 Hz
-NEEDED = 0.25  # [s] of the track before and after the frame, without which its slope is that of another time
-_SAME = 1e-4  # [s] by which stamps may miss these
+AROUND = 0.15  # [m] around a box, for returns from its sides
+REACH = 0.35  # [s] of a track used before and after a frame: seven frames at 10 Hz
+NEEDED = 0.25  # [s] of a track needed before and after a frame; with less, the slope is of another time
+_TOLERANCE = 1e-4  # [s] of stamps
 
 
 class BoxMotion(NamedTuple):
-    """Motion of B boxes; NaN where it is not known.
+    """Motion of B boxes; NaN where unknown.
 
     Attributes
     ----------
     velocity : (B, 2) float64
-        Of the centers, over ground, along x and y [m/s].
+        Velocity of the centers over ground along x and y [m/s].
     yaw_rate : (B,) float64
-        Counter-clockwise [rad/s].
+        Yaw rate, counter-clockwise [rad/s].
     """
 
     velocity: NDArray[np.float64]
@@ -40,24 +40,24 @@ def motion_of_boxes(
     margin: float = AROUND,
     unknown: NDArray[np.bool_] | None = None,
 ) -> Motion:
-    """Return the motion of every cell: that of the rigid body in it, 0 where there is none.
+    """Return the motion of every cell, from the rigid body in it; 0 in cells without a body.
 
     A cell at r from the center of its box has the velocity ``v + ω × r = (vx - ω ry, vy + ω rx)``. A box has the cells
-    whose centers lie in it or within `margin` of it, and the cell that holds its own center. Where boxes overlap, a
-    cell belongs to the one in which it lies deepest.
+    with centers in it or within `margin` of it, and the cell of its own center. In overlapping boxes, a cell belongs to
+    the box in which it lies deepest.
 
     Parameters
     ----------
     boxes : Boxes
-        All objects that may move, with their velocities, in the grid's frame; heights are not used.
+        All objects that may move, with velocities, in the grid's frame; heights are not used.
     yaw_rate : (B,) float
-        Of each [rad/s]. Where it or the velocity is NaN, nothing is known of the motion of the box's cells.
+        Yaw rate of each box [rad/s]. If it or the velocity is NaN, the motion of the box's cells is unknown.
     spec : GridSpec
     margin : float
-        On every side of a box [m].
+        Margin on every side of a box [m].
     unknown : (nx, ny) bool, optional
-        Cells where objects would have no box, such as those outside the view in which objects were labelled: without
-        a box there, nothing is known of their motion.
+        Cells in which objects may have no box, such as cells outside the labelled view: without a box, their motion is
+        unknown.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def motion_of_boxes(
     Raises
     ------
     ValueError
-        If there is not one yaw rate per box.
+        If the number of yaw rates differs from the number of boxes.
     """
     turn = np.asarray(yaw_rate, np.float64)
     if turn.shape != (len(boxes),):
@@ -98,40 +98,39 @@ def motion_of_boxes(
 def track_motion(
     n: int, stamps: Sequence[float], boxes: Sequence[Boxes], *, reach: float = REACH, needed: float = NEEDED
 ) -> BoxMotion:
-    """Return how the boxes of a frame move, by the slopes of their tracks: least squares over the frames around it.
+    """Return the motion of the boxes of a frame: least-squares slopes of their tracks over the frames around it.
 
     Parameters
     ----------
     n : int
-        Number of the frame among those that are given.
+        Index of the frame.
     stamps : sequence of K float
         Times of the frames [s], in any order.
     boxes : sequence of K Boxes
-        The boxes of each, in the map's frame (`Boxes.moved`).
+        Boxes of each frame, in the map's frame (`Boxes.moved`).
     reach : float
-        Frames up to so long before and after frame `n` are used [s].
+        Greatest time between frame `n` and used frames [s].
     needed : float
-        A track must be known so long before and after frame `n` [s]. 0 allows slopes of one side, which lag or lead:
-        those of the first and the last frame of a track.
+        Length of a track needed before and after frame `n` [s]. 0 allows one-sided slopes at the ends of tracks, which
+        lag or lead.
 
     Returns
     -------
     BoxMotion
-        Of the boxes of frame `n`, in the map's axes. NaN for those without a track, and where the track is too short.
-        A box that is turned by half a turn from one frame to the next is the same box: its yaw rate does not count
-        that.
+        Motion of the boxes of frame `n`, in the map's axes. NaN for boxes without a track or with a short track. A jump
+        of the yaw by half a turn between frames does not count as rotation.
 
     Raises
     ------
     ValueError
-        If there is not one stamp per frame.
+        If the number of stamps differs from the number of frames.
     """
     if len(stamps) != len(boxes):
         raise ValueError(f"there must be one stamp per frame, got {len(stamps)} stamps and {len(boxes)} frames")
     away = np.asarray(stamps, np.float64) - stamps[n]
     rows: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name in boxes[n].track if name}
     for k in map(int, np.argsort(away, kind="stable")):
-        if abs(away[k]) > reach + _SAME:
+        if abs(away[k]) > reach + _TOLERANCE:
             continue
         for name, (x, y), yaw in zip(boxes[k].track, boxes[k].center[:, :2], boxes[k].yaw, strict=True):
             if name in rows:
@@ -145,7 +144,7 @@ def track_motion(
 def _slopes(track: NDArray[np.float64], needed: float) -> NDArray[np.float64]:
     """Return the change of x, y and yaw per second, (3,), of rows t, x, y, yaw around t = 0."""
     t = track[:, 0] - track[:, 0].mean()
-    short = track[0, 0] > _SAME - needed or track[-1, 0] < needed - _SAME
+    short = track[0, 0] > _TOLERANCE - needed or track[-1, 0] < needed - _TOLERANCE
     if short or not t.any():
         return np.full(3, np.nan)
     values = np.column_stack([track[:, 1:3], np.unwrap(track[:, 3], period=np.pi)])

@@ -1,4 +1,4 @@
-"""Which cells hold ground or obstacles, from classified points."""
+"""Observation of ground and obstacles in cells, from classified points."""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -12,21 +12,21 @@ GROUND_SEEN, OBSTACLE_SEEN = 1, 2  # bits of an observation
 
 
 class Kind(IntEnum):
-    """What was hit, as far as driving is concerned."""
+    """Kind of a hit surface, with respect to driving."""
 
-    GROUND = 0  # may be driven over: frees its cell at any height below the clearance
+    GROUND = 0  # drivable: frees its cell at any height below the clearance
     OBSTACLE = 1  # counts between the obstacle height and the clearance
     PLANT = 2  # soft: counts as ground below the plant height, as obstacle from there to the clearance
-    STEP = 3  # upright face between two levels of ground, as of a kerb: counts by the rise of the ground
+    STEP = 3  # upright face between two levels of ground, such as a kerb: counts by the rise of the ground
     OTHER = 4  # no evidence: no hit, ego vehicle, unlabelled, spray
 
 
 class HeightLimits(NamedTuple):
-    """Between which heights above ground a hit blocks a car."""
+    """Heights above ground between which a hit is an obstacle for a car."""
 
-    obstacle: float = 0.05  # [m] lower hits, such as those on a dropped kerb, can be driven over
-    plant: float = 0.25  # [m] the same for grass and other soft plants
-    clearance: float = 2.0  # [m] higher hits block no car: the top of the height band of van Kempen et al. 2021
+    obstacle: float = 0.05  # [m] lower hits, such as a dropped kerb, are drivable
+    plant: float = 0.25  # [m] lower grass and other soft plants are drivable
+    clearance: float = 2.0  # [m] higher hits are no obstacles: top of the height band of van Kempen et al. 2021
 
 
 HEIGHT_LIMITS = HeightLimits()
@@ -47,11 +47,11 @@ def observe_points(
     seen : (nx, ny) uint8
         Changed in place, bits `GROUND_SEEN` and `OBSTACLE_SEEN`; begin with zeros.
     x, y : (N,) float64
-        Where the hits are, in the grid's frame [m]. Those outside `spec` count for nothing.
+        Positions of the hits in the grid's frame [m]. Hits outside `spec` are ignored.
     kind : (N,) integer
-        `Kind` of each.
+        `Kind` of each hit.
     height : (N,) float64
-        Height of each above the ground around it [m].
+        Height of each hit above the ground around it [m].
     spec : GridSpec
     """
     limits = HEIGHT_LIMITS

@@ -1,4 +1,4 @@
-"""Truth of points whose class is known: hits and boxes in, states of cells out."""
+"""Truth from classified points, with boxes."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,9 +10,9 @@ from ogm.state import PARTICIPANT, CellState, Truth
 from ogm.truth.boxes import cells_in_hit_boxes
 from ogm.truth.observe import Kind, observe_points
 
-TRUTH_SPEC = GridSpec.centered(length=99.84, width=99.84, resolution=0.16)  # holds the paper's grid at any yaw
-_MOST_SQUARES = 1e8  # on which ground is estimated: 10 km x 10 km of 1 m
-_REACH = 10.0  # [m] from ground beyond which a height is not known
+TRUTH_SPEC = GridSpec.centered(length=99.84, width=99.84, resolution=0.16)  # contains the paper's grid at any yaw
+_MAX_SQUARES = 1e8  # of 1 m for the estimate of the ground: 10 km x 10 km
+_REACH = 10.0  # [m] from ground, beyond which a height is unknown
 
 
 def finalize_truth(
@@ -30,18 +30,18 @@ def finalize_truth(
     Parameters
     ----------
     seen : (nx, ny) uint8
-        What `observe_points` or `ogm.truth.rays.observe_rays` has added up.
+        Observation from `observe_points` or `ogm.truth.rays.observe_rays`.
     spec : GridSpec
     boxes : Boxes, optional
-        Traffic participants, in the grid's frame: all cells of those with `MIN_RETURNS` or more are occupied.
+        Traffic participants in the grid's frame: all cells of boxes with at least `MIN_RETURNS` are occupied.
     returns : (B,) integer, needed with `boxes`
-        Points that each box has in the input scan, from `count_returns`.
+        Points of each box in the input scan, from `count_returns`.
     unobserved : (nx, ny) bool, optional
-        Cells to be ignored whatever was hit in them: those under the ego vehicle (`cells_in_footprint`).
+        Cells to ignore regardless of hits, such as cells under the ego vehicle (`cells_in_footprint`).
     beyond : (nx, ny) bool, optional
-        Cells outside the known world: to be ignored, instead of unknown, where nothing was hit.
+        Cells outside the known world: ignored instead of unknown if they have no hit.
     highest : (nx, ny) float32, optional
-        Height of the highest obstacle hit in each cell [m]: makes `Truth.height_cm`.
+        Height of the highest obstacle hit in each cell [m], for `Truth.height_cm`.
     """
     of_bits = (CellState.UNKNOWN, CellState.FREE, CellState.OCCUPIED, CellState.OCCUPIED)
     state = np.array(of_bits, np.uint8)[seen]
@@ -61,10 +61,10 @@ def finalize_truth(
 
 
 def height_above_ground(xyz: ArrayLike, is_ground: ArrayLike) -> NDArray[np.float64]:
-    """Return the height of points above the points of their recording that are labelled as ground.
+    """Return the height of points above the labelled ground points of their recording.
 
-    The ground's height is the median of its points in squares of 1 m, interpolated between their middles; squares
-    without ground take it from the nearest that has some.
+    The ground's height is the median of ground points in squares of 1 m, interpolated between the squares' centres;
+    squares without ground take the height of the nearest square with ground.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ def height_above_ground(xyz: ArrayLike, is_ground: ArrayLike) -> NDArray[np.floa
     Returns
     -------
     (N,) float64
-        [m]; NaN for points further than 10 m from any ground: their height is not known.
+        Height [m]; NaN for points further than 10 m from any ground.
 
     Raises
     ------
     ValueError
-        If shapes disagree, a number is not finite, or the points lie further apart than any scan's.
+        If shapes disagree, a number is not finite, or the points span more than 1e8 squares of 1 m.
     """
     distance_transform_edt = import_extra("scipy.ndimage", "evaluate").distance_transform_edt
 
@@ -90,27 +90,27 @@ def height_above_ground(xyz: ArrayLike, is_ground: ArrayLike) -> NDArray[np.floa
     if is_ground.dtype != bool or is_ground.shape != (len(xyz),):
         raise ValueError(f"is_ground must be {len(xyz)} booleans, got {is_ground.dtype} of shape {is_ground.shape}")
     if not np.isfinite(xyz[:, :3]).all():
-        raise ValueError("xyz holds NaN or inf; drop those points first")
+        raise ValueError("xyz must be finite, got NaN or inf; drop those points first")
     if not is_ground.any():
         return np.full(len(xyz), np.nan)
-    where = xyz[:, :2] - (xyz[:, :2].min(axis=0) - 0.5)  # in squares of 1 m
-    if np.prod(where.max(axis=0) + 2) > _MOST_SQUARES:
+    square = xyz[:, :2] - (xyz[:, :2].min(axis=0) - 0.5)  # position in squares of 1 m
+    if np.prod(square.max(axis=0) + 2) > _MAX_SQUARES:
         far = xyz[np.argmax(np.abs(xyz[:, :2]).max(axis=1)), :2]
         raise ValueError(
-            f"points must lie in {_MOST_SQUARES:g} squares of 1 m at most, but one lies at {far.tolist()} m: drop it, "
-            "or mend the scan"
+            f"points must lie in at most {_MAX_SQUARES:g} squares of 1 m, got a point at {far.tolist()} m: drop it, "
+            "or correct the scan"
         )
-    shape = tuple(np.floor(where.max(axis=0)).astype(int) + 2)
-    cell = np.ravel_multi_index(tuple(np.floor(where[is_ground]).astype(int).T), shape)
+    shape = tuple(np.floor(square.max(axis=0)).astype(int) + 2)
+    cell = np.ravel_multi_index(tuple(np.floor(square[is_ground]).astype(int).T), shape)
     order = np.lexsort((xyz[is_ground, 2], cell))
     cells, first, count = np.unique(cell[order], return_index=True, return_counts=True)
     heights = np.full(shape, np.nan)
     heights.flat[cells] = xyz[is_ground, 2][order][first + count // 2]
     away, nearest = distance_transform_edt(np.isnan(heights), return_indices=True)
     heights = heights[tuple(nearest)]
-    far = away[tuple(np.floor(where).astype(int).T)] > _REACH
-    low = np.clip(np.floor(where - 0.5).astype(int), 0, np.array(shape) - 2)
-    u, v = np.clip(where - 0.5 - low, 0, 1).T
+    far = away[tuple(np.floor(square).astype(int).T)] > _REACH
+    low = np.clip(np.floor(square - 0.5).astype(int), 0, np.array(shape) - 2)
+    u, v = np.clip(square - 0.5 - low, 0, 1).T
     i, j = low.T
     ground = (heights[i, j] * (1 - u) + heights[i + 1, j] * u) * (1 - v)
     ground += (heights[i, j + 1] * (1 - u) + heights[i + 1, j + 1] * u) * v
@@ -122,18 +122,18 @@ def truth_from_points(
 ) -> Truth:
     """Return the truth of a labelled scan.
 
-    Only cells that hold points become known: free where ground was hit, never in between. Points without ground near
-    count for nothing: their height is not known (`height_above_ground`).
+    Only cells with points become known; cells are free only if ground was hit in them. Points without ground nearby are
+    ignored, as their height is unknown (`height_above_ground`).
 
     Parameters
     ----------
     points : (N, 3 or more) float
-        x, y, z [m] in the grid's frame. Rows that are not finite count for nothing.
+        x, y, z [m] in the grid's frame. Rows that are not finite are ignored.
     kind : (N,) integer
         `Kind` of each point, by its label.
     spec : GridSpec
     unobserved : (nx, ny) bool, optional
-        As in `finalize_truth`.
+        See `finalize_truth`.
     """
     array, kinds = np.asarray(points), np.asarray(kind)
     if array.ndim != 2 or array.shape[1] < 3:

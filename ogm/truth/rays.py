@@ -1,4 +1,4 @@
-"""Which cells hold ground or obstacles, from millions of rays: compiled, for the simulator."""
+"""Observation of ground and obstacles in cells, from millions of rays: compiled, for the simulator."""
 
 from typing import Any, NamedTuple
 
@@ -27,9 +27,9 @@ def observe_rays(
     rise: NDArray[np.float32],
     spec: GridSpec,
 ) -> None:
-    """Add what rays from the grid's (0, 0) hit to an observation, in one pass; `observe_points` is the reference.
+    """Add hits of rays from the grid's (0, 0) to an observation, in one pass; `observe_points` is the reference.
 
-    Nothing is checked.
+    The arguments are not checked.
 
     Parameters
     ----------
@@ -38,15 +38,15 @@ def observe_rays(
     highest : (nx, ny) float32, C-contiguous
         Height above ground of the highest obstacle hit in each cell [m]; changed in place, begin with zeros.
     distance : (N,) float32
-        Range of each hit [m]; not finite for none.
+        Range of each hit [m]; not finite for rays without hit.
     directions : (N, 3) float32
         Unit vectors in the grid's frame.
     kind : (N,) uint8
-        `Kind` of what was hit.
+        `Kind` of each hit.
     ground : (nx, ny) float32
-        z of the ground in each cell [m], the lowest around where it has a step; NaN where there is none.
+        z of the ground in each cell [m], at a step the lowest around; NaN in cells without ground.
     rise : (nx, ny) float32
-        How far the ground rises or drops abruptly in each cell [m]: decides about `Kind.STEP`.
+        Abrupt rise or drop of the ground in each cell [m], for hits of `Kind.STEP`.
     spec : GridSpec
     """
     rules = _Rules(spec.resolution, *spec.origin, HEIGHT_LIMITS)

@@ -1,4 +1,4 @@
-"""Truth of many scans of one place, on which they agree; one truth of several, and a truth without some cells."""
+"""Truth from the agreement of many scans of an area, and combination of several truths."""
 
 from collections.abc import Sequence
 
@@ -10,10 +10,10 @@ from ogm.grid import GridSpec
 from ogm.state import CellState, LazyTruth, Truth
 
 GROUND = (-0.3, 0.15)  # [m] above the estimated ground: ground
-STANDING = (0.3, 2.0)  # [m] above it: an obstacle. What lies between (kerbs, grass) makes a cell ignored
-AT_LEAST = 3  # returns of one kind that make a cell known
-HALF = 0.5  # share of the scans with returns in a cell that must show the obstacle, or it came and went
-MARGIN = 0.3  # [m] around boxes: what annotation and de-skewing leave outside
+STANDING = (0.3, 2.0)  # [m] above the ground: an obstacle. Returns between (kerbs, grass) make a cell ignored
+MIN_KIND_RETURNS = 3  # returns of one kind for a known cell
+MIN_SHARE = 0.5  # share of scans with returns in a cell that must show the obstacle; else it appeared or left
+MARGIN = 0.3  # [m] around boxes, for errors of annotation and de-skewing
 
 
 def truth_from_scans(
@@ -24,33 +24,33 @@ def truth_from_scans(
     min_scans: int = 2,
     moving: NDArray[np.bool_] | None = None,
 ) -> Truth:
-    """Return the truth of several scans of one place, without what moved.
+    """Return the truth from several scans of an area, without moving objects.
 
     A cell is
 
-    * free: 3 returns or more from the ground (-0.3 to 0.15 m above it), in `min_scans` scans or more, and none
-      from 0.15 to 2.0 m;
-    * occupied: 3 returns or more from 0.3 to 2.0 m, in as many scans, and in half or more of the scans that have
-      a return in it: else something came or went;
-    * to be ignored otherwise: kerbs, grass, what is hidden or far.
+    * free with 3 returns or more from the ground (-0.3 to 0.15 m), in at least `min_scans` scans, and no return from
+      0.15 to 2.0 m;
+    * occupied with 3 returns or more from 0.3 to 2.0 m, in at least `min_scans` scans, and in at least half of the
+      scans with a return in the cell, as otherwise an object appeared or left;
+    * otherwise ignored: kerbs, grass, hidden or far cells.
 
     Parameters
     ----------
     clouds : sequence of (N, 3 or more) float
-        Points of each scan in the grid's frame [m], without those on moving objects (and `MARGIN` around
-        them) and on the ego vehicle.
+        Points of each scan in the grid's frame [m], without points on moving objects (and `MARGIN` around them) and on
+        the ego vehicle.
     above : sequence of (N,) float
-        Their heights above ground [m].
+        Heights of the points above ground [m].
     spec : GridSpec
     min_scans : int
-        How many scans must agree.
+        Number of scans that must agree.
     moving : (nx, ny) bool, optional
-        Cells to be ignored whatever the scans hold: something that moves is there now.
+        Cells to ignore regardless of the scans, as a moving object is there now.
 
     Returns
     -------
     Truth
-        Without unknown cells.
+        Free, occupied or ignored.
 
     Raises
     ------
@@ -76,10 +76,10 @@ def truth_from_scans(
             scans[kind] += count > 0
             any_here |= count > 0
         seen += any_here
-    enough = (returns >= AT_LEAST) & (scans >= min_scans)
+    enough = (returns >= MIN_KIND_RETURNS) & (scans >= min_scans)
     state = np.full(cells, np.uint8(CellState.IGNORE))
     state[enough[0] & (returns[1] == 0) & (returns[2] == 0)] = CellState.FREE
-    state[enough[2] & (scans[2] >= HALF * seen)] = CellState.OCCUPIED
+    state[enough[2] & (scans[2] >= MIN_SHARE * seen)] = CellState.OCCUPIED
     state = state.reshape(spec.shape)
     if moving is not None:
         state[moving] = CellState.IGNORE
@@ -89,22 +89,22 @@ def truth_from_scans(
 def contradicted(
     truth: Truth, cloud: NDArray[np.floating], above: NDArray[np.floating], reach: float = MARGIN
 ) -> NDArray[np.bool_]:
-    """Return the cells in which a scan shows the opposite of what others agreed on.
+    """Return the cells in which a scan contradicts the truth of other scans.
 
-    Something unlabelled has come or gone: the scan has an obstacle in a free cell; or it has ground in an occupied
-    cell, and no obstacle in that cell and its eight neighbours. Cells of the same state up to `reach` around are
-    contradicted too, for beams are sparse.
+    The scan has an obstacle in a free cell; or it has ground in an occupied cell, without an obstacle in that cell and
+    its eight neighbours: an unlabelled object has appeared or left. Since beams are sparse, cells of the same state
+    within `reach` are contradicted, too.
 
     Parameters
     ----------
     truth : Truth
-        From `truth_from_scans` of other scans.
+        Truth from other scans, see `truth_from_scans`.
     cloud : (N, 3 or more) float
         Points of the scan in the grid's frame [m].
     above : (N,) float
-        Their heights above ground [m].
+        Heights of the points above ground [m].
     reach : float
-        [m]
+        Distance around contradicted cells [m].
 
     Returns
     -------
@@ -134,28 +134,27 @@ def combine_truths(
     uncertain: NDArray[np.bool_] | None = None,
     unobserved: NDArray[np.bool_] | None = None,
 ) -> Truth:
-    """Return the truth that several sources make together.
+    """Return the combined truth of several sources.
 
-    1. A cell is free or occupied where one or more sources are that, and none is the opposite. Other cells are to
-       be ignored. Unknown counts as no statement: an area that was not recorded is no evidence.
-    2. Occupied cells of `boxes` win over all of that: annotators drew them, and they hold the sides that no beam met.
-    3. Cells that are `uncertain` are never free: there is something that was hardly measured. They are ignored
-       where a source is free.
-    4. `unobserved` cells are to be ignored.
+    1. A cell is free or occupied if at least one source states so and no source states the opposite; unknown is no
+       statement. Other cells are ignored.
+    2. Occupied cells of `boxes` override this, as annotated boxes include sides that no beam hit.
+    3. `uncertain` cells are never free, as they contain a barely measured object; they become ignored.
+    4. `unobserved` cells are ignored.
 
     Parameters
     ----------
     sources : sequence of Truth
-        On one grid.
+        Truths on one grid.
     boxes : Truth, optional
-        From `truth_from_boxes`.
+        Truth of `truth_from_boxes`.
     uncertain, unobserved : (nx, ny) bool, optional
-        Cells, such as those of boxes with few returns, and those under the ego vehicle.
+        Cells, such as under boxes with few returns, and under the ego vehicle.
 
     Returns
     -------
     Truth
-        Free, occupied or to be ignored; without heights and motion.
+        Free, occupied or ignored; without heights and motion.
 
     Raises
     ------
@@ -164,14 +163,14 @@ def combine_truths(
     """
     every = [*sources, *([] if boxes is None else [boxes])]
     if not every:
-        raise ValueError("there must be a truth to combine, got none")
+        raise ValueError("sources must contain at least one truth, got none")
     spec = every[0].spec
-    if any(one.spec != spec for one in every):
-        raise ValueError(f"truths must be of one grid, got {', '.join(str(one.spec) for one in every)}")
+    if any(truth.spec != spec for truth in every):
+        raise ValueError(f"truths must be on one grid, got {', '.join(str(truth.spec) for truth in every)}")
     free, occupied = np.zeros(spec.shape, bool), np.zeros(spec.shape, bool)
-    for one in sources:
-        free |= one.state == CellState.FREE
-        occupied |= one.state == CellState.OCCUPIED
+    for truth in sources:
+        free |= truth.state == CellState.FREE
+        occupied |= truth.state == CellState.OCCUPIED
     state = np.full(spec.shape, np.uint8(CellState.IGNORE))
     state[free & ~occupied] = CellState.FREE
     state[occupied & ~free] = CellState.OCCUPIED
@@ -185,6 +184,6 @@ def combine_truths(
 
 
 def ignore_cells(truth: Truth, cells: NDArray[np.bool_]) -> Truth:
-    """Return a truth with some cells, (nx, ny) bool, to be ignored. Their motion stays: it is no state."""
+    """Return a truth with cells, (nx, ny) bool, set to ignored; their motion is kept."""
     state = np.where(cells, np.uint8(CellState.IGNORE), truth.state)
     return LazyTruth(truth.spec, state, truth.height_cm, lambda: truth.motion)

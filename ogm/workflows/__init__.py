@@ -1,4 +1,4 @@
-"""Whole jobs: scans mapped to files, a drive fused to a map and its files, many drives in folders of their own.
+"""Complete jobs: map scans to files, fuse a drive to a map and its files, fuse many drives.
 
 >>> from ogm import open_dataset
 >>> from ogm.workflows import FuseOptions, Outputs, fuse_drive

@@ -10,7 +10,7 @@ from ogm.scan import Frame
 
 
 class MapDefaults(NamedTuple):
-    """Defaults of a map that depend on the sensor.
+    """Sensor-dependent defaults of a map.
 
     Attributes
     ----------
@@ -18,9 +18,9 @@ class MapDefaults(NamedTuple):
         Side of a cell [m].
     window : {"rolling", "fixed"}
     half_life : float or None
-        Time in which belief halves [s]; None for the rule's own.
+        Time in which belief halves [s]; None for the default of the rule.
     rule : str
-        Rule by which scans are fused.
+        Combination rule.
     """
 
     resolution: float
@@ -34,9 +34,9 @@ BUILDING = MapDefaults(0.05, "fixed", math.inf, SMOOTH)
 
 
 def map_defaults(dataset: Dataset, rule: str | None = None) -> MapDefaults:
-    """Return the defaults of a map, with a rule if one is chosen: `BUILDING` for planar lasers, `ROAD` for others.
+    """Return the defaults of a map: `BUILDING` for planar lasers, `ROAD` for other sensors; `rule` replaces theirs.
 
-    A dynamic map has the cells of its sensor, and the other defaults of `ROAD`.
+    A dynamic map has the resolution of its sensor and the other defaults of `ROAD`.
     """
     usual = BUILDING if is_planar(dataset) else ROAD
     if rule in (DYNAMIC, NUSS):
@@ -45,20 +45,20 @@ def map_defaults(dataset: Dataset, rule: str | None = None) -> MapDefaults:
 
 
 def is_planar(dataset: Dataset) -> bool:
-    """Return whether the scans are of a planar laser, by the first that can be read."""
+    """Return whether the first readable scan is of a planar laser."""
     frame = first_readable(dataset)
     return frame is not None and frame.scan.kind == "planar"
 
 
 def first_readable(dataset: Dataset) -> Frame | None:
-    """Return the first frame with a scan that can be read; None if there is none."""
+    """Return the first frame with a readable scan, else None."""
     for frame in dataset:
-        with suppress(ValueError, TypeError, OSError):  # the mapping reports it
+        with suppress(ValueError, TypeError, OSError):  # reported during mapping
             if frame.scan is not None:
                 return frame
     return None
 
 
 def has_doubtful_clock(dataset: Dataset) -> bool:
-    """Return whether stamps are counted, or the clock has faults: poses far apart in such a time are no jump."""
+    """Return whether stamps are counted from a rate or the clock has faults, so that speeds are unreliable."""
     return not dataset.recording.stamped or bool(dataset.recording.clock_findings)

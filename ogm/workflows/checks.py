@@ -1,4 +1,4 @@
-"""What would spoil the map of a drive: `check_drive` of a dataset, `check_log` of all scans of a log or a folder."""
+"""Checks for problems that would spoil a map: `check_drive` for a dataset, `check_log` for a log or a folder."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,16 +21,16 @@ from ogm.workflows.ego_checks import EgoChecks
 from ogm.workflows.findings import Finding, by_severity
 from ogm.workflows.scan_checks import ScanChecks
 
-_GROUND = 10  # scans whose ground and ego vehicle are checked
-_POINTS = 40_000  # of those, at least
-_FEW = 5  # scans that are checked before a drive is mapped: those that the sensor's height is estimated from
+_GROUND_SCANS = 10  # scans to check ground and ego vehicle in
+_MIN_POINTS = 40_000  # per scan, after thinning
+_QUICK_SCANS = 5  # scans checked before mapping: the same as for the estimate of the sensor's height
 _UNREADABLE = (ValueError, TypeError, OSError)
 
 Progress = Callable[[Sequence[int]], Iterable[int]]
 
 
 class DriveCheck(NamedTuple):
-    """Findings about a drive, the worst first, and its sensor as the scans show it."""
+    """Findings about a drive, the worst first, and the estimated setup of its sensor."""
 
     name: str
     findings: list[Finding]
@@ -40,13 +40,13 @@ class DriveCheck(NamedTuple):
 def check_log(
     path: str | Path, *, topic: Sequence[str] = (), progress: Progress = iter, **reading: Any
 ) -> list[DriveCheck]:
-    """Check all scans of a log, a folder of scans or a capture, each once.
+    """Check all scans of a log, a folder of scans or a capture.
 
     Parameters
     ----------
     path : path
     topic : sequence of str
-        Topics of a log; by default all with scans, one after the other.
+        Topics of a log; by default all topics with scans.
     progress : function
         Iterates over the numbers of the scans, and may draw a progress bar.
     **reading
@@ -55,12 +55,12 @@ def check_log(
     Returns
     -------
     list of DriveCheck
-        One for each topic of a log, else for each drive.
+        One check for each topic of a log, or for each drive of other inputs.
 
     Raises
     ------
     OgmError
-        If the path holds no scans.
+        If the path contains no scans.
     """
     path = Path(path)
     if not (path.exists() and is_log([path])):
@@ -71,7 +71,7 @@ def check_log(
         topics = tuple(topic) or tuple(scan_topics(log))
         left_out = list(check_topics(log, topics))
         if not topics:
-            open_dataset(path, **reading)  # refuses it, with the topics that there are
+            open_dataset(path, **reading)  # raises an error that lists the topics
     checks = []
     for name in topics:
         try:
@@ -83,14 +83,14 @@ def check_log(
 
 
 def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress = iter) -> DriveCheck:
-    """Check a drive for what would spoil its map.
+    """Check a drive for problems that would spoil its map.
 
     Parameters
     ----------
     dataset : Dataset
         One drive.
     scans : int, optional
-        Number of scans that are read, evenly spaced; by default all, each once.
+        Number of scans to read, evenly spaced; by default all.
     progress : function
         Iterates over the numbers of the scans, and may draw a progress bar.
 
@@ -100,12 +100,12 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
     """
     every = np.arange(len(dataset))
     numbers = every if scans is None else np.unique(np.linspace(0, len(dataset) - 1, scans).round().astype(int))
-    examined = {int(numbers[k]) for k in np.linspace(0, len(numbers) - 1, _GROUND).round().astype(int)}
+    examined = {int(numbers[k]) for k in np.linspace(0, len(numbers) - 1, _GROUND_SCANS).round().astype(int)}
     recording, rows = dataset.recording, dataset.numbers
     stamps = np.unique([ref.stamp for ref in dataset.refs if ref.stamp is not None])
     found = ScanChecks(float(np.median(np.diff(stamps))) if len(stamps) > 1 else math.nan)
     ego, readable = EgoChecks(), list[int]()
-    read = recording.raw if recording.ego_footprint is None else recording.read  # with the returns of the vehicle
+    read = recording.raw if recording.ego_footprint is None else recording.read  # keeps returns of the vehicle
     for n in progress(numbers.tolist()):
         try:
             with one_notice_per_kind(recording.notices):
@@ -114,13 +114,13 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
             found.failed[error_text(error)] += 1
             continue
         if scan.rcs is not None:
-            continue  # of a radar
+            continue  # a radar
         found.add(scan)
         if n in examined and len(scan):
             readable.append(n)
             if scan.kind in ("planar", "cone"):
                 continue  # shows neither ground nor ego vehicle
-            thin = scan.points[:: max(1, len(scan) // _POINTS)]
+            thin = scan.points[:: max(1, len(scan) // _MIN_POINTS)]
             points = rotate(recording.levelling(rows[n]), thin[:, :3].T).T
             plane, T = found.add_ground(points, recording.square(rows[n])), recording.frames[rows[n]].T_map_sensor
             if plane is not None and recording.sensor_position is None:
@@ -136,23 +136,23 @@ def check_drive(dataset: Dataset, scans: int | None = None, progress: Progress =
 
 
 def gravest(dataset: Dataset, model: str = "") -> list[str]:
-    """Return what makes the map of a drive wrong, by up to five of its scans, in words.
+    """Return the problems that make the map of a drive wrong, found in up to five of its scans, as texts.
 
     Parameters
     ----------
     dataset : Dataset
-        One drive. Public datasets, which state their axes, are not checked.
+        One drive. Public datasets with known axes are not checked.
     model : str
         Name of the sensor model; planar scans suit ``height-band``.
     """
     if dataset.recording.known_axes or not len(dataset):
         return []
-    wrong = [finding for finding in check_drive(dataset, _FEW).findings if finding.severity == "wrong map"]
+    wrong = [finding for finding in check_drive(dataset, _QUICK_SCANS).findings if finding.severity == "wrong map"]
     return [str(finding) for finding in wrong if not (model.startswith("height-band") and finding.kind == "ground")]
 
 
 def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, ego: EgoChecks) -> Iterator[Finding]:
-    """Yield findings about mount, height and ego vehicle, of scans that could be read."""
+    """Yield findings about mount, height and ego vehicle in the readable scans `numbers`."""
     if not numbers:
         return
     recording, first = dataset.recording, numbers[0]
@@ -177,7 +177,7 @@ def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, eg
 
 
 def _estimated(findings: Sequence[Finding], found: ScanChecks, ego: EgoChecks) -> SensorSetup:
-    """Return the setup of a sensor as its scans show it; without a footprint where that in use is right."""
+    """Return the setup of a sensor estimated from its scans; without a footprint if the used footprint is right."""
     kinds = {finding.kind for finding in findings if finding.severity == "wrong map"}
     planes = [plane for plane in found.planes if plane is not None]
     roll, pitch = found.tilt()

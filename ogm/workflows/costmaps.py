@@ -1,4 +1,4 @@
-"""Costs of a map in a file of any format."""
+"""Writing costs of a map in any file format."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,21 +24,22 @@ def write_costmap(
     mode: MapMode | None = None,
     message: GridMessage | None = None,
 ) -> None:
-    """Write the costs of a map as its format can hold them.
+    """Write the costs of a map in the format of a path.
 
     Parameters
     ----------
     path : path
-        ``.mcap``, ``.db3`` and ``.bag`` hold a ``nav2_msgs/Costmap`` on ``/costmap_raw``, or the `message`; ``.yaml``,
-        ``.png`` and occupancy-grid messages `ogm.io.occupancy_from_costs`; all others the map with the layer ``cost``.
+        ``.mcap``, ``.db3`` and ``.bag`` store a ``nav2_msgs/Costmap`` on ``/costmap_raw``, or the `message`; ``.yaml``,
+        ``.png`` and occupancy-grid messages store `ogm.io.occupancy_from_costs`; other formats store the map with the
+        layer ``cost``.
     placed : PlacedGrid
         The map.
     costs : (nx, ny) uint8
-        Costs of its cells, see `ogm.planning.costmap`.
+        Cost of each cell, see `ogm.planning.costmap`.
     mode : {"trinary", "scale", "raw"}, optional
         Mode of map_server; by default "scale".
     message : {"costmap", "occupancy-grid", "grid-map", "foxglove-grid"}, optional
-        Message of logs; by default the first.
+        Message of logs; by default "costmap".
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Contents of any file or folder that ogm reads or writes, as names and values to print."""
+"""Descriptions of files and folders that ogm reads or writes, as names and values to print."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,22 +25,22 @@ def describe_path(
     time_unit: float | None = None,
     frame: str | None = None,
 ) -> dict[str, str]:
-    """Return names and values of what a file or folder holds.
+    """Return the contents of a file or folder as names and values.
 
     Parameters
     ----------
     path : Path
-        A scan, folder of scans, dataset, log, grid or map of any format, world map, poses, weights, calibration, report
+        Scan, folder of scans, dataset, log, grid or map of any format, world map, poses, weights, calibration, report
         of an evaluation, folder of fused drives, page or picture.
     axes, intensity_max, time_unit, frame
-        See `ogm.datasets.open_dataset`; for scans and logs.
+        Options for scans and logs, see `ogm.datasets.open_dataset`.
 
     Raises
     ------
     FileNotFoundError
-        If there is nothing.
+        If the path does not exist.
     OgmError
-        If it is damaged, or nothing that is known.
+        If the file is damaged or of an unknown kind.
     """
     from ogm.datasets import open_dataset
     from ogm.datasets.logs import CAPTURE_ENDINGS, describe_log, is_log
@@ -76,7 +76,7 @@ def _grid(path: Path) -> dict[str, str]:
     facts = {
         "format": f"{type(grid).__name__.removesuffix('Grid').lower()} grid",
         "cells": f"{nx} x {ny} of {side:g} m",
-        **({"corner": f"x {x:.10g} m, y {y:.10g} m, turned by {yaw:.6g} rad"} if yaw else {}),
+        **({"corner": f"x {x:.10g} m, y {y:.10g} m, yaw {yaw:.6g} rad"} if yaw else {}),
         **({} if yaw else {"x": f"{x:g} ... {x + nx * side:g} m", "y": f"{y:g} ... {y + ny * side:g} m"}),
     }
     facts |= {} if placed.stamp is None else {"stamp": f"{placed.stamp:.6f} s"}
@@ -99,7 +99,7 @@ def _world(path: Path) -> dict[str, str]:
 
 
 def _zarr(path: Path) -> dict[str, str]:
-    """Return what a Zarr folder holds: a grid, a world map, or simulated samples."""
+    """Return the contents of a Zarr folder: a grid, a world map, or simulated samples."""
     from ogm.datasets.simulated import is_simulated
 
     attributes = _object(path / "zarr.json").get("attributes")
@@ -125,7 +125,7 @@ def _poses(path: Path) -> dict[str, str]:
 
     try:
         poses = read_poses(path)
-    except OgmError:  # of a camera: the length of its path is the same
+    except OgmError:  # poses of a camera; the length of the path is the same
         poses = read_poses(path, T_camera_sensor=np.eye(4))
     steps = np.diff(poses.poses[:, :3, 3], axis=0)
     facts = {"format": "poses", "poses": str(len(poses)), "path": f"{np.linalg.norm(steps, axis=1).sum():.1f} m"}
@@ -135,11 +135,11 @@ def _poses(path: Path) -> dict[str, str]:
 
 
 def _object(path: Path) -> dict[str, Any]:
-    """Return the object of a JSON file."""
+    """Return the JSON object in a file."""
     with error_context(f"{path} is no JSON", ValueError, RecursionError):
         record = decode_json(path.read_bytes(), path)
     if not isinstance(record, dict):
-        raise OgmError(f"{path} holds a {type(record).__name__}, wanted an object of JSON")
+        raise OgmError(f"{path} contains a {type(record).__name__}, wanted a JSON object")
     return record
 
 
@@ -163,7 +163,7 @@ def _report(folder: Path) -> dict[str, str]:
 
 
 def _drives(folder: Path) -> dict[str, str]:
-    """Return the drives that `ogm fuse --each-drive` fused into a folder."""
+    """Return the drives in a folder of `ogm fuse --each-drive`."""
     notes = {path.parent.name: _object(path) for path in sorted(folder.glob("*/drive.json"))}
     return {"format": "fused drives"} | {name: str(note["facts"]["scans"]) for name, note in notes.items()}
 
@@ -173,7 +173,7 @@ def _image(path: Path) -> dict[str, str]:
 
     with open_image(path, _IMAGES[path.suffix.lower()]) as image:
         size = f"{image.width} x {image.height} pixels"
-    return {"format": "picture", "size": size, "as a grid": "ogm view --length L --width W, where red is occupied"}
+    return {"format": "picture", "size": size, "as a grid": "ogm view --length L --width W, red as occupied"}
 
 
 def _page(path: Path) -> dict[str, str]:
@@ -181,7 +181,7 @@ def _page(path: Path) -> dict[str, str]:
 
 
 Describe = Callable[[Path], dict[str, str]]
-_FOLDERS: dict[str, Describe] = {  # a file in a folder that tells its kind
+_FOLDERS: dict[str, Describe] = {  # file that identifies the kind of a folder
     "zarr.json": _zarr,
     "report.json": _report,
     "*/drive.json": _drives,

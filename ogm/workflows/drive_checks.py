@@ -1,4 +1,4 @@
-"""Checks of a drive that read no points: topics, stamps, rates, poses, frames, damage."""
+"""Checks of a drive without reading points: topics, stamps, rates, poses, frames, damage."""
 
 import math
 from collections.abc import Iterator
@@ -13,22 +13,20 @@ from ogm.io.scan_table import rotation_to_flu
 from ogm.pose import pose, tilt_of
 from ogm.workflows.findings import Finding, counted, listed
 
-_UNREAD = (  # types of range measurements that are not read
-    "sensor_msgs/msg/PointCloud", *PACKET_TYPES,
-)  # fmt: skip
-_GAP = 1.5  # intervals between two scans, above which some are missing
-_LONG = 2.0  # [s] gap that transforms are not interpolated over
-_SPEED = 70.0  # [m/s] that no vehicle exceeds, as mappers have it
-_WAY = 5.0  # [m] from which on the direction of a drive is known
-_BACK = 0.3  # [m] between two scans, from which on a way back is no noise
-_JUMP = 5.0  # usual steps, above which one is no motion
-_LATE = 1e-3  # [s] between a scan and its transforms in a log
+_UNREAD = ("sensor_msgs/msg/PointCloud", *PACKET_TYPES)  # types of range measurements that are not read
+_GAP = 1.5  # usual intervals; scans are missing in longer intervals
+_LONG_GAP = 2.0  # [s] longest gap in which transforms are interpolated
+_MAX_SPEED = 70.0  # [m/s] of a vehicle, as in mappers
+_MIN_PATH = 5.0  # [m] to determine the direction of a drive
+_MIN_STEP = 0.3  # [m] between two scans; a shorter step back can be noise
+_JUMP = 5.0  # usual steps; a longer step is no motion
+_MIN_DELAY = 1e-3  # [s] of transforms after their scan in a log
 _LEVEL = math.radians(2)
-_STEEP = math.radians(15)  # beyond the slope of any road
+_MAX_SLOPE = math.radians(15)  # beyond the slope of any road
 
 
 def check_frames(dataset: Dataset) -> Iterator[Finding]:
-    """Yield findings about stamps, poses and damage of a drive; no scan is read.
+    """Yield findings about stamps, poses and damage of a drive, without reading scans.
 
     Parameters
     ----------
@@ -45,7 +43,7 @@ def check_frames(dataset: Dataset) -> Iterator[Finding]:
         yield Finding("wrong map" if way else "note", "frames", text, way)
     posed = [ref for ref in refs if ref.T_map_sensor is not None]
     if len(posed) < len(refs):
-        how = dataset.facts.get("poses") or "the scans have none"
+        how = dataset.facts.get("poses") or "the dataset has none"
         way = "--odometry kiss-icp estimates them, --poses FILE gives them" if not posed else ""
         yield Finding("lost data", "poses", f"{counted(len(refs) - len(posed), len(refs))} without a pose: {how}", way)
     parts: dict[str, list[float]] = {}
@@ -59,12 +57,10 @@ def check_frames(dataset: Dataset) -> Iterator[Finding]:
 
 
 def _check_delays(delays: NDArray[np.float64]) -> Iterator[Finding]:
-    """Yield a finding about transforms that were recorded after the scans that need them."""
-    late = delays[delays > _LATE]
+    """Yield a finding about transforms recorded after their scans."""
+    late = delays[delays > _MIN_DELAY]
     if len(late):
-        text = (
-            f"those of {counted(len(late), len(delays))} are recorded after them, by {np.median(late):.3g} s (median)"
-        )
+        text = f"for {counted(len(late), len(delays))}, recorded {np.median(late):.3g} s after the scan (median)"
         way = f"`ogm fuse` reads all first; a live node must wait {late.max():.3g} s for them"
         yield Finding("note", "late transforms", f"{text}, {late.max():.3g} s at most", way)
 
@@ -73,7 +69,7 @@ def _check_rate(parts: list[list[float]]) -> Iterator[Finding]:
     """Yield findings about the stamps of each part of a drive."""
     number = sum(map(len, parts))
     if many := number - sum(len({*stamps}) for stamps in parts):
-        yield Finding("lost data", "duplicates", f"{counted(many, number)} with the stamp of another")
+        yield Finding("lost data", "duplicates", f"{counted(many, number)} with the stamp of another scan")
     steps = np.concatenate([np.diff(np.unique(stamps)) for stamps in parts] or [np.empty(0)])
     if len(steps) < 2:
         return
@@ -82,10 +78,8 @@ def _check_rate(parts: list[list[float]]) -> Iterator[Finding]:
     missing = int(np.round(gaps / usual - 1).sum())
     if missing:
         text = f"about {missing} scans are missing in {len(gaps)} gaps, the longest of {gaps.max():.3g} s"
-        yield Finding("lost data", "gaps", text, "record with a larger buffer" if gaps.max() < _LONG else "")
-    yield Finding(
-        "note", "rate", f"{1 / usual:.1f} Hz, {number} scans in {sum(np.ptp(stamps) for stamps in parts):.1f} s"
-    )
+        yield Finding("lost data", "gaps", text, "record with a larger buffer" if gaps.max() < _LONG_GAP else "")
+    yield Finding("note", "rate", f"{1 / usual:.1f} Hz, {number} scans in {sum(map(np.ptp, parts)):.1f} s")
 
 
 def _check_jumps(dataset: Dataset) -> Iterator[Finding]:
@@ -93,28 +87,29 @@ def _check_jumps(dataset: Dataset) -> Iterator[Finding]:
     if len(rows) < 2:
         return
     seconds = np.abs(np.diff([stamp for stamp, _ in rows]))
-    metres = np.linalg.norm(np.diff([place for _, place in rows], axis=0), axis=1)
-    steps = np.diff([place for _, place in rows], axis=0)
+    steps = np.diff([position for _, position in rows], axis=0)
+    metres = np.linalg.norm(steps, axis=1)
     back = (steps[1:] * steps[:-1]).sum(axis=1) < -0.5 * metres[1:] * metres[:-1]
-    back &= (metres[1:] > _BACK) & (metres[:-1] > _BACK)
+    back &= (metres[1:] > _MIN_STEP) & (metres[:-1] > _MIN_STEP)
     if np.count_nonzero(back) > max(2, 0.1 * len(back)):
-        often = counted(int(np.count_nonzero(back)), len(back), "step")
-        text = f"they go back and forth by {np.median(metres[1:][back]):.3g} m in {often}"
-        yield Finding("wrong map", "poses", text, "two senders of one transform? record one, or --odometry kiss-icp")
-    jumps = np.flatnonzero(metres > _SPEED * seconds + 1.0)
+        count = counted(int(np.count_nonzero(back)), len(back), "step")
+        text = f"they alternate back and forth by {np.median(metres[1:][back]):.3g} m in {count}"
+        way = "if two nodes send the transform, record only one of them; or --odometry kiss-icp"
+        yield Finding("wrong map", "poses", text, way)
+    jumps = np.flatnonzero(metres > _MAX_SPEED * seconds + 1.0)
     if len(jumps):
-        text = f"{len(jumps)} jumps of the pose, the farthest of {metres[jumps].max():.3g} m: scans there are skipped"
-        yield Finding("lost data", "poses", text, "--frame odom is free of jumps where map has them")
+        text = f"{len(jumps)} jumps of the pose, the longest of {metres[jumps].max():.3g} m: scans there are skipped"
+        yield Finding("lost data", "poses", text, "--frame odom, if only map has jumps")
 
 
 def check_tilt_of_poses(dataset: Dataset, numbers: list[int]) -> Iterator[Finding]:
-    """Yield findings about scans that are levelled, and about poses that tilt more than any road afterwards.
+    """Yield findings about levelled scans, and about poses that still tilt the vehicle more than any road.
 
     Parameters
     ----------
     dataset : Dataset
     numbers : list of int
-        Frames that can be read.
+        Readable frames.
     """
     tilts, used = [], []
     for n in numbers:
@@ -126,18 +121,18 @@ def check_tilt_of_poses(dataset: Dataset, numbers: list[int]) -> Iterator[Findin
             used.append(tilt_of(frame.mount.T_vehicle_sensor))
     if used and (tilt := float(np.median(used))) > _LEVEL:
         yield Finding("note", "tilt", f"scans are levelled by {np.degrees(tilt):.0f} degrees, by their poses or mount")
-    if tilts and (tilt := float(np.median(tilts))) > _STEEP:
+    if tilts and (tilt := float(np.median(tilts))) > _MAX_SLOPE:
         text = f"the poses tilt the vehicle by {np.degrees(tilt):.0f} degrees, but the ground in its scans is level"
-        yield Finding("wrong map", "tilt", text, "poses need a frame with z up: --frame, or --axes for files")
+        yield Finding("wrong map", "tilt", text, "give poses in a frame with z up: --frame, or --axes for files")
 
 
 def check_direction(dataset: Dataset) -> Iterator[Finding]:
-    """Yield a finding where the poses move the vehicle across its x axis, which points forward.
+    """Yield a finding if the poses move the vehicle sideways instead of along its x axis.
 
     Parameters
     ----------
     dataset : Dataset
-        One drive. Driving backwards is no finding.
+        One drive. Driving backwards is allowed.
     """
     recording, turns = dataset.recording, dict[str, NDArray[np.float64]]()
     last: dict[tuple[str, str], NDArray[np.float64]] = {}
@@ -145,17 +140,17 @@ def check_direction(dataset: Dataset) -> Iterator[Finding]:
     for ref, n in zip(dataset.refs, dataset.numbers, strict=True):
         if (T := ref.T_map_sensor) is None:
             continue
-        place = recording.place(n)
-        if place.name not in turns:
-            turns[place.name] = pose(yaw=place.yaw)[:3, :3] @ recording.levelling(n)
-        key = ref.sequence, place.name
+        mount = recording.place(n)
+        if mount.name not in turns:
+            turns[mount.name] = pose(yaw=mount.yaw)[:3, :3] @ recording.levelling(n)
+        key = ref.sequence, mount.name
         if key in last:
-            steps.append((turns[place.name] @ T[:3, :3].T @ (T[:3, 3] - last[key]))[:2])
+            steps.append((turns[mount.name] @ T[:3, :3].T @ (T[:3, 3] - last[key]))[:2])
         last[key] = T[:3, 3]
     metres = np.linalg.norm(steps, axis=1)
     usual = float(np.median(metres[metres > 0])) if metres.any() else 0.0
     x, y = np.sum(np.array(steps)[metres <= _JUMP * usual], axis=0).tolist()
-    if math.hypot(x, y) < _WAY or abs(y) <= abs(x):
+    if math.hypot(x, y) < _MIN_PATH or abs(y) <= abs(x):
         return
     side = math.copysign(1.0, y)
     R = np.array([[0, side, 0], [-side, 0, 0], [0, 0, 1]]) @ rotation_to_flu(recording.axes)
@@ -165,13 +160,13 @@ def check_direction(dataset: Dataset) -> Iterator[Finding]:
 
 
 def check_topics(log: LogReader, used: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield findings about topics of a log that are left out.
+    """Yield findings about unused topics of a log.
 
     Parameters
     ----------
     log : LogReader
     used : tuple of str
-        Topics whose scans are checked.
+        Checked topics.
     """
     filled = {name: facts.type for name, facts in log.topics.items() if facts.count}
     if others := [name for name in scan_topics(log) if name not in used]:

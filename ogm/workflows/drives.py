@@ -1,4 +1,4 @@
-"""Many drives, a folder of results for each: made by any number of workers, and never twice."""
+"""Fusing many drives, a folder of results for each, by any number of workers and resumable."""
 
 import hashlib
 import json
@@ -23,17 +23,17 @@ FuseDrive = Callable[[Sequence[Frame], Path], Mapping[str, Any]]
 
 
 class FusedDrive(NamedTuple):
-    """A drive that is done.
+    """Result of a drive.
 
     Attributes
     ----------
     name : str
     facts : dict
-        What the function that fused it returned.
+        Facts returned by the fusing function.
     error : str
-        Why there is no result; "" if there is.
+        Reason for a missing result, else "".
     reused : bool
-        Whether it was finished before.
+        Whether the drive was finished before.
     """
 
     name: str
@@ -50,33 +50,33 @@ def fuse_drives(
     workers: int = 1,
     scheduler: str | None = None,
 ) -> Generator[FusedDrive, None, None]:
-    """Yield each drive as its results are written into ``out/NAME``, by processes or a Dask cluster.
+    """Fuse drives into folders ``out/NAME`` with processes or a Dask cluster, and yield each finished drive.
 
-    A drive's folder appears when all in it is written. A drive that has one is not fused again, so that the same call
-    goes on where it was stopped.
+    A drive's folder appears when it is complete. Drives with a folder are not fused again, so that the same call
+    resumes an interrupted run.
 
     Parameters
     ----------
     drives : dict of str to sequence of Frame
-        By name. For other processes picklable, as data sets of `ogm.datasets` are.
+        Frames by name of the drive; for other processes picklable, as datasets of `ogm.datasets` are.
     fuse_drive : callable
-        ``fuse_drive(frames, folder) -> facts`` writes its results into a new folder and returns what is worth
-        knowing, as JSON holds it. Its repr is kept as what the drive was made by. For other processes picklable.
+        ``fuse_drive(frames, folder) -> facts`` writes its results into a new folder and returns facts for JSON. Its
+        repr identifies the results. For other processes picklable.
     out : path
-        Made if need be.
+        Folder of the results, created if missing.
     workers : int
-        1 works in this process; more start processes of this machine.
+        1 works in this process; more start processes on this machine.
     scheduler : str, optional
-        Address of a Dask scheduler to use instead, ``"tcp://host:port"``, whose workers see `out` under the same path.
+        Address of a Dask scheduler to use instead, ``"tcp://host:port"``; its workers need `out` under the same path.
 
     Raises
     ------
     OgmError
-        If a drive of that name was fused from other frames or by another function.
+        If results of the same name are of other frames or of another function.
     BlockingIOError
         If another process fuses into `out`.
     OSError
-        If workers die again and again, the disk is full, or the scheduler cannot be reached.
+        If workers die repeatedly, the disk is full, or the scheduler cannot be reached.
     """
     out = Path(out).absolute()
     out.mkdir(parents=True, exist_ok=True)
@@ -90,17 +90,17 @@ def fuse_drives(
                 yield FusedDrive(name, facts, reused=True)
         task = _Task(fuse_drive, out)
         with closing(work_off(task, jobs, workers, scheduler)) as done, deaths_explained("drives"):
-            for _, one in done:
-                yield one
+            for _, drive in done:
+                yield drive
 
 
 def drives_of(datasets: Iterable[tuple[Path, Dataset]]) -> dict[str, Dataset]:
-    """Return the drives of datasets by name: that of the path, and of the sequence where it has several.
+    """Return the drives of datasets by name: the name of the path, and of the sequence if there are several.
 
     Parameters
     ----------
     datasets : iterable of (Path, Dataset)
-        Each with the path that it was opened from.
+        Each dataset with its path.
 
     Raises
     ------
@@ -110,17 +110,17 @@ def drives_of(datasets: Iterable[tuple[Path, Dataset]]) -> dict[str, Dataset]:
     drives: dict[str, Dataset] = {}
     for path, dataset in datasets:
         name = path.resolve().name.split(".")[0]
-        parts = {f"{name}-{one}": dataset.select(numbers) for one, numbers in dataset.sequences.items()}
+        parts = {f"{name}-{sequence}": dataset.select(numbers) for sequence, numbers in dataset.sequences.items()}
         for key, part in (parts or {name: dataset}).items():
             allowed = "".join(c if c.isalnum() or c in "-_." else "-" for c in key)
             if allowed in drives:
-                raise ValueError(f"{path} has a drive {allowed}, as one before it: rename its folder, or leave it out")
+                raise ValueError(f"{path} has a second drive of the name {allowed}: rename its folder, or leave it out")
             drives[allowed] = part
     return drives
 
 
 class _Job(NamedTuple):
-    """A drive that is to be fused."""
+    """A drive to fuse."""
 
     name: str
     key: str
@@ -129,16 +129,15 @@ class _Job(NamedTuple):
 
 @dataclass(frozen=True)
 class _Task:
-    """What a worker does with a drive."""
+    """Work on one drive, picklable for other processes."""
 
     fuse_drive: FuseDrive
     out: Path
 
     def __call__(self, job: _Job) -> FusedDrive:
         try:
-            if (
-                facts := _finished(self.out / job.name, job.key)
-            ) is not None:  # by a worker that died before it said so
+            facts = _finished(self.out / job.name, job.key)
+            if facts is not None:  # by a worker that died before its report
                 return FusedDrive(job.name, facts)
             with temporary_folder(self.out) as folder:
                 made = folder / job.name
@@ -155,27 +154,27 @@ class _Task:
 
 
 def _key(name: str, frames: Sequence[Frame], fuse_drive: FuseDrive) -> str:
-    """Return a hash of what a drive's results depend on: names, stamps and poses of its frames, and the function."""
+    """Return a hash of names, stamps and poses of a drive's frames, and of the fusing function."""
     if not name or name in (".", "..") or "/" in name or "\0" in name:
-        raise ValueError(f"the name of a drive becomes that of a folder, got {name!r}")
-    found = hashlib.sha256(repr(fuse_drive).encode())
-    for one in getattr(frames, "refs", frames):
-        place = None if one.T_map_sensor is None else np.asarray(one.T_map_sensor, np.float64).tobytes()
-        found.update(repr((one.name, one.sequence, one.stamp, place)).encode("utf-8", "backslashreplace"))
-    return found.hexdigest()
+        raise ValueError(f"the name of a drive must be a valid folder name, got {name!r}")
+    key = hashlib.sha256(repr(fuse_drive).encode())
+    for frame in getattr(frames, "refs", frames):
+        T = None if frame.T_map_sensor is None else np.asarray(frame.T_map_sensor, np.float64).tobytes()
+        key.update(repr((frame.name, frame.sequence, frame.stamp, T)).encode("utf-8", "backslashreplace"))
+    return key.hexdigest()
 
 
 def _finished(folder: Path, key: str) -> dict[str, Any] | None:
-    """Return the facts of a drive that was fused before; None if it was not."""
+    """Return the facts of a drive that was fused before, else None."""
     if not folder.exists():
         return None
-    other = f"{folder} holds results of other frames, or by other options: remove it, or give another folder"
+    other = f"{folder} contains results of other frames or options: remove it, or give another folder"
     try:
         note = json.loads((folder / _NOTE).read_text())
         if note["format"] == _FORMAT and note["key"] == key:
             return dict(note["facts"])
     except FileNotFoundError:
-        other = f"{folder} is no drive that was fused here: remove it, or give another folder"
+        other = f"{folder} is no result of this command: remove it, or give another folder"
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         other = f"{folder / _NOTE} cannot be read ({error}): remove {folder}, and the drive is fused again"
     raise OgmError(other)

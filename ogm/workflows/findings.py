@@ -1,4 +1,4 @@
-"""Findings about a drive: records of what spoils its map, with the way out."""
+"""Findings about a drive: problems of its data, with their remedies."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -8,7 +8,7 @@ SEVERITIES = ("wrong map", "lost data", "note")
 
 
 class Finding(NamedTuple):
-    """A property of a drive that its map suffers from, or that is worth knowing.
+    """A property of a drive that spoils its map, or is worth knowing.
 
     Attributes
     ----------
@@ -18,7 +18,7 @@ class Finding(NamedTuple):
     text : str
         The property, with numbers.
     way : str
-        Option or command that mends it; "" for none.
+        Option or command that fixes it, or "".
     """
 
     severity: str
@@ -31,7 +31,7 @@ class Finding(NamedTuple):
 
 
 def by_severity(findings: Iterable[Finding]) -> list[Finding]:
-    """Return findings, the worst first, each once."""
+    """Return the distinct findings, the worst first."""
     return sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity))
 
 
@@ -41,12 +41,12 @@ def counted(count: int, total: int, noun: str = "scan") -> str:
     return f"{count} of {total} {plural}" if count < total else f"all {total} {plural}" if total > 1 else f"1 {noun}"
 
 
-def listed(items: Sequence[str], most: int = 5) -> str:
-    """Return some items in words, and how many more there are."""
-    more = f" and {len(items) - most} more" if len(items) > most else ""
-    return ", ".join(items[:most]) + more
+def listed(items: Sequence[str], limit: int = 5) -> str:
+    """Return the first items as text, and the number of the others."""
+    more = f" and {len(items) - limit} more" if len(items) > limit else ""
+    return ", ".join(items[:limit]) + more
 
 
 def without_numbers(text: str) -> str:
-    """Return a text with 0 for every number: the same for errors of one kind."""
+    """Replace every number in a text by 0, so that errors of the same kind are equal."""
     return re.sub(r"[0-9.eE+-]*[0-9]", "0", text)

@@ -1,4 +1,4 @@
-"""Options and output files of `fuse_drive`."""
+"""Options and output files for `fuse_drive`."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -26,7 +26,7 @@ OUTPUT_ENDINGS = {
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files that `fuse_drive` writes; None for none.
+    """Output files of `fuse_drive`; None for an output that is not wanted.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Outputs:
     picture : path, optional
         Last scan, its grid, the map and the conflict (.png).
     movie : path, optional
-        The same, scan by scan (.gif, .webp, .png).
+        Film with these pictures, scan by scan (.gif, .webp, .png).
     poses : path, optional
         Poses of the mapped scans (.csv, .txt, .tum).
     page : path, optional
@@ -53,87 +53,87 @@ class Outputs:
             object.__setattr__(self, name, Path(path))
 
     def given(self) -> dict[str, Path]:
-        """Return the files that are to be written, by name."""
+        """Return the wanted files by name."""
         return {name: path for name, path in asdict(self).items() if path is not None}
 
     def prepare(self, inputs: Iterable[Path] = ()) -> None:
-        """Make the folders of the outputs, and check that all can be written, before hours of work.
+        """Create the folders of the outputs, and check that all files can be written, before hours of work.
 
         Parameters
         ----------
         inputs : iterable of Path
-            Files that are read and must not be replaced.
+            Input files, which must not be replaced.
 
         Raises
         ------
         ValueError
-            If a name does not end as its format wants, two outputs have one name, or an input would be replaced.
+            If a file name has a wrong ending, two outputs have one name, or an input would be replaced.
         OSError
             If a folder cannot be written.
         """
         used: dict[Path, str] = {}
         for name, path in self.given().items():
             if path.suffix.lower() not in OUTPUT_ENDINGS[name]:
-                raise ValueError(f"the {name} is written as {' or '.join(OUTPUT_ENDINGS[name])}, got {path}")
+                raise ValueError(f"the {name} must end in {' or '.join(OUTPUT_ENDINGS[name])}, got {path}")
             if name == "map":
                 check_grid_output(path)
             if path.is_dir() and path.suffix.lower() != ".zarr":
                 raise ValueError(f"{path} is a folder; give a file name for the {name}")
-            if path.resolve() in (one.resolve() for one in inputs):
-                raise ValueError(f"the {name} would replace {path}, which is read; give another name")
+            if path.resolve() in (file.resolve() for file in inputs):
+                raise ValueError(f"the {name} would replace the input {path}; give another name")
             if used.setdefault(path.resolve(), name) != name:
                 raise ValueError(f"{used[path.resolve()]} and {name} would both be written to {path}; give two names")
             check_writable(path, f"the {name}")
 
     def within(self, folder: Path) -> "Outputs":
-        """Return files of the same names in another folder."""
+        """Return the outputs with the same file names in another folder."""
         return Outputs(**{name: folder / path.name for name, path in self.given().items()})
 
     @property
     def base(self) -> Path:
-        """The main output: maps before a restart are saved beside it."""
+        """Main output; maps before a restart are saved in its folder."""
         return self.map or self.picture or self.movie or self.page or Path("map.npz")
 
 
 @dataclass(frozen=True)
 class FuseOptions:
-    """How a drive is fused; by default as ``ogm fuse`` does for lidars.
+    """Options to fuse a drive, with the defaults of ``ogm fuse`` for lidars.
 
     Parameters
     ----------
     ism : str, optional
-        Sensor model, a name of `ogm.models.load_model`; by default that of `ogm.models.default_model`,
+        Sensor model, a name for `ogm.models.load_model`; by default from `ogm.models.default_model`,
         and ``planar`` for planar lasers and sonars.
     spec : GridSpec
         Cells of measurement grids, picture and film.
     rule : str
         See `ogm.fusion.make_mapper`.
     half_life : float, optional
-        Time in which belief halves [s]; by default that of the rule.
+        Time in which belief halves [s]; by default the half-life of the rule.
     window : {"rolling", "fixed"}
         Follow the vehicle, or cover the whole drive.
     particles : int
-        Particles of a dynamic map.
+        Number of particles of a dynamic map.
     deskew : bool
         Undo the ego motion during a scan.
     radar_reliability : float
-        Reliability of radars beside a lidar, [0, 1].
+        Reliability of radars used with a lidar, [0, 1].
     sensors : tuple of str
-        Sensors that the dataset was opened with.
+        Sensors given to `ogm.datasets.open_dataset`.
     message : str, optional
         Message type of maps in logs.
     match : bool
-        Take the poses for odometry, and refine them by matching planar scans.
+        Refine the poses, used as odometry, by matching planar scans.
     odometry : str, optional
         Estimate the poses from the scans: "kiss-icp" or "small-gicp".
     rate : float
         Rate of scans without stamps [Hz].
     first : int, optional
-        Number of scans that are fused; by default all.
+        Number of scans to fuse; by default all.
     weights : dict, optional
-        Facts of the model's weights: results of others are not reused.
+        Facts about the model's weights: results of other weights are not reused.
     saved : PlacedGrid, optional
-        A map that is continued, in the frame of the poses: `ogm.fusion.EvidentialMapper.from_grid`.
+        Map to continue, in the frame of the poses: see `ogm.fusion.EvidentialMapper.from_grid`.
     """
 
     ism: str | None = None
@@ -158,11 +158,11 @@ class FuseOptions:
             object.__setattr__(self, "ism", for_all_kinds(default_model(self.spec, self.rule)[0]))
 
     def load_model(self) -> InverseSensorModel:
-        """Return the sensor model, for all sensors of the vehicle; that of the last name is kept."""
+        """Return the sensor model for all sensors of the vehicle; the last loaded model is cached."""
         return _load_model(str(self.ism), self.spec)
 
     def check(self) -> None:
-        """Raise what makes fusing impossible, before any work: unknown names, missing packages, bad numbers."""
+        """Raise an error for unknown names, missing packages and bad numbers, before any work."""
         self.load_model()
         make_mapper(self.rule, self.spec, self.half_life, self.window, self.particles)  # type: ignore[arg-type]
         if self.saved is not None and self.rule not in RULES:

@@ -1,4 +1,4 @@
-"""The course of fusing one drive: what was mapped, and what of it is drawn, saved and reported."""
+"""State of fusing one drive, with its pictures, files and report."""
 
 import math
 from collections import Counter
@@ -30,13 +30,13 @@ from ogm.storage.files import DISK_ERRORS, error_text
 from ogm.workflows.buildings import first_readable
 from ogm.workflows.findings import without_numbers
 
-ARROW_SECONDS = 1.0  # [s] of the way that an arrow shows
-_LISTED = 3  # scans that are listed of those that are skipped for one reason
+ARROW_SECONDS = 1.0  # [s] of motion shown by an arrow
+_LISTED = 3  # listed scans that are skipped for the same reason
 
 
 @dataclass
 class FusionRun:
-    """The scans of a drive that have been mapped so far.
+    """Progress of fusing a drive.
 
     Parameters
     ----------
@@ -47,22 +47,22 @@ class FusionRun:
     names : (str, str)
         Names of sensor model and rule.
     base : Path
-        The main output: maps before a restart are saved beside it.
+        Main output; maps before a restart are saved in its folder.
     tell : function
         Called with messages about scans.
 
     Attributes
     ----------
     last : FusionStep or None
-        The last step that was mapped.
+        Last mapped step.
     taken : list of int
-        Numbers of the frames that were mapped.
+        Numbers of the mapped frames.
     failed : int
-        Number of the frames that were skipped.
+        Number of skipped frames.
     ended : str
         Reason of an early end; "" if all frames were read.
     interrupted : bool
-        Whether that reason is an interrupt.
+        Whether an interrupt is the reason of the end.
     """
 
     dataset: Dataset
@@ -77,26 +77,26 @@ class FusionRun:
     failed: int = 0
     ended: str = ""
     interrupted: bool = False
-    nothing: int = 0  # scans that show nothing on the grid
-    why_nothing: str = ""  # of the first of them
-    recorded: int = 0  # maps that are in a log
+    nothing: int = 0  # scans without evidence on the grid
+    why_nothing: str = ""  # reason for the first of them
+    recorded: int = 0  # maps written to a log
     restarts: int = 0
     path: float = 0.0  # [m]
     speed: float = math.nan  # [m/s]
     seconds: list[tuple[float, float]] = field(default_factory=list)  # of model and mapper
-    models: dict[str, None] = field(default_factory=dict)  # parts of the model that scans were mapped by
-    reasons: Counter[str] = field(default_factory=Counter)  # of skipped scans, without their numbers
-    turned: list[float] = field(default_factory=list)  # [rad] within scans by more than `MAX_TURN`
+    models: dict[str, None] = field(default_factory=dict)  # used parts of the model
+    reasons: Counter[str] = field(default_factory=Counter)  # of skipped scans, numbers replaced
+    turned: list[float] = field(default_factory=list)  # [rad] turns above `MAX_TURN` within scans
 
     @property
     def ground_z(self) -> float:
-        """Height of the ground in the frame of the points [m]."""
+        """Height of the ground in the frame of the points [m], by the first frame."""
         mount = self.dataset[0].mount
         return -mount.sensor_height if mount.points_in == "sensor" else mount.ground_point[2]
 
     @property
     def titles(self) -> tuple[str, str, str]:
-        """Titles of measurement, map and conflict."""
+        """Titles of the panels: measurement, map and conflict."""
         (model, rule), half_life = self.names, np.ravel(self.mapper.half_life)[0]
         frame = first_readable(self.dataset) if self.last is None else self.last.frame
         model = model if frame is None else title_of(model, frame.scan, frame.mount)
@@ -112,7 +112,7 @@ class FusionRun:
         return 130 if self.interrupted else 2 if self.failed or self.ended else 0
 
     def map_all(self, steps: Iterable[FusionStep], film: Movie | None, maps: GridLog | None = None) -> None:
-        """Map all scans. An interrupt or an error ends the loop; only errors of the disk of a log are raised."""
+        """Map all scans. An interrupt or an error ends the loop; only disk errors of a log are raised."""
         try:
             for k, step in enumerate(steps):
                 if step.grid is None:
@@ -124,23 +124,23 @@ class FusionRun:
                     panels, line = self.panels()
                     film.add(step.frame.scan.points, panels, line, float(step.frame.stamp or 0.0))
         except KeyboardInterrupt:
-            if maps is not None and self.taken and not self.recorded:  # a log without a map is of no use
+            if maps is not None and self.taken and not self.recorded:  # a log needs at least one map
                 self.record(maps)
             self.interrupted = True
             self.end("interrupted")
-        except Exception as error:  # whatever it is, the map so far must not be lost
+        except Exception as error:  # any error: the map so far must not be lost
             if isinstance(error, OSError) and error.errno in DISK_ERRORS:
-                raise  # of its log: the other outputs would not fit either, and earlier ones stay
+                raise  # the disk is full or broken for the other outputs, too
             self.end(f"{error_text(error)}: stopped")
 
     def end(self, reason: str) -> None:
-        """Note and tell why the mapping ends early."""
+        """Record and report the reason of an early end."""
         self.ended = reason
         kept = f"after {len(self.taken)} scans; writing the partial result" if self.taken else "before the first scan"
         self.tell(f"{reason} {kept}")
 
     def skip(self, frame: Frame, error: Exception) -> None:
-        """Count a scan that is skipped, and tell why."""
+        """Count a skipped scan and report the reason."""
         self.failed += 1
         kind = without_numbers(error_text(error).replace(frame.name, ""))
         self.reasons[kind] += 1
@@ -151,17 +151,16 @@ class FusionRun:
     def add(self, k: int, step: FusionStep) -> None:
         """Record a mapped frame, and save the map that a restart would lose."""
         if isinstance(self.mapper, DynamicMapper):
-            with suppress(ImportError):  # raised again where objects are shown
-                self.mapper.objects()  # they are followed from the first call on
+            with suppress(ImportError):  # raised again when objects are drawn
+                self.mapper.objects()  # starts the tracking
         self.speed = math.nan
         if step.previous_map is not None:
             self.restarts += 1
             path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
             step.previous_map.save(path)
-            why = (
-                f"{step.frame.sequence} begins" if step.restart == "sequence" else f"{step.restart}, the third in a row"
-            )
-            self.tell(f"{step.frame.name}: {why}: the map so far is saved as {path}, a new one begins here")
+            new_drive = step.restart == "sequence"
+            reason = f"{step.frame.sequence} begins" if new_drive else f"{step.restart}, the third in a row"
+            self.tell(f"{step.frame.name}: {reason}: the map so far is saved as {path}, a new map begins")
         elif self.last is not None:
             metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]
             seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
@@ -181,52 +180,53 @@ class FusionRun:
         self.last = step
 
     def check_shown(self) -> None:
-        """Raise ValueError if no scan shows anything on the grid; tell of those that do not."""
+        """Raise a ValueError if no scan has evidence on the grid; report scans without evidence."""
         if self.nothing and self.nothing == len(self.taken):
-            raise ValueError(f"no scan shows anything, nothing is written: {self.why_nothing}")
+            raise ValueError(f"no scan has evidence on the grid, nothing is written: {self.why_nothing}")
         if self.nothing:
-            self.tell(f"{self.nothing} of {len(self.taken)} scans show nothing, the first: {self.why_nothing}")
+            count = f"{self.nothing} of {len(self.taken)} scans"
+            self.tell(f"{count} have no evidence on the grid, the first: {self.why_nothing}")
 
     @property
     def map(self) -> EvidentialGrid | DynamicGrid:
-        """The map, with all that the mapper knows."""
+        """The whole map of the mapper."""
         return self.mapper.dynamic_grid if isinstance(self.mapper, DynamicMapper) else self.mapper.grid
 
     @property
     def conflict(self) -> LayeredGrid | None:
-        """The conflict of map and scans, if the mapper keeps it."""
+        """Conflict of map and scans, if the mapper stores it."""
         return getattr(self.mapper, "conflict", None)
 
     @property
     def layers(self) -> LayeredGrid | None:
-        """All that the map is continued from besides its masses."""
+        """Layers needed to continue the map, in addition to its masses."""
         return getattr(self.mapper, "layers", self.conflict)
 
     def placed(self, layers: LayeredGrid | None = None) -> PlacedGrid:
-        """Return the map, in the frame of the poses, at the height of the ground under the vehicle, and layers."""
+        """Return the map with layers, in the frame of the poses, at the height of the ground under the vehicle."""
         assert self.last is not None
         T, mount = self.T_map_vehicle, self.last.frame.mount
         ground_z = float((T @ (*mount.ground_point, 1.0))[2])
-        frame = self.dataset.facts.get("frame") or "map"  # that of a log's poses
+        frame = self.dataset.facts.get("frame") or "map"  # logs name the frame of their poses
         return PlacedGrid(self.map, pose(z=ground_z), frame, self.mapper.stamp, layers=layers)
 
     @property
     def T_map_vehicle(self) -> NDArray[np.float64]:  # noqa: N802
-        """Where the vehicle was at the last scan, (4, 4)."""
+        """Pose of the vehicle at the last scan, (4, 4)."""
         assert self.last is not None
         assert self.last.frame.T_map_sensor is not None
         return self.last.frame.T_map_sensor @ inverse(self.last.frame.mount.T_vehicle_sensor)
 
     def record(self, maps: GridLog) -> None:
-        """Write the map after the last scan to a log, and the pose of the vehicle."""
+        """Write the map after the last scan and the pose of the vehicle to a log."""
         assert self.last is not None
-        layers = None if maps.message == "occupancy-grid" else self.conflict  # which holds none
+        layers = None if maps.message == "occupancy-grid" else self.conflict  # occupancy-grid stores no layers
         placed, stamp = self.placed(layers), self.last.frame.stamp or 0.0
         maps.write(placed, [StampedTransform(placed.frame_id, "vehicle", stamp, self.T_map_vehicle)])
         self.recorded += 1
 
     def panels(self) -> tuple[tuple[Panel, Panel, Panel], str]:
-        """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""
+        """Return panels of the last measurement, the map around the vehicle and its conflict, and a line of text."""
         assert self.last is not None
         assert self.last.grid is not None
         view = self.mapper.view(self.spec)
@@ -249,7 +249,7 @@ class FusionRun:
         return (plot.mass_panel(self.last.grid, first), shown, other), line
 
     def objects(self) -> Boxes | None:
-        """Return the moving objects that the map follows, in the vehicle's axes; None if it follows none."""
+        """Return the moving objects tracked by the map, in the vehicle frame; None for maps without tracking."""
         find = getattr(self.mapper, "objects", None)
         if find is None or self.mapper.T_map_vehicle is None:
             return None
@@ -258,7 +258,7 @@ class FusionRun:
 
     @property
     def elapsed(self) -> float:
-        """Time from the first to the last scan that was mapped [s]."""
+        """Time from the first to the last mapped scan [s]."""
         first, last = (self.dataset.refs[k].stamp for k in (self.taken[0], self.taken[-1]))
         return (last or 0.0) - (first or 0.0)
 
@@ -270,7 +270,7 @@ class FusionRun:
         plot.save_picture(path, cloud, *self.panels()[0])
 
     def save_poses(self, path: Path) -> None:
-        """Write the poses of the scans that were mapped."""
+        """Write the poses of the mapped scans."""
         refs = self.dataset.refs
         stamps, first = np.unique([refs[k].stamp for k in self.taken], return_index=True)
         rows = np.array(self.taken)[first]
@@ -279,8 +279,8 @@ class FusionRun:
         write_poses(path, Trajectory(stamps, np.array([refs[k].T_map_sensor for k in rows])), wanted)
 
     def facts(self) -> dict[str, str]:
-        """Return what was done, in words."""
-        model, mapper = (f"{1e3 * median(one):.1f} ms/scan" for one in zip(*self.seconds, strict=True))
+        """Return a summary as names and values."""
+        model, mapper = (f"{1e3 * median(times):.1f} ms/scan" for times in zip(*self.seconds, strict=True))
         spec = self.mapper.spec
         cells = f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution:g} m"
         facts = {
@@ -294,16 +294,16 @@ class FusionRun:
             cells = f"{np.count_nonzero(groups)} cells in {groups.max()} groups"
             facts["moving"] = f"{cells}, by {self.mapper.particles} particles"
         if self.restarts:
-            facts["restarts"] = f"{self.restarts}, after jumps of the pose, of stamps, or with a new sequence"
+            facts["restarts"] = f"{self.restarts}, after jumps of pose or stamp, or with a new sequence"
         return facts
 
 
 def _shares(grid: EvidentialGrid) -> str:
-    """Return the mean masses of a grid in words."""
+    """Return the mean masses of a grid as text."""
     parts = (("free", grid.free), ("occupied", grid.occupied), ("unknown", grid.unknown))
     return ", ".join(f"{name} {100 * float(mass.mean()):4.1f} %" for name, mass in parts)
 
 
 def _shortened(name: str, width: int = 28) -> str:
-    """Return a name of at most `width` characters; names of one drive differ at their end."""
+    """Return the end of a name, at most `width` characters; names in a drive differ at their end."""
     return name if len(name) <= width else f"...{name[3 - width :]}"

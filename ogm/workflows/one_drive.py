@@ -1,4 +1,4 @@
-"""One drive fused to files: map, picture, film, page, poses. ``ogm fuse`` parses its options and calls `fuse_drive`."""
+"""Fusing one drive to files: map, picture, film, page, poses. ``ogm fuse`` calls `fuse_drive`."""
 
 import logging
 import math
@@ -51,39 +51,39 @@ def fuse_drive(
 ) -> FusionRun:
     """Fuse a drive into a map, and write the outputs.
 
-    Scans that are damaged, have no pose, or whose pose or stamp jumps are skipped. An interrupt, or an error on the
-    way, ends the mapping early; what was mapped until then is written.
+    Damaged scans, scans without a pose, and scans after a jump of pose or stamp are skipped. An interrupt or an error
+    during the mapping ends it early; the partial result is written.
 
     Parameters
     ----------
     dataset : Dataset
         One drive.
     outputs : Outputs
-        Files to write; their folders are made.
+        Files to write; their folders are created.
     options : FuseOptions, optional
-        By default by `map_defaults`.
+        By default from `map_defaults`.
     tell : function
-        Called with messages about the rule, about scans, and about an early end; by default they are logged.
+        Called with messages about the rule, scans, and an early end; by default they are logged.
     progress : function
         Iterates over the steps, and may draw a progress bar.
 
     Returns
     -------
     FusionRun
-        With the mapper, and what was mapped. `FusionRun.code` is not 0 if scans were skipped or it ended early.
+        Mapper and facts. `FusionRun.code` is not 0 if scans were skipped or the mapping ended early.
 
     Raises
     ------
     ValueError
-        If the drive has no poses, no scan could be mapped, or no scan shows anything on the grid.
+        If the drive has no poses, no scan could be mapped, or no scan has evidence on the grid.
     KeyboardInterrupt
-        If it was interrupted before the first scan was mapped.
+        If it was interrupted before the first mapped scan.
     """
     outputs.prepare()
     o = options or _default_options(dataset)
     dataset = posed(dataset, o.odometry, o.rate, o.first, match=o.match)[0]
     if o.deskew and not dataset.motion_distorted:
-        raise ValueError("leave out `deskew`: the points of this dataset are not (or not all) distorted by motion")
+        raise ValueError("`deskew` needs points distorted by motion in all scans of the dataset: leave it out")
     if (warning := adding_rule_warning(o.rule)) and o.rule != map_defaults(dataset).rule:
         tell(warning)
     for finding in gravest(dataset, str(o.ism)):
@@ -109,7 +109,7 @@ def fuse_drive(
     reliability = {"": 1.0} | dict.fromkeys(radars, o.radar_reliability) if beside else 1.0
     model = o.load_model()
     if outputs.page is not None and isinstance(mapper, EvidentialMapper):
-        model = ExplainedISM(model)  # the page shows why cells are unknown
+        model = ExplainedISM(model)  # the page shows causes of unknown cells
     steps = fuse(dataset, model, mapper, deskew=times, reliability=reliability, on_error=run.skip)
     is_log = outputs.map is not None and outputs.map.suffix.lower() in LOG_ENDINGS
     log = GridLog(outputs.map, o.message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]
@@ -126,8 +126,8 @@ def fuse_drive(
         if run.turned and dataset.motion_distorted and not o.deskew:
             tell(
                 f"{len(run.turned)} of {len(run.taken)} scans were taken while turning, by up to "
-                f"{math.degrees(max(run.turned)):.1f} degrees within one, and are not de-skewed: static objects blur, "
-                "and seem to move; give `deskew`"
+                f"{math.degrees(max(run.turned)):.1f} degrees within a scan, and are not de-skewed: static objects "
+                "blur and seem to move; give `deskew`"
             )
         if outputs.map is not None and not is_log:
             layers = run.layers if outputs.map.suffix.lower() == ".npz" else run.conflict
@@ -137,26 +137,26 @@ def fuse_drive(
         if outputs.picture is not None:
             run.save_picture(outputs.picture)
         if outputs.page is not None:
-            title, place = f"map of {dataset.name}", run.T_map_vehicle
+            title, T = f"map of {dataset.name}", run.T_map_vehicle
             layers = run.conflict
             if isinstance(mapper, EvidentialMapper) and mapper.has_causes:
                 layers = LayeredGrid(mapper.spec, {**mapper.conflict.layers, **mapper.cause.layers})
-            write_view(outputs.page, run.map, layers, title=title, T_grid_vehicle=place, track=run.track)
+            write_view(outputs.page, run.map, layers, title=title, T_grid_vehicle=T, track=run.track)
     return run
 
 
 def _followed(saved: PlacedGrid | None, dataset: Dataset, tell: Callable[[str], object]) -> PlacedGrid | None:
-    """Return a map to continue, without its stamp where the scans do not follow it in time."""
+    """Return the map to continue, without its stamp if the scans do not follow it in time."""
     stamps = [ref.stamp for ref in dataset.refs if ref.stamp is not None]
     if saved is None or saved.stamp is None or (stamps and 0 <= min(stamps) - saved.stamp <= MAX_GAP):
         return saved
-    first = f"the first scan is of {min(stamps):.3f} s" if stamps else "the scans have no stamps"
-    tell(f"the map to continue is of {saved.stamp:.3f} s, {first}: it does not age in between")
+    first = f"the first scan {min(stamps):.3f} s" if stamps else "the scans have none"
+    tell(f"the map to continue has the stamp {saved.stamp:.3f} s, {first}: it does not age in between")
     return replace(saved, stamp=None)
 
 
 def _default_options(dataset: Dataset) -> FuseOptions:
-    """Return the options by the sensor of a dataset."""
+    """Return the options for the sensor of a dataset."""
     resolution, window, half_life, rule = map_defaults(dataset)
     spec = GridSpec.centered(resolution=resolution)
     return FuseOptions(spec=spec, window=window, half_life=half_life, rule=rule)
@@ -164,13 +164,13 @@ def _default_options(dataset: Dataset) -> FuseOptions:
 
 @dataclass(frozen=True)
 class FuseInto:
-    """Fuses one of many drives into a folder, for `ogm.workflows.fuse_drives`.
+    """Function that fuses a drive into a folder, for `ogm.workflows.fuse_drives`.
 
     Parameters
     ----------
     options : FuseOptions
     outputs : Outputs
-        Names of the files in the folder of each drive.
+        File names in the folder of each drive.
     """
 
     options: FuseOptions
@@ -196,7 +196,7 @@ def posed(
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
     match: bool = False,
 ) -> tuple[Dataset, str]:
-    """Return the first scans of a drive with poses, its own or estimated ones, and their origin in words.
+    """Return the first scans of a drive with its own or estimated poses, and the origin of the poses as text.
 
     Parameters
     ----------
@@ -207,11 +207,11 @@ def posed(
     rate : float
         Rate of scans without stamps [Hz].
     first : int, optional
-        Number of scans.
+        Number of scans; by default all.
     progress : function
-        Iterates over the numbers of the scans that odometry and matching read.
+        Iterates over the numbers of the scans read by odometry and matching.
     match : bool
-        Take these poses for odometry, and refine them, see `ogm.datasets.with_matching`.
+        Refine the poses, used as odometry, see `ogm.datasets.with_matching`.
 
     Raises
     ------
@@ -229,4 +229,4 @@ def posed(
     if match:
         dataset = with_matching(dataset[:first], progress, rate)
         how = dataset.facts["poses"]
-    return dataset[:first], how or f"{known} of {len(dataset)} scans, of the dataset"
+    return dataset[:first], how or f"{known} of {len(dataset)} scans, from the dataset"

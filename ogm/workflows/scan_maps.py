@@ -1,4 +1,4 @@
-"""Scans mapped one by one, a grid file and a picture each. ``ogm map`` parses its options and calls `map_to_files`."""
+"""Mapping single scans to grid files and pictures. ``ogm map`` calls `map_to_files`."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +19,7 @@ from ogm.storage.files import check_writable, error_text
 
 
 class ScanMap(NamedTuple):
-    """Grid of one scan, and the seconds that the model took; or the error that it failed with."""
+    """Grid of a scan and computing time of the model [s], or None, 0 and the text of the error."""
 
     frame: Frame
     grid: EvidentialGrid | None
@@ -37,41 +37,41 @@ def map_to_files(
     layers: Sequence[str] = (),
     first_call: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> Iterator[ScanMap]:
-    """Map each scan by itself and write its grid and its picture.
+    """Map each scan, and write its grid and its picture.
 
     Parameters
     ----------
     dataset : Dataset
     model : InverseSensorModel
     grids : Path, optional
-        File of the grid of a single scan, of any format of `ogm.io.write_grid`, or a folder for ``.npz`` files
-        with the names of the frames. Folders are made.
+        Grid file of a single scan, in any format of `ogm.io.write_grid`, or a folder for ``.npz`` files with the names
+        of the frames. Folders are created.
     pictures : Path, optional
         ``.png`` file, or folder.
     title : str
         Name of the model, for the titles of grids in pictures.
     layers : sequence of str
-        Names in `ogm.models.layers.LAYERS`: written beside each grid, as NAME_layers with its ending, and drawn.
+        Names in `ogm.models.layers.LAYERS`: drawn, and written as NAME_layers with the ending of the grid.
     first_call : function
-        Returns a context manager around the first call of the model, which may compile kernels and is not timed.
+        Returns a context manager for the first call of the model, which may compile kernels and is not timed.
 
     Returns
     -------
     iterator of ScanMap
-        One scan after another, each after its files are written. Of several scans, one that fails yields its error.
+        Results in order, each after its files are written. If there are several scans, a failed scan yields its error.
 
     Raises
     ------
     ValueError
-        Before any scan is mapped: if two scans share a name, several have one file, or an ending has no format. Of a
-        single scan, if it shows nothing on the grid.
+        Before any mapping, if two scans share a name, several scans would share a file, or an ending is unknown. For a
+        single scan also if it has no evidence on the grid.
     OSError
-        Before any scan is mapped: if an output cannot be written.
+        Before any mapping, if an output cannot be written.
     """
     check_layers(layers)
     names = [frame.name.replace("/", "_") for frame in dataset]
     if len(set(names)) < len(names):
-        raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
+        raise ValueError("two scans share a name, so that their outputs would, too; map them separately")
     to_grids = _outputs(grids, names, MAP_ENDINGS, "`grids`")
     to_pictures = _outputs(pictures, names, (".png",), "`pictures`")
     if to_grids[0] is not None:
@@ -114,12 +114,12 @@ def map_to_files(
 
 
 def layers_path(path: Path) -> Path:
-    """Return the file of the layers beside that of a grid."""
+    """Return the file for the layers of a grid file."""
     return path.with_stem(f"{path.stem}_layers")
 
 
 def _outputs(path: Path | None, names: Sequence[str], endings: tuple[str, ...], option: str) -> list[Path | None]:
-    """Return the path of each output: a file for a single scan, or files in a folder, with the first ending."""
+    """Return the path of each output: the file of a single scan, or files in a folder with the first ending."""
     if path is None:
         return [None] * len(names)
     ending = path.suffix.lower()
@@ -129,7 +129,7 @@ def _outputs(path: Path | None, names: Sequence[str], endings: tuple[str, ...], 
         check_writable(path, option)
         return [path]
     if path.suffix and not path.is_dir():
-        raise ValueError(f"{option} {path}: give a name that ends in {', '.join(endings)}, or a folder")
+        raise ValueError(f"{option} must be a folder or end in {', '.join(endings)}, got {path}")
     path.mkdir(parents=True, exist_ok=True)
     check_writable(path / f"{names[0]}{endings[0]}", option)
     return [path / f"{name}{endings[0]}" for name in names]

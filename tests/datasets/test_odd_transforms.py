@@ -129,7 +129,10 @@ def _two_senders(drive: Drive) -> None:
         (lambda drive: _offset(drive, -1.0), "", ""),
         (_whole_seconds, "lost data", "6 transforms have 1 different stamps in 0.625 s; the stamps are too coarse"),
         (_zero, "lost data", "all 6 transforms have the stamp 0"),
-        (_two_senders, "wrong map", "they go back and forth by 3.03 m in all 4 steps; two senders of one transform?"),
+        (
+            _two_senders, "wrong map",
+            "they alternate back and forth by 3.03 m in all 4 steps; if two nodes send the transform, record only one",
+        ),
     ])  # fmt: skip
 def test_clocks_and_senders_of_transforms_are_checked(
     tmp_path: Path, change: Callable[[Drive], None], severity: str, text: str

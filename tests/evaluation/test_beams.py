@@ -185,9 +185,9 @@ def test_each_scan_is_left_out_once_and_the_true_map_is_best() -> None:
         (dict(every=1), "every must be 2 or more"),
         (dict(p_random=0.0), "range_noise must be above 0 m and p_random"),
         (dict(frames=[]), "no scan has a pose"),
-        (dict(frames=room_drive(3)), "'room' has 3 scans with poses, wanted at least `every`, 5"),
-        (dict(frames=room_drive(5, kind="depth")), "scan-0 is of 'depth'"),
-        (dict(frames=room_drive(5, kind="")), "scan-0 is of a lidar or radar"),
+        (dict(frames=room_drive(3)), "'room' needs 5 scans with poses or more, got 3"),
+        (dict(frames=room_drive(5, kind="depth")), "scan-0 must be a scan of a planar laser, got 'depth'"),
+        (dict(frames=room_drive(5, kind="")), "scan-0 must be a scan of a planar laser, got a lidar or radar"),
     ],
 )
 def test_what_decides_the_result_is_refused(change: dict[str, Any], message: str) -> None:
@@ -199,8 +199,8 @@ def test_a_tilted_laser_and_a_dynamic_map_are_refused() -> None:
     frames = room_drive(5)
     lean = pose(pitch=0.2)
     leaning = [Frame(frame.scan, MOUNT, T_map_sensor=lean, name=frame.name, sequence="room") for frame in frames]
-    refused("scan-0 is tilted by 11 degrees", evaluate_beams, leaning, {"true": room_map})
-    refused("predicted by static maps", FusedMap, None, "dynamic")
+    refused("scan-0 must be tilted by 5 degrees at most, got 11 degrees", evaluate_beams, leaning, {"true": room_map})
+    refused("must be of a static map", FusedMap, None, "dynamic")
 
 
 def test_a_scan_that_cannot_be_read_is_left_out() -> None:

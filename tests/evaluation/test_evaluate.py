@@ -88,7 +88,7 @@ def test_a_table_has_means_of_methods_and_leaves_out_rows_without_a_value() -> N
     missing = sum(np.isnan([one[metric] for one in table.values()]).all() for metric in METRICS)
     assert missing > 0
     lines = str(result).splitlines()
-    assert lines[-1] == f"({missing} metrics without a value in any of these frames)"
+    assert lines[-1] == f"({missing} metrics without a value in these frames)"
     assert len(lines) == 2 + len(METRICS) - missing
 
 
@@ -129,7 +129,7 @@ def test_methods_are_compared_with_each_other_without_truth() -> None:
     assert (same["agreement"], same["kl"], same["kl_reverse"]) == (1, 0, 0)
     nothing = evaluate_agreement({"a": Flat(height=0.0), "b": Flat(height=0.0)}, frames, SPEC)
     assert np.isnan(nothing.values["agreement"]).all()
-    refused("give at least two, got a", evaluate_agreement, {"a": Drawn()}, frames, SPEC)
+    refused("two or more, .*, got a", evaluate_agreement, {"a": Drawn()}, frames, SPEC)
     refused("evaluate_agreement", evaluate, {"a": Drawn()}, frames, SPEC)
 
 
@@ -146,8 +146,8 @@ def test_methods_may_be_a_list_of_names() -> None:
     frames = [dataclasses.replace(FRAMES[0], truth=truth(0))]
     found = evaluate(["height-band"], frames, SPEC)
     assert found.methods == ("height-band",)
-    refused("a dict, name to method, or a list of models' names", evaluate, "ray", frames, SPEC, error=TypeError)
-    refused("a dict, name to method", evaluate, [Flat()], frames, SPEC, error=TypeError)
+    refused("a dict from name to method, or a list of names of models", evaluate, "ray", frames, SPEC, error=TypeError)
+    refused("a dict from name to method", evaluate, [Flat()], frames, SPEC, error=TypeError)
 
 
 def test_methods_are_compared_frame_by_frame() -> None:
@@ -158,7 +158,7 @@ def test_methods_are_compared_frame_by_frame() -> None:
     assert (one.wins, one.ties, one.losses) == (0, 1, 2)
     assert result.interval("high", "kl_e10").value == result.macro("high")["kl_e10"]
     assert result.select(["high"]).macro("high") == pytest.approx(result.macro("high"), nan_ok=True)
-    refused("no method 'deep' here, only flat, high", result.of, "deep", "ece", error=KeyError)
+    refused("no method 'deep', only flat, high", result.of, "deep", "ece", error=KeyError)
     refused("no metric 'iou'", result.of, "flat", "iou", error=KeyError)
 
 
@@ -260,11 +260,11 @@ def test_what_cannot_be_evaluated_is_refused() -> None:
     refused(
         "mine must be a callable with a .spec", evaluate, {"mine": lambda scan: scan}, FRAMES, SPEC, error=TypeError
     )
-    refused("there must be frames to evaluate", evaluate, {"mine": Flat()}, [], SPEC)
+    refused("`frames` must be numbers", evaluate, {"mine": Flat()}, [], SPEC)
     unlabelled = Frame(FRAMES[0].scan, FRAMES[0].mount, None, None, name="dark")
     refused("frame dark has no truth", evaluate, {"mine": Flat()}, [unlabelled], SPEC)
     fused = FusedMethod(Flat(), lambda: EvidentialMapper(SPEC))
-    message = "map fuses frames that follow each other, .* but frame 0 stands alone"
+    message = "map fuses sequences of frames .* but frame 0 has no sequence"
     refused(message, evaluate, {"map": fused}, FRAMES, SPEC)
 
 
@@ -284,7 +284,7 @@ def test_the_released_model_refuses_what_it_cannot_do() -> None:
     name = "height-band-released"
     refused("even number of cells along x and y, got 7 x 7", load_model, name, SPEC)
     even = GridSpec.centered(length=8, width=8, resolution=1)
-    refused("computes on the CPU, got device='cuda'", load_model, name, even, device="cuda")
+    refused("runs on the CPU only, got device='cuda'", load_model, name, even, device="cuda")
     model, message = load_model(name, even), "points in the frame of a level sensor and a grid around the sensor"
     for mount in (Mount(1.7, pose(1.0, z=1.7)), Mount(1.7, pose(z=1.7), points_in="vehicle")):
         refused(message, load_model, name, even, mount)

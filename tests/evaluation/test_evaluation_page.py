@@ -241,7 +241,7 @@ def test_few_drives_are_stated(sequences: list[str], extent: str, intervals: str
 def test_parts_of_one_long_drive_are_stated() -> None:
     result = Evaluation((), SPEC, {}, (), np.zeros((0, 4)), (FrameInfo("", "a"),) * 100, {"towns": 1})
     assert describe_extent(result) == "100 frames of 1 drive in 1 town"
-    assert describe_intervals(result).endswith("4 parts of the one drive; they say nothing about other drives")
+    assert describe_intervals(result).endswith("4 parts of one drive; not valid for other drives")
 
 
 def test_of_two_that_were_not_compared_the_intervals_decide(record: dict[str, Any], page: Callable[..., Page]) -> None:
@@ -293,7 +293,7 @@ def test_pictures_that_do_not_fit_are_left_out_evenly(made: Any, tmp_path: Path)
     size = sum(len(data) for pictures in views.values() for data in pictures.values()) * 4 / 3
     path = tmp_path / "report.html"
     for most, kept in ((size, range(6)), (0.55 * size, (0, 2, 5)), (0, (0,))):
-        write_page(path, record, views, most=int(most))
+        write_page(path, record, views, max_bytes=int(most))
         found = Page(path.read_text("utf-8"))
         assert found.data["pictures"] == list(kept)
         assert sorted(name for name in found.scripts if name.startswith("pictures-")) == [f"pictures-{k}" for k in kept]

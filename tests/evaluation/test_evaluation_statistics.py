@@ -260,6 +260,6 @@ def test_without_values_all_is_nan() -> None:
 def test_unfit_arguments_are_refused() -> None:
     refused("one value per frame", compare_paired, [1.0], [1.0, 2.0], "lower")
     refused('better must be "lower" or "higher"', compare_paired, [1.0], [1.0], "")
-    message = "drives must name the drive of each of 2 frames, got 1"
+    message = "drives must have a name for each of 2 frames, got 1"
     refused(message, mean_interval, [1.0, 2.0], ["a"])
-    refused("drives must name", compare_paired, [1.0, 2.0], [1.0, 2.0], "lower", ["a"])
+    refused("drives must have a name", compare_paired, [1.0, 2.0], [1.0, 2.0], "lower", ["a"])

@@ -192,5 +192,11 @@ def test_several_models_agree_or_contradict_and_layers_of_beams_are_no_heights()
     assert cause_at(layers, 12.0, 0.3) == K.BEHIND_OBSTACLE
     assert cause_at(layers, 4.0, 2.0) == K.BETWEEN_BEAMS
     assert ExplainedISM(other)(scan).cause is None  # type: ignore[arg-type]
-    refused("no layer 'ground_height'", map_layers, PlanarISM(FLAT, MOUNT), laser(SEEN), ["cause", "ground_height"])
-    refused("derived from the rays", map_layers, other, scan, ["cause"])
+    refused(
+        "layer 'ground_height' needs scans with ground",
+        map_layers,
+        PlanarISM(FLAT, MOUNT),
+        laser(SEEN),
+        ["cause", "ground_height"],
+    )
+    refused("need a model with rays", map_layers, other, scan, ["cause"])

@@ -213,7 +213,7 @@ def test_a_dogmatic_grid_that_is_wrong_everywhere_is_worst_and_finite() -> None:
                 ("iou_occupied", "iou_occupied_known", "false_free", "missed_occupied", "missed_obstacles",
                  "conflict_free", "free_recall_1", "free_recall_01", "ap_occupied", "ap_occupied_near"),
                 "the truth has no occupied cell",
-            ) | dict.fromkeys(FROM, "the truth has no obstacle that high, or does not know heights"),
+            ) | dict.fromkeys(FROM, "the truth has no obstacle of this height, or no heights"),
         ),
         (
             (UNKNOWN, OCCUPIED),
@@ -286,10 +286,10 @@ def test_bad_input_is_refused() -> None:
     refused("state must be uint8", accumulate, mass, np.zeros((3, 3)))
     refused("up to 4", accumulate, mass, state + np.uint8(4))
     for distance, message in (
-        (np.zeros((3, 4), np.float32), "of the cells' shape"),
+        (np.zeros((3, 4), np.float32), "a float array of shape"),
         (np.zeros((3, 3), np.int64), "must be a float array"),
-        (np.full((3, 3), -1.0), "at least 0, got -1"),
-        (np.full((3, 3), np.nan), "at least 0, got nan"),
+        (np.full((3, 3), -1.0), "at least 0 m, got -1"),
+        (np.full((3, 3), np.nan), "at least 0 m, got nan"),
     ):
         refused(message, accumulate, mass, state, distance)
     refused("height_cm must have the cells' shape", accumulate, mass, state, None, np.zeros((3, 4), np.uint8))

@@ -198,5 +198,5 @@ def test_the_curve_ends_at_all_cells_and_falls_in_threshold() -> None:
 
 def test_other_cells_and_missing_labels_are_refused() -> None:
     grid, motion, occupied = scene(1)
-    refused("occupied must be of the grid's cells", accumulate_motion, grid, motion, occupied[1:], LABELS)
-    refused("counts to 3, but there are 2 labels", accumulate_motion, grid, motion, occupied, LABELS[:2])
+    refused("occupied must have the grid's cells", accumulate_motion, grid, motion, occupied[1:], LABELS)
+    refused("an entry for box 3 of motion.box, got 2", accumulate_motion, grid, motion, occupied, LABELS[:2])

@@ -94,8 +94,8 @@ def test_sums_of_two_grids_add_up(first: int, second: int) -> None:
 
 def test_a_truth_without_motion_is_refused() -> None:
     truth, cells = at(3)
-    refused("no motion", accumulate_prediction, motionless(cells), Truth(SPEC, truth.state), cells)
-    refused("occupied must be", accumulate_prediction, motionless(cells), truth, cells[1:])
+    refused("must have motion", accumulate_prediction, motionless(cells), Truth(SPEC, truth.state), cells)
+    refused("occupied must have", accumulate_prediction, motionless(cells), truth, cells[1:])
 
 
 def sight(speed: float, cells: int, predicted: int, track: str = "a") -> ObjectCells:

@@ -152,7 +152,7 @@ def test_commands_refuse_what_makes_no_sense(drive: Path, tmp_path: Path) -> Non
         (tmp_path / "bare" / path.name).write_bytes(path.read_bytes())
     for words, wanted in (
         (("build", tmp_path / "bare", "--out", tmp_path / "map", *SMALL), "has a pose"),
-        (("build", drive, drive, "--poses", drive / "poses.csv", "--out", tmp_path / "map"), "once per data set"),
+        (("build", drive, drive, "--poses", drive / "poses.csv", "--out", tmp_path / "map"), "once per dataset"),
         (("build", drive, "--out", tmp_path / "map", "--ism", "nothing"), "nothing"),
         (("info", tmp_path / "none"), "no world map"),
         (("export", tmp_path / "none", tmp_path / "x.tif"), "no world map"),
