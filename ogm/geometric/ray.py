@@ -3,7 +3,7 @@
 import logging
 import math
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 from weakref import WeakSet
 
@@ -23,15 +23,17 @@ from ogm.geometric.kernels.arguments import (
     Surface,
     WorkSpace,
 )  # fmt: skip
+from ogm.geometric.kernels.belief import clear_sectors, ray_mass
 from ogm.geometric.kernels.breaks import empty_breaks
-from ogm.geometric.kernels.chain import AGREE, AIM, CLEAR, MASS, PLACE, SORT, ray_step
+from ogm.geometric.kernels.chain import AGREE, AIM, PLACE, SORT, ray_step
 from ogm.geometric.kernels.evidence import ground_evidence, mark_own_cells, shown_points
 from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
+from ogm.geometric.kernels.silence import silence_reliability
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
-from ogm.threads import shared_threads
+from ogm.threads import shared_threads, spans
 
 _log = logging.getLogger(__name__)
 
@@ -58,7 +60,7 @@ class RayTrace(NamedTuple):
     polar : PolarGrid
     numbers : RayNumbers
     work : WorkSpace
-        As `kernels.chain.ray_step` filled it.
+        As `kernels.belief.clear_sectors` filled it.
     """
 
     grid: EvidentialGrid
@@ -209,7 +211,7 @@ class RayISM:
 
     def trace(self, scan: Scan | NDArray[np.float32]) -> RayTrace:
         """Map one scan, and keep its rays and its ground. The parameter is that of a call."""
-        log_compilation(ray_step)
+        log_compilation(clear_sectors)
         scan, spec = as_scan(scan), self.spec
         mount = mount_in_grid(scan, spec, self.mount)
         numbers = RayNumbers(*(float(getattr(self, name)) for name in RayNumbers._fields))
@@ -238,20 +240,33 @@ class RayISM:
             ground = self._surface(shown_points(points, shown).T if len(shown) else xyz, mount)
         limits = ray_limits(ground, origin, numbers.clearance, polar)
 
-        # Every beam is a ray; rays clear what they pass, and mark what stops them; counts become belief
+        # Every beam is a ray
         work = _work_space(len(xyz) + len(directions), polar, threads.count)
         rays = Rays(work.slope, work.run, work.height, work.point, np.empty(polar.sectors + 1, np.int32))
-        breaks, silence = empty_breaks(polar), np.ones(polar.bins, np.float32)
-        alarms, mass = _powers(math.sqrt(self.p_false_alarm)), np.empty((*spec.shape, 2), np.float32)
-        returns = RayScan(
-            *(points, directions, origin, cells, numbers, polar, ground, shown, limits),
-            *(rays, breaks, silence, alarms, work, mass),
-        )
-        for step in (AIM, PLACE, SORT, AGREE, CLEAR):
-            threads.run(partial(_run_step, step, threads.count, returns))
+        breaks = empty_breaks(polar)
+        returns = RayScan(points, directions, origin, cells, numbers, polar, ground, shown, limits, rays, breaks, work)
+        parts = [(*span, k) for k, span in enumerate(spans(len(xyz), threads.count))]
+        turn = [(first << ROW_BITS, last << ROW_BITS) for first, last in spans(polar.rows, 2 * threads.count)]
+        turns = [[(*span, k) for span in turn[k :: threads.count]] for k in range(threads.count)]  # two opposite ones
+        threads.run(lambda k: ray_step(AIM, parts[k], returns))
+        threads.run(lambda k: ray_step(PLACE, parts[k], returns))
+        threads.run(lambda k: [ray_step(SORT, part, returns) for part in turns[k]])
+        ray_step(AGREE, parts[0], returns)
+        silence = silence_reliability(rays, limits, polar) if len(directions) else np.ones(polar.bins, np.float32)
+
+        # Rays clear what they pass, and mark steps and holes that stop them
+        def clear(k: int) -> None:
+            for part in turns[k]:
+                clear_sectors(rays, points, limits, polar, cells, breaks, silence, numbers, part, work)
+
+        threads.run(clear)
         if len(shown):
             mark_own_cells(points, work.above, cells, numbers, work.hits)
-        threads.run(partial(_run_step, MASS, threads.count, returns))
+
+        # Counts become belief
+        mass, rows = np.empty((*spec.shape, 2), np.float32), spans(spec.shape[0], threads.count)
+        alarms = _powers(math.sqrt(self.p_false_alarm))
+        threads.run(lambda k: ray_mass(work, polar, alarms, numbers, *rows[k], mass))
         grid = EvidentialGrid.trusted(spec, mass)
         return RayTrace(grid, mass, mount, points, ground, shown, rays, limits, polar, numbers, work)
 
@@ -272,10 +287,6 @@ class RayISM:
             seen,
             mount.sensor_height,
         )
-
-
-def _run_step(step: int, threads: int, scan: RayScan, k: int) -> None:
-    ray_step(step, k, threads, scan)
 
 
 _explained: WeakSet[RayISM] = WeakSet()  # models that have logged that their scans show no ground

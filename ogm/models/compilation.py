@@ -36,6 +36,7 @@ def main_kernels(job: str) -> Kernels:
     i1, i2, d1, d2 = np.zeros(1, np.int32), np.zeros((1, 1), np.int32), np.zeros(1), np.zeros((1, 1))
     if job == "scan":
         from ogm.geometric.kernels import arguments as a
+        from ogm.geometric.kernels.belief import clear_sectors
         from ogm.geometric.kernels.chain import ray_step
 
         points, limits, cells = a.Points(f1, f1, f1), a.RayLimits(f2, f2), a.Cells(0.0, 0.0, 1.0)
@@ -44,8 +45,9 @@ def main_kernels(job: str) -> Kernels:
         numbers, i3 = a.RayNumbers(*(1.0,) * len(a.RayNumbers._fields)), np.zeros((1, 1, 1), np.int32)
         ground, shown = a.Surface(f2, *np.zeros(3, np.float32)), np.zeros(0, np.uint8)
         rays, work = a.Rays(f1, f1, f1, i1, i1), a.WorkSpace(i1, f1, f1, f1, f1, i1, i1, f1, i2, i3, f2)
-        given = points, f2, f1, cells, numbers, polar, ground, shown, limits, rays, breaks, f1, f1, work, f3
-        return [(ray_step, (0, 0, 1, a.RayScan(*given)))]
+        given = points, f2, f1, cells, numbers, polar, ground, shown, limits, rays, breaks, work
+        sectors = rays, points, limits, polar, cells, breaks, f1, numbers, (0, 1, 0), work
+        return [(clear_sectors, sectors), (ray_step, (0, (0, 1, 0), a.RayScan(*given)))]
     if job == "map":
         from ogm.fusion.kernels import BeliefLayers, Memory, evidential_update
         from ogm.fusion.lookup import ScanLookup

@@ -176,7 +176,7 @@ class WorkSpace(NamedTuple):
 
 
 class RayScan(NamedTuple):
-    """One scan on its way from points over a known ground to masses."""
+    """One scan, from points over a known ground to sorted rays and breaks."""
 
     points: Points
     directions: NDArray[np.float32]  # (M, 3) of beams without echo, in the frame of the grid
@@ -189,10 +189,7 @@ class RayScan(NamedTuple):
     limits: RayLimits
     rays: Rays
     breaks: Breaks
-    silence: NDArray[np.float32]  # (bins,) reliability of beams without echo; 1 for a scan without such
-    false_alarm: NDArray[np.float32]  # (entries,) chance that so many half hits are of an empty cell
     work: WorkSpace
-    mass: NDArray[np.float32]  # (nx, ny, 2)
 
 
 class HeightSpace(NamedTuple):
