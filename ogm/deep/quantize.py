@@ -169,21 +169,22 @@ def _chains(model: Any) -> dict[str, tuple[Any, Any]]:
     return chains
 
 
-def _largest(model: Any, samples: list[Inputs], names: list[str]) -> Mapping[str, NDArray[np.float32]]:
+def _largest(model: Any, samples: list[Inputs], names: list[str]) -> Mapping[str, NDArray[np.floating[Any]]]:
     """Return the largest value of each channel (C,) of some tensors inside a model."""
     from onnx import ModelProto, TensorProto
     from onnx.helper import make_tensor_value_info
-    from onnxruntime import InferenceSession
 
     watched = ModelProto()
     watched.CopyFrom(model)
     watched.graph.output.extend(make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names)
-    session = InferenceSession(watched.SerializeToString(), providers=["CPUExecutionProvider"])
+    session = import_extra("onnxruntime", "deep").InferenceSession(
+        watched.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
     found = [[values.max(axis=(0, 2, 3)) for values in session.run(names, sample)] for sample in samples]
     return {name: np.max(values, axis=0) for name, values in zip(names, zip(*found, strict=True), strict=True)}
 
 
-def _factors(activations: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+def _factors(activations: NDArray[np.floating[Any]], weight: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the factors (C,) that balance the largest activations (C,) and the weights (., C, ., .) that take them."""
     low = 1e-6  # of channels that are always 0
     largest = np.maximum(abs(weight).max(axis=(0, 2, 3)), low)
@@ -195,7 +196,7 @@ def _factors(activations: NDArray[np.float64], weight: NDArray[np.float64]) -> N
 def _reader(tools: Any, samples: list[Inputs]) -> Any:
     """Return samples as ONNX Runtime reads them."""
 
-    class Reader(tools.CalibrationDataReader):  # type: ignore[misc, name-defined]
+    class Reader(tools.CalibrationDataReader):  # type: ignore[misc]
         def __init__(self) -> None:
             self.left = iter(samples)
 
