@@ -222,7 +222,7 @@ def test_what_makes_no_sense_is_refused_in_one_line(drive: Path, tmp_path: Path)
             (drive, "--port", 0, "--rate", 0, *SMALL): "rate must be above 0",
             (drive, "--port", 0, "--duration", -1, *SMALL): "duration must be above 0 s",
             (drive, "--rule", "none", *SMALL): "there is no rule",
-            (drive, "--rule", "bayes", "--layers", "cause", *SMALL): "--layers cause: evidential maps",
+            (drive, "--rule", "bayes", "--layers", "cause", *SMALL): "--layers takes cause, for evidential maps",
             (drive / "velodyne", *SMALL): "the scans have no poses",
             (tmp_path / "nothing.mcap",): "there is no",
         }

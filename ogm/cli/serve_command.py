@@ -114,7 +114,7 @@ def serve(
     mapper = make_mapper(rule or REVISE, rolling_window(spec), half_life)
     if layers is not None:
         if layers != CAUSE_LAYER or not isinstance(mapper, EvidentialMapper):
-            raise ValueError(f"--layers must be cause, for evidential maps; got {layers} with --rule {rule or REVISE}")
+            raise ValueError(f"--layers takes cause, for evidential maps, got {layers} with --rule {rule or REVISE}")
         model = ExplainedISM(model)
     if warning := adding_rule_warning(rule or REVISE):
         _print(warning)
