@@ -78,7 +78,7 @@ def test_labelled_points_must_fit():
     assert found.named().tolist() == ["road", "none", "road"]
     with pytest.raises(OgmError, match=r"one class per point, got \(2,\) for 3"):
         LabelledPoints(points, np.zeros(2, np.int64), {0: "road"})
-    with pytest.raises(OgmError, match="class 5, 7 is not one of the 1 that are known"):
+    with pytest.raises(OgmError, match="class 5, 7 is not one of the 1 known classes"):
         LabelledPoints(points, np.array([0, 5, 7]), {0: "road"})
 
 
@@ -230,7 +230,7 @@ def test_labels_must_be_as_many_as_points(tmp_path):
     files = write_labelled(tmp_path, [[1, 1, 1, 0], [1, 1e30, 1, 0]], [40, 40])
     refused(r"0.bin with .* coordinates of more than 100000 m", read_semantic_kitti, *files, error=OgmError)
     files = write_labelled(tmp_path, np.ones((2, 4)), [40, 77])
-    refused(r"0.label: class 77 is not one of the 34 that are known", read_semantic_kitti, *files, error=OgmError)
+    refused(r"0.label: class 77 is not one of the 34 known classes", read_semantic_kitti, *files, error=OgmError)
 
 
 def test_moving_classes_are_named_so():

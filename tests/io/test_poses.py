@@ -190,7 +190,7 @@ def test_our_own_files_need_no_calibration(tmp_path: Path) -> None:
         ("poses.txt", np.arange(12), "no frame numbers"),
         ("poses.csv", np.arange(11), "12 increasing integers"),
         ("poses.csv", np.arange(12.0), "12 increasing integers"),
-        ("poses.csv", np.zeros(12, int), "increase"),
+        ("poses.csv", np.zeros(12, int), "12 increasing integers"),
     ])  # fmt: skip
 def test_what_cannot_be_written_is_refused(name: str, numbers: np.ndarray, message: str, tmp_path: Path) -> None:
     refused(message, write_poses, tmp_path / name, drive(), numbers)
@@ -273,7 +273,7 @@ def test_flat_g2o_lies_in_the_plane(tmp_path: Path) -> None:
 @each("line, wanted", [
         ("VERTEX_SE2 1 2 3", "line 2 of .* and 3 finite numbers"), ("VERTEX_SE2 1 2 3 nan", "finite"),
         ("VERTEX_SE2 one 2 3 4", "an integer"), ("VERTEX_SE2", "an integer"),
-        ("VERTEX_SE2 -4 2 3 4", "from 0"), ("VERTEX_SE2 0 2 3 4", "the vertex 0 of line 1 again"),
+        ("VERTEX_SE2 -4 2 3 4", "from 0"), ("VERTEX_SE2 0 2 3 4", "repeats the vertex 0 of line 1"),
         ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 2", "quaternion of length 1"),
     ])  # fmt: skip
 def test_damaged_g2o_is_refused(tmp_path: Path, line: str, wanted: str) -> None:

@@ -98,7 +98,9 @@ def test_errors_name_what_there_is():
         buffer.lookup("map", "velodyne", 1.0)
     with pytest.raises(NotConnectedError, match=r"map and antenna are not connected: map is connected to base, camera"):
         buffer.lookup("map", "antenna", 1.0)
-    with pytest.raises(ExtrapolationError, match=r"extrapolation by 0.3 s: asked for 5.300000 s, known from") as caught:
+    with pytest.raises(
+        ExtrapolationError, match=r"extrapolation by 0.3 s: requested at 5.300000 s, known from"
+    ) as caught:
         buffer.lookup("odom", "lidar", 5.3)
     assert caught.value.seconds == pytest.approx(0.3)
     with pytest.raises(ExtrapolationError, match=r"from base to odom needs extrapolation by 0.1 s") as caught:

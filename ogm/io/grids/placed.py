@@ -142,8 +142,9 @@ class PlacedGrid:
             return self
         spec = replace(self.grid.spec, origin=(corner.x, corner.y))
         grid, layers = self.grid, self.layers and replace(self.layers, spec=spec)
-        own = isinstance(grid, EvidentialGrid)
-        moved = EvidentialGrid.trusted(spec, grid.mass) if own else replace(grid, spec=spec)
+        moved = (
+            EvidentialGrid.trusted(spec, grid.mass) if isinstance(grid, EvidentialGrid) else replace(grid, spec=spec)
+        )
         return replace(self, grid=moved, layers=layers, T_frame_grid=pose(z=float(self.T_frame_grid[2, 3])))
 
 
