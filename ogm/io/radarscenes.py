@@ -79,8 +79,8 @@ class RadarScenes(NamedTuple):
         with np.errstate(invalid="ignore", over="ignore"):
             x, y = distance * np.cos(azimuth), distance * np.sin(azimuth)
         columns = {"x": x, "y": y, "z": np.zeros(len(x)), "doppler": rows["vr"], "rcs": rows["rcs"]}
-        table = Table("RadarScenes", columns, fields=tuple(_DETECTIONS))
-        scan, _ = scan_from_table(table, where, stamp=sweep.timestamp * 1e-6)
+        detections = Table("RadarScenes", columns, fields=tuple(_DETECTIONS))
+        scan, _ = scan_from_table(detections, where, stamp=sweep.timestamp * 1e-6)
         return replace(scan, sensor=sweep.sensor)
 
 

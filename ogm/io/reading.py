@@ -296,6 +296,6 @@ def parse_array(data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool]
         raise OgmError(f"{path} holds an array of {dtype} and shape {shape}, wanted {wanted}")
     count, offset = math.prod(shape), stream.tell()
     if offset + count * dtype.itemsize > len(data):
-        wanted = count * dtype.itemsize
-        raise OgmError(f"{path} has {len(data) - offset} bytes of data, wanted {wanted} for {shape}: it is cut short")
+        size = count * dtype.itemsize
+        raise OgmError(f"{path} has {len(data) - offset} bytes of data, wanted {size} for {shape}: it is cut short")
     return np.frombuffer(data, dtype, count, offset).reshape(shape, order="F" if fortran else "C")
