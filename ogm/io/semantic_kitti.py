@@ -29,11 +29,11 @@ SEMANTIC_KITTI = {
 # Classes that move while the drive is recorded
 SEMANTIC_KITTI_MOVING = frozenset(range(252, 260))
 
-# The 20 training classes, by number
 _TRAINING = (
     "unlabeled, car, bicycle, motorcycle, truck, other-vehicle, person, bicyclist, motorcyclist, road, parking, "
     "sidewalk, other-ground, building, fence, vegetation, trunk, terrain, pole, traffic-sign"
 )
+# The 20 training classes, by number
 SEMANTIC_KITTI_TRAINING = dict(enumerate(_TRAINING.split(", ")))
 
 _LABEL = np.dtype("<u4")

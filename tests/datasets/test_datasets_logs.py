@@ -180,7 +180,7 @@ def test_the_root_is_the_fixed_frame_where_none_has_a_known_name(log: Callable[.
     rows = [cloud(np.eye(4), START), *(moved("hall", "lidar", t, pose(3.0)) for t in (START - 1, START + 1))]
     dataset = open_dataset(log(rows))
     assert dataset.facts["frame"] == "hall"
-    with pytest.raises(OgmError, match=r"`frame` moon cannot be used: there is no frame 'moon'; there are hall"):
+    with pytest.raises(OgmError, match=r"`frame` moon cannot be used: there is no frame 'moon'; known frames are hall"):
         open_dataset(log(rows), frame="moon")
 
 

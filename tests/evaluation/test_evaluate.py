@@ -253,7 +253,7 @@ def test_what_cannot_be_evaluated_is_refused() -> None:
     for methods, text in (
         ({}, "no methods to evaluate"),
         ({"mine": "rays"}, "there is no sensor model 'rays'"),
-        ({"mine": Flat(WIDE)}, "the grid has 9 x 9 cells .*, but wanted are 7 x 7 cells"),
+        ({"mine": Flat(WIDE)}, "the grid has 9 x 9 cells .*, wanted 7 x 7 cells"),
         ({"grids": PrecomputedGrids({})}, "there is no grid for frame 0 and 2 more of 3 frames"),
     ):
         refused(text, evaluate, methods, FRAMES, SPEC)

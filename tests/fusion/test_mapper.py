@@ -96,7 +96,7 @@ def test_a_scan_that_reaches_few_cells_gives_the_map_of_its_whole_grid(rule, dis
     for other in (whole, slow):
         np.testing.assert_allclose(fast.grid.mass, other.grid.mass, atol=1e-4)
         np.testing.assert_allclose(layers(fast), layers(other), atol=1e-4)
-    refused("beyond the grid", PartialGrid.of, spec, (spec.shape[0] - 3, 0), noise(spec).mass[:4, :4])
+    refused("exceeds the grid", PartialGrid.of, spec, (spec.shape[0] - 3, 0), noise(spec).mass[:4, :4])
 
 
 @each("rule", [pcr5, averaging, weighted, lambda a, b: close_world(conjunctive(a, b))])

@@ -103,7 +103,7 @@ def test_the_server_gives_the_page_its_tiles_and_nothing_else(town: WorldMap) ->
 def test_broken_and_silent_connections_end_without_a_word(
     town: WorldMap, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ogm.world.view_server._SILENCE", 0.2)
+    monkeypatch.setattr("ogm.world.view_server._TIMEOUT", 0.2)
     reset = struct.pack("ii", 1, 0)  # close sends a reset
     with serve_world(town) as address:
         place = ("127.0.0.1", int(address.rstrip("/").rpartition(":")[2]))

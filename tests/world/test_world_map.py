@@ -247,7 +247,7 @@ def test_damaged_attributes_are_refused(tmp_path: Path, make_grid: MakeGrid) -> 
     for before, after, wanted in (
         ('"resolution": 0.5', '"resolution": 0.25', "SHA-256 differs"),
         ("ogm.world/1", "ogm.world/7", "newer release"),
-        ("ogm.world/1", "something", "no world map"),
+        ("ogm.world/1", "something", "not a world map"),
         ("{", "[", "cannot be read"),
     ):
         file.write_text(text.replace(before, after, 1))
