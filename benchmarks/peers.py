@@ -88,20 +88,21 @@ def numpy_bayes() -> tuple[Step, Read]:
     """Return a log-odds grid in numpy: the paper's height band, drawn and added up, cells of the map nearest."""
     window = GridSpec.centered(200.0, 200.0, CELL)
     log_odds = np.zeros(window.shape, np.float32)
-    x, y = SPEC.cell_centers
+    x, y = np.broadcast_arrays(*SPEC.cell_centers)
     cells = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
 
     def step(frame: Frame) -> None:
         mass = numpy_height_band(np.ascontiguousarray(frame.scan.points[:, :3]), HeightBandISM(SPEC, frame.mount))
         known = (mass > 0).any(axis=-1).ravel()
         change = np.where(mass[..., 1] > 0, 0.85, -0.4).ravel()[known]  # OctoMap's numbers
-        index = window.index(transform_points(frame.T_map_sensor, cells[known])[:, :2], unbounded=True)
+        moved = transform_points(frame.T_map_sensor, cells[known])
+        index = np.stack(window.index(moved[:, 0], moved[:, 1], unbounded=True), axis=1)
         inside = ((index >= 0) & (index < window.shape)).all(axis=1)
         at = tuple(index[inside].T)
         log_odds[at] = np.clip(log_odds[at] + change[inside], -2.0, 3.5)
 
     def read(points: NDArray[np.float64], _: Any) -> States:
-        value = log_odds[tuple(window.index(points[:, :2]).T)]
+        value = log_odds[window.index(points[:, 0], points[:, 1])]
         return _predicted(value < 0, value > 0)
 
     return step, read
@@ -238,7 +239,7 @@ def scores(frames: list[Frame], read: Read) -> dict[str, float]:
     assert last.truth is not None
     truth = last.truth.crop(SPEC)
     spec = truth.spec
-    x, y = spec.cell_centers
+    x, y = np.broadcast_arrays(*spec.cell_centers)
     cells = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     coarse = GridSpec.centered(84.0, 58.0, 1.0)
     xyz = np.ascontiguousarray(last.scan.points[:, :3])
