@@ -26,7 +26,7 @@ from radar_tables import far_tables, fusion_tables, radar_tables
 from record_tables import RESULTS, link, mark, marked, outdated, record, table, verdicts, with_source
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
-from world_tables import build_tables, cost_tables, rule_tables, world_tables
+from world_tables import build_tables, rule_tables, world_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -226,7 +226,6 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "world": with_source("world", *world_tables(record("world"))),
         "rules": with_source("world_rules", *rule_tables(record("world_rules"))),
         "build": with_source("world_build", *build_tables(record("world_build"))),
-        "cost": marked("world", "\n\n".join(cost_tables(record("world"), record("world_build")))),
     },
     "docs/evaluation.md": lambda: {
         "metrics": metrics(),

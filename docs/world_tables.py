@@ -5,11 +5,7 @@ from typing import Any
 
 from record_tables import change, table
 
-__all__ = ["build_tables", "cost_tables", "rule_tables", "world_tables"]
-
-# Of the cost model: what no measurement of ours gives.
-CELLS, PASSES, STREET, SUBMAP, LOOP = 1e12, 5, 40.0, 50.0, 20e3  # drives of a place; [m] of width, length, a drive
-PUT, GIGABYTE = 5e-6, 0.023  # [USD] of a request that writes, of a month
+__all__ = ["build_tables", "rule_tables", "world_tables"]
 
 
 def world_tables(record: Mapping[str, Any]) -> list[str]:
@@ -104,43 +100,3 @@ def build_tables(record: Mapping[str, Any]) -> list[str]:
         f"process has {resident[0]} MB after a twentieth and {max(resident[:-1])} MB at most until all is in."
     )
     return result
-
-
-def cost_tables(world: Mapping[str, Any], build: Mapping[str, Any]) -> list[str]:
-    """Return the extrapolated cost of 1e12 cells."""
-    sizes, one = world["disk"]["bytes_per_seen_cell"], build["workers"]
-    seen_per_tile = world["disk"]["seen_cells"] / world["disk"]["tiles"]
-    area = 0.16**2
-    street = CELLS * area / STREET  # [m]
-    scans = street * PASSES  # one per metre
-    per_scan = one["one worker"]["sub-maps"]["cpu_seconds"] / one["frames"]
-    submaps = street * PASSES / SUBMAP
-    tiles = CELLS / seen_per_tile
-    per_submap = one["objects"]["drives"] / one["one worker"]["sub-maps"]["tasks"]  # tiles of a sub-map
-    parts = submaps * per_submap
-    per_part = one["one worker"]["tiles"]["cpu_seconds"] / one["objects"]["drives"]
-    drives_bytes = one["bytes"]["drives"] / one["objects"]["drives"] * parts
-    map_bytes = CELLS * (sizes["all layers"] + sizes["overviews"])
-    again = LOOP * STREET / area / seen_per_tile  # tiles of the map that it has cells in
-    reread = again * parts / tiles
-    hours = 3600.0
-    objects = tiles * 4 / 3 + parts
-    price, month = f"{PUT * 1e6:.0f} USD a million", f"{GIGABYTE} USD per GB and month"
-    rows = [
-        (f"streets, seen {STREET:.0f} m wide", f"{street / 1e3:,.0f} km"),
-        (f"scans, {PASSES} drives everywhere, one per metre", f"{scans:.2g}"),
-        (f"scans to sub-maps, {1e3 * per_scan:.0f} ms each", f"{scans * per_scan / hours:,.0f} core hours"),
-        (
-            f"sub-maps to tiles, {1e3 * per_part:.0f} ms per tile of a sub-map",
-            f"{parts * per_part / hours:,.0f} core hours",
-        ),
-        ("the map, all layers and overviews", f"{map_bytes / 1e12:.1f} TB"),
-        ("sub-maps", f"{drives_bytes / 1e12:.1f} TB"),
-        ("objects: tiles and overviews", f"{tiles * 4 / 3 / 1e6:.0f} million"),
-        ("objects: tiles of sub-maps", f"{parts / 1e6:.0f} million"),
-        (f"writing them once, at {price}", f"{objects * PUT:,.0f} USD"),
-        (f"keeping them, at {month}", f"{(map_bytes + drives_bytes) / 1e9 * GIGABYTE:,.0f} USD a month"),
-        (f"a loop closure moves a drive of {LOOP / 1e3:.0f} km: tiles made anew", f"{again:,.0f}"),
-        ("from tiles of sub-maps", f"{reread:,.0f}, {reread * per_part / hours:.1f} core hours"),
-    ]
-    return [table(["1e12 seen cells", "by the model"], rows)]
