@@ -94,7 +94,7 @@ def _find_slopes(
     bins, per_metre = ground.shape[0], np.float32(1.0 / step)
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     below, before = np.float32(-numbers.below_ground), np.float32(2 * numbers.range_noise)
-    growth, bin_count, zero, one = np.float32(2 * numbers.noise_growth), np.float32(bins), np.float32(0.0), np.float32(1.0)
+    growth, limit, zero, one = np.float32(2 * numbers.noise_growth), np.float32(bins), np.float32(0.0), np.float32(1.0)
     passed, silent, meets = 0, 0, 0
     for n in range(sector[0], sector[1]):  # in order of slope: the first ray that reaches a bin is the lowest
         slope, run, above = rays.slope[n], rays.run[n], rays.above[n]
@@ -104,7 +104,7 @@ def _find_slopes(
         if rays.point[n] < 0 or above < below:
             while meets < bins and slope >= ground[meets]:
                 meets += 1
-            end = int(min(here, bin_count))
+            end = int(min(here, limit))
             if rays.point[n] >= 0:  # from under the ground: stopped at the ground
                 for k in range(meets, end):
                     slopes[2, k] = max(slopes[2, k], ground[k])
@@ -115,7 +115,7 @@ def _find_slopes(
             continue
         stops = above > low and above < high
         here += -(before + growth * run * run) * per_metre if stops else one if above <= low else zero
-        end = int(min(max(here, zero), bin_count))
+        end = int(min(max(here, zero), limit))
         slopes[2, (end if stops else bins) & 0x7FFF] = slope
         if end > passed:
             for k in range(passed, end):

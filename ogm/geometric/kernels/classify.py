@@ -54,7 +54,7 @@ def classify_rays(
         if kind == NONE:
             continue
         slope = rays.slope[first + n]
-        # This ray and all steeper rays are below clearance between these bins only
+        # This ray and all following rays are below clearance between these bins only
         if far > 0 and not clearance[(far - 1) & 0x7FFF] > slope:
             far = _last_below(clearance, far, slope)
         while near < far and not clearance[near & 0x7FFF] > slope:

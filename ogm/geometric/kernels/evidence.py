@@ -17,18 +17,18 @@ from ogm.jit import kernel
 __all__ = ["ground_evidence", "mark_own_cells", "raise_unshown", "shown_points"]
 
 SECTORS = 256
-BINS, LOWEST_SLOPE, BIN = 512, np.float32(-1.28), np.float32(0.005)  # of ray slopes (rise over run): number, first and width
+BINS, LOWEST_SLOPE, BIN = 512, np.float32(-1.28), np.float32(0.005)  # slopes (rise over run): number, first, width
 HIGHEST_SLOPE = np.float32(1.275)
 SAMPLE = 16384  # approximate number of returns for the test of a whole scan
-LINKS, SECTOR_SHARE = 5, 0.25  # smallest number of links in a sector that shows the ground; smallest share of such sectors
+LINKS, SECTOR_SHARE = 5, 0.25  # links in a sector that shows the ground; share of such sectors
 MIN_SEPARATION = 0.003  # smallest difference of slope (rise over run) between two beams
-MAX_GROUND_SLOPE, MIN_WALL_SLOPE = 0.3, 0.5  # rise over run between two beams: largest on ground, with noise; smallest on a wall
+MAX_GROUND_SLOPE, MIN_WALL_SLOPE = 0.3, 0.5  # rise over run between beams: largest on ground, smallest on a wall
 MIN_DEPTH = 0.5  # smallest depth of an extended link under the sensor, as a share of the sensor's height
 LEVEL = 0.1  # largest height of the begin of a chain above the plane of the mount, as a share of the sensor's height
 BEND, NOISE, RATIO = 0.35, 0.05, 1.5  # last beam of a chain: rise over run, rise by sensor height, ratio of runs
-REAR_SHARE = np.float32(0.8)  # share of the run of a beam's farthest return, from which the beam's other returns are like it
-CLEARANCE_MARGIN = np.float32(1e-3)  # [m] above the clearance up to which returns that do not show the ground mark
-PLANE_MARGIN = np.float32(0.05)  # [m] above the ground from which such returns mark
+REAR_SHARE = np.float32(0.8)  # share of a beam's longest run, from which its other returns are alike
+CLEARANCE_MARGIN = np.float32(1e-3)  # [m] above the clearance up to which other returns mark
+PLANE_MARGIN = np.float32(0.05)  # [m] above the ground from which other returns mark
 
 
 @kernel
@@ -235,7 +235,7 @@ def raise_unshown(above: np.float32, numbers: RayNumbers) -> np.float32:
 def mark_own_cells(
     points: Points, above: NDArray[np.float32], cells: Cells, numbers: RayNumbers, hits: NDArray[np.int32]
 ) -> None:
-    """Add half a hit to cells with an obstacle return and no hits, whose range noise moved all hits to other cells."""
+    """Add half a hit to cells with an obstacle return but no hits: range noise moves hits to other cells."""
     low, high, inverse = numbers.obstacle_height, numbers.clearance, np.float32(1.0 / cells.resolution)
     for n in range(points.x.shape[0]):
         u, v = (points.x[n] - np.float32(cells.x0)) * inverse, (points.y[n] - np.float32(cells.y0)) * inverse

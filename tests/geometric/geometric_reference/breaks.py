@@ -68,7 +68,8 @@ def profiles_of(sectors: Sequence[Sequence[Beam]], step: float, obstacle_height:
         found: dict[int, list[Beam]] = {}
         for beam in beams:
             number = int(beam.run / (wide * step))
-            if beam.is_return and beam.above <= obstacle_height and number <= int(constants.PROFILE_RADII * bins) // wide:
+            in_profile = number <= int(constants.PROFILE_RADII * bins) // wide
+            if beam.is_return and beam.above <= obstacle_height and in_profile:
                 found.setdefault(number, []).append(beam)
         result.append(
             [
@@ -149,7 +150,8 @@ def _compare(profile: list[Bin], lowest: float, step: float, below_ground: float
             end = _end(profile, k, line, 1)
             high = line.rest(*profile[end][1:]) if end is not None else 0.0
             least = constants.RISE + constants.RISE_ANGLE * run + constants.ROUGHNESS_FACTOR * line.rough
-            if end is not None and high > least and max(_jumps(profile, k, end, line)) > constants.MIN_JUMP_SHARE * high:
+            min_jump = constants.MIN_JUMP_SHARE * high
+            if end is not None and high > least and max(_jumps(profile, k, end, line)) > min_jump:
                 face = height - rise + constants.FACE + constants.ROUGHNESS_FACTOR * line.rough
                 limit = face if high > constants.OBSTACLE_STEP else math.inf
                 found[number] = Break(constants.STEP, limit, begin, profile[end].number)
