@@ -61,16 +61,14 @@ def sum_returns(
 def ground_cells(sums: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return a mask (nx, ny) of cells with ground returns and without obstacle returns within one cell."""
     nx, ny = sums.shape[1:]
-    near_obstacle, valid = np.zeros((nx + 2, ny), np.bool_), np.empty((nx, ny), np.bool_)
+    marked, valid = np.zeros((nx + 2, ny), np.bool_), np.empty((nx, ny), np.bool_)
     for i in range(nx):
         for j in range(ny):
             if sums[TOP, i, j] > 0:
-                near_obstacle[i + 1, max(j - 1, 0) : j + 2] = True
+                marked[i + 1, max(j - 1, 0) : j + 2] = True
     for i in range(nx):
         for j in range(ny):
-            valid[i, j] = (sums[COUNT, i, j] > 0) & ~(
-                near_obstacle[i, j] | near_obstacle[i + 1, j] | near_obstacle[i + 2, j]
-            )
+            valid[i, j] = (sums[COUNT, i, j] > 0) & ~(marked[i, j] | marked[i + 1, j] | marked[i + 2, j])
     return valid
 
 

@@ -36,9 +36,7 @@ GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5
 BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, FREE, USED, ROOF, PARTS = (WIDTH * k for k in range(6, 19))
 BLOCK = 0.64  # [m] side of the blocks of cells for roughness and for filled gaps
 SLOPE_REACH, STEP_REACH = 0.5, 0.35  # [m] on either side of a cell
-MAX_FOOT_HEIGHT = np.float32(
-    0.5
-)  # [m] largest height above the ground of the lowest return of an obstacle that stands on it
+MAX_FOOT_HEIGHT = np.float32(0.5)  # [m] largest height of the lowest return of an obstacle that stands on the ground
 BULGE_REACH = 5.0  # [m] on either side of a possible roof
 MAX_GAP = np.float32(3.0)  # [m] largest distance of known ground from a block with ground
 MIN_FREE = np.float32(0.1)  # smallest mass of free of a cell in a gap with known ground

@@ -125,7 +125,7 @@ def ground_heights(
 def _lowest_returns(
     points: Points, ground_point: tuple[float, float, float], cells: Cells, shape: tuple[int, int], limits: GroundLimits
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the cell of each point (nx * ny if outside) and the lowest return of each cell above the steepest descent."""
+    """Return the cell of each point (nx * ny if outside), and each cell's lowest return above the steepest descent."""
     x, y, z = points
     nx, ny = shape
     x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
