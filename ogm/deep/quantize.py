@@ -106,7 +106,7 @@ def quantize_onnx(
     del result.metadata_props[:]
     onnx.helper.set_model_props(result, metadata)
     if unsupported := {node.op_type for node in result.graph.node} - OPERATIONS:
-        raise RuntimeError(f"this version of onnxruntime wrote operations that ogm cannot run: {sorted(odd)}")
+        raise RuntimeError(f"this version of onnxruntime wrote operations that ogm cannot run: {sorted(unsupported)}")
     with atomic_write(path) as target:
         size = target.write(sealed(result.SerializeToString(deterministic=True)))
     return {"int8": f"{path}, {size / 1e6:.1f} MB, ranges of {len(samples)} scans"}

@@ -105,7 +105,7 @@ class RayISM:
     ground : function
         `local_ground`, `flat_ground`, `patchwork_ground` or another function ``(xyz, spec, ground_point) -> height``.
     obstacle_height : float
-        Lowest height above the ground map of a return that marks [m]. It has no effect on steps in the ground.
+        Lowest height above the ground map of a return that marks [m]. Steps in the ground mark from 0.2 m on.
     clearance : float
         Height that a vehicle needs [m]. Higher returns do not mark. The paper's band ends at 2.0 m.
     below_ground : float

@@ -22,7 +22,7 @@ def silence_reliability(rays: Rays, limits: RayLimits, polar: PolarGrid) -> NDAr
         prod over surfaces not seen of q(r) * prod over surfaces seen of (1 - q(r)),      q(r) <= q(r') for r < r',
 
     is greatest for the monotone regression of the shares in the bins (Ayer et al. 1955). It pools neighbours until the
-    share does not fall. If a surface is seen with a chance of one half, the absence of an echo has no information. The
+    share does not fall. If a surface is seen with a chance of 0.5, the absence of an echo has no information. The
     reliability is
 
         max(P(seen) - P(not seen), 0) = max(1 - 2 q(r), 0).
