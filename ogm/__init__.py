@@ -1,7 +1,7 @@
 """Evidential occupancy grid maps from lidar and radar.
 
-The names below, and the packages of `ogm`, are loaded when they are first used: ``import ogm`` brings in neither numba
-nor torch nor open3d, and ``ogm.evidence.dempster`` works without a further import.
+The names below and the packages of `ogm` are loaded at first use: ``import ogm`` imports neither numba nor torch nor
+open3d, and ``ogm.evidence.dempster`` works without a further import.
 """
 
 from typing import TYPE_CHECKING
@@ -48,7 +48,7 @@ __all__ = [
     "open_dataset", "read_points", "read_scan",
 ]  # fmt: skip
 
-_HOMES = {
+_MODULES = {
     **dict.fromkeys(("EvidentialGrid", "GridSpec", "LayeredGrid"), "ogm.grid"),
     **dict.fromkeys(("Boxes", "Frame", "InverseSensorModel", "Mount", "Scan"), "ogm.scan"),
     **dict.fromkeys(("CellState", "Motion", "Truth"), "ogm.state"),
@@ -63,8 +63,8 @@ _HOMES = {
         )
     },
 }
-__getattr__ = lazy_names("ogm", _HOMES)
+__getattr__ = lazy_names("ogm", _MODULES)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *_MODULES})

@@ -8,12 +8,12 @@ from typing import Any
 
 
 def install_line(extra: str) -> str:
-    """Return the command that installs an extra, into the environment of a clone or from the package index.
+    """Return the pip command that installs an extra, from the clone or the package index.
 
     Parameters
     ----------
     extra : str
-        One or more extras, separated by commas.
+        Names of extras, separated by commas.
     """
     clone = Path(__file__).parents[1]
     if (clone / "pyproject.toml").is_file():
@@ -22,7 +22,7 @@ def install_line(extra: str) -> str:
 
 
 def import_extra(module: str, extra: str) -> Any:
-    """Return a module of an extra, or raise an error with the install command.
+    """Import a module of an extra; the error for a missing module has the install command.
 
     Parameters
     ----------
@@ -43,22 +43,22 @@ def import_extra(module: str, extra: str) -> Any:
         raise ImportError(f"{package} is not installed: {install_line(extra)}", name=error.name) from error
 
 
-def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:
+def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], object]:
     """Return a ``__getattr__`` that imports the names of a package at their first use.
 
     Parameters
     ----------
     package : str
         Dotted name of the package.
-    homes : mapping of str to str
-        Module of each name; a submodule is its own module.
+    modules : mapping of str to str
+        Module of each name; for a submodule its own dotted name.
     """
 
     def load(name: str) -> object:
-        if name not in homes:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = importlib.import_module(homes[name])
-        value = module if homes[name] == f"{package}.{name}" else getattr(module, name)
+        module = importlib.import_module(modules[name])
+        value = module if modules[name] == f"{package}.{name}" else getattr(module, name)
         setattr(sys.modules[package], name, value)
         return value
 

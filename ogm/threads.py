@@ -11,12 +11,12 @@ Result = TypeVar("Result")
 
 
 def spans(size: int, parts: int) -> list[tuple[int, int]]:
-    """Return [0, size) divided into parts, as (first, last + 1)."""
+    """Divide [0, size) into parts (first, last + 1)."""
     return [(size * k // parts, size * (k + 1) // parts) for k in range(parts)]
 
 
 class Threads:
-    """Pool of threads for a ``with`` block; the calling thread is one of them.
+    """Pool of threads for a ``with`` block, including the calling thread.
 
     Parameters
     ----------
@@ -36,25 +36,25 @@ class Threads:
             self._pool.shutdown()
 
     def run(self, function: Callable[[int], Result]) -> list[Result]:
-        """Call a function with 0, 1, ... in one thread each, wait for all, and return the results."""
-        others = [self._pool.submit(function, k) for k in range(1, self.count)] if self._pool else []
+        """Call a function with 0, 1, ... in a thread each, wait for all, and return the results."""
+        futures = [self._pool.submit(function, k) for k in range(1, self.count)] if self._pool else []
         try:
             first = function(0)
         finally:
-            wait(others)
-        return [first, *(other.result() for other in others)]
+            wait(futures)
+        return [first, *(future.result() for future in futures)]
 
     def divide(self, size: int, function: Callable[[tuple[int, int]], None]) -> None:
-        """Call a function with the parts of [0, size), one per thread."""
+        """Call a function with each part of [0, size), a part per thread."""
         parts = spans(size, self.count)
         self.run(lambda k: function(parts[k]))
 
 
 @cache
 def shared_threads(count: int) -> Threads:
-    """Return threads that live as long as the process: to start one takes up to milliseconds."""
+    """Return threads that live as long as the process, because the start of a thread takes up to milliseconds."""
     return Threads(count)
 
 
-if hasattr(os, "register_at_fork"):  # a child has none of its parent's threads
+if hasattr(os, "register_at_fork"):  # a child process has no threads of its parent
     os.register_at_fork(after_in_child=shared_threads.cache_clear)

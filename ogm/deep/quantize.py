@@ -1,11 +1,12 @@
-"""Exported networks with convolutions in 8-bit integers, about twice as fast on a processor.
+"""Quantised networks: convolutions in 8-bit integers, about twice as fast on a processor.
 
-Static quantisation by ONNX Runtime: activations as unsigned 8-bit integers, whose ranges are measured on scans, weights
-with 7 bits, by which sums fit into 16 bits on every processor: the result does not depend on its instructions. Before
-that, channels are balanced: in a chain of a convolution, a ReLU and a convolution a positive factor of each channel
-moves from one to the other without a change of the result (SmoothQuant, Xiao et al. 2023, with its exponent at 0.4), so
-that a few large channels do not take the resolution of all. The first two convolutions, which take most of the error,
-and the last stay in float32.
+ONNX Runtime quantises statically. Activations become unsigned 8-bit integers, with ranges measured on scans. Weights
+have 7 bits: sums then fit into 16 bits, and the result does not depend on the processor's instructions.
+
+First, the channels are balanced in each chain of a convolution, a ReLU and a convolution. A positive factor per channel
+moves between the two convolutions without a change of the result (SmoothQuant, Xiao et al. 2023, with the exponent
+0.4). A few large channels then do not use up the resolution of all channels. The first two convolutions, with the
+largest error, and the last convolution stay in float32.
 
 >>> from ogm.datasets import open_dataset
 >>> from ogm.deep.quantize import quantize_onnx
@@ -35,49 +36,49 @@ from ogm.storage.files import OgmError, atomic_write
 
 __all__ = ["quantize_onnx"]
 
-SCANS = 32
-EXPONENT = 0.4  # share of the balance that activations take; weights take the rest
-PERCENTILE = 99.999  # of activations that the range of 8 bits holds
+SCANS = 32  # default number of frames
+EXPONENT = 0.4  # share of the activations in the balance; the weights have the rest
+PERCENTILE = 99.999  # percentile of the activations that the range of 8 bits contains
 
 
 def quantize_onnx(
     source: str | os.PathLike[str], path: str | os.PathLike[str], frames: Iterable[Frame], *, scans: int = SCANS
 ) -> dict[str, str]:
-    """Write an exported network of lidars with convolutions in 8-bit integers.
+    """Write an exported lidar network with convolutions in 8-bit integers.
 
     Parameters
     ----------
     source : path
-        File that `ogm.deep.export.export_onnx` wrote.
+        File from `ogm.deep.export.export_onnx`.
     path : path
-        File to write, ending in ``.int8.onnx``. It appears when it is whole.
+        File to write, with the suffix ``.int8.onnx``, in one step.
     frames : iterable of Frame
-        Scans like those of the training, which set the ranges of the activations. No truth is read.
+        Scans similar to the training scans, which set the ranges of the activations. No truth is read.
     scans : int
         Largest number of frames to use.
 
     Returns
     -------
     dict
-        Names and values that describe the file, to be printed.
+        Description of the file to print, with the key ``int8``.
 
     Raises
     ------
     ValueError
-        If `path` has another ending, or there is no frame.
+        If `path` has another suffix, or `frames` is empty.
     OgmError
-        If `source` is damaged, of another kind, or quantised already.
+        If `source` is damaged, of another kind, or already quantised.
     ImportError
-        If the packages for the export are absent; the message holds the pip command that adds them.
+        If the packages for the export are missing. The message has the pip command.
     """
     path = Path(path)
     if not path.name.endswith(".int8.onnx"):
-        raise ValueError(f"a quantised network is named NAME.int8.onnx, got {path}")
+        raise ValueError(f"the file name of a quantised network must end in .int8.onnx, got {path}")
     onnx = import_extra("onnx", "train")
     tools = import_extra("onnxruntime.quantization", "train")
     file = read_onnx(source)
     if file.precision != "float32":
-        raise OgmError(f"{source} is quantised already: give the export in float32")
+        raise OgmError(f"{source} is already quantised: give the export in float32")
     samples = _recorded(source, islice(frames, scans))
     model = onnx.load_from_string(file.data)
     metadata = {entry.key: entry.value for entry in model.metadata_props} | {"precision": "int8"}
@@ -104,15 +105,15 @@ def quantize_onnx(
         result = onnx.load(small)
     del result.metadata_props[:]
     onnx.helper.set_model_props(result, metadata)
-    if odd := {node.op_type for node in result.graph.node} - OPERATIONS:
-        raise RuntimeError(f"this version of onnxruntime wrote operations that ogm does not run: {sorted(odd)}")
+    if unsupported := {node.op_type for node in result.graph.node} - OPERATIONS:
+        raise RuntimeError(f"this version of onnxruntime wrote operations that ogm cannot run: {sorted(unsupported)}")
     with atomic_write(path) as target:
         size = target.write(sealed(result.SerializeToString(deterministic=True)))
     return {"int8": f"{path}, {size / 1e6:.1f} MB, ranges of {len(samples)} scans"}
 
 
 class _Recorder(OnnxEngine):
-    """An engine that keeps its inputs."""
+    """Engine that keeps its inputs."""
 
     def _read(self, path: str | os.PathLike[str]) -> bytes:
         self.samples: list[Inputs] = []
@@ -124,17 +125,17 @@ class _Recorder(OnnxEngine):
 
 
 def _recorded(source: str | os.PathLike[str], frames: Iterable[Frame]) -> list[Inputs]:
-    """Return the inputs of a network for the scans of some frames."""
+    """Return the inputs of a network for the scans of frames."""
     engine = _Recorder(source)
     for frame in frames:
         DeepISM(engine, mount=frame.mount)(frame.scan)
     if not engine.samples:
-        raise ValueError("there is no frame: the ranges of activations need scans like those of the training")
+        raise ValueError("no frames: give scans similar to the training scans, for the ranges of the activations")
     return engine.samples
 
 
 def _balance(model: Any, samples: list[Inputs]) -> None:
-    """Balance the channels of a model in place; its result stays the same."""
+    """Balance the channels of a model in place, without a change of its result."""
     from onnx import TensorProto
     from onnx.numpy_helper import from_array, to_array
 
@@ -153,7 +154,7 @@ def _balance(model: Any, samples: list[Inputs]) -> None:
 
 
 def _chains(model: Any) -> dict[str, tuple[Any, Any]]:
-    """Return the convolutions before and after each ReLU that has no other neighbour, by the name of its result."""
+    """Return the convolutions before and after each ReLU without other neighbours, by the name of the ReLU's result."""
     nodes = list(model.graph.node)
     maker = {name: node for node in nodes for name in node.output}
     users: dict[str, list[Any]] = {}
@@ -170,7 +171,7 @@ def _chains(model: Any) -> dict[str, tuple[Any, Any]]:
 
 
 def _largest(model: Any, samples: list[Inputs], names: list[str]) -> Mapping[str, NDArray[np.floating[Any]]]:
-    """Return the largest value of each channel (C,) of some tensors inside a model."""
+    """Return the largest value of each channel (C,) of tensors inside a model."""
     from onnx import ModelProto, TensorProto
     from onnx.helper import make_tensor_value_info
 
@@ -185,16 +186,16 @@ def _largest(model: Any, samples: list[Inputs], names: list[str]) -> Mapping[str
 
 
 def _factors(activations: NDArray[np.floating[Any]], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the factors (C,) that balance the largest activations (C,) and the weights (., C, ., .) that take them."""
-    low = 1e-6  # of channels that are always 0
-    largest = np.maximum(abs(weight).max(axis=(0, 2, 3)), low)
-    factors = np.maximum(activations, low) ** EXPONENT / largest ** (1 - EXPONENT)
+    """Return the factors (C,) that balance the largest activations (C,) and the next weights (., C, ., .)."""
+    min_value = 1e-6  # smallest value, for channels that are always 0
+    largest = np.maximum(abs(weight).max(axis=(0, 2, 3)), min_value)
+    factors = np.maximum(activations, min_value) ** EXPONENT / largest ** (1 - EXPONENT)
     balanced: NDArray[np.float64] = factors / np.exp(np.log(factors).mean())
     return balanced
 
 
 def _reader(tools: Any, samples: list[Inputs]) -> Any:
-    """Return samples as ONNX Runtime reads them."""
+    """Return a calibration reader of ONNX Runtime over samples."""
 
     class Reader(tools.CalibrationDataReader):  # type: ignore[misc]
         def __init__(self) -> None:
@@ -208,7 +209,7 @@ def _reader(tools: Any, samples: list[Inputs]) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence the advice that ONNX Runtime prints, and logs to the root logger."""
+    """Silence the advice that ONNX Runtime prints and logs to the root logger."""
     logging.disable(logging.WARNING)
     try:
         with redirect_stdout(io.StringIO()):

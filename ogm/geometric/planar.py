@@ -11,7 +11,7 @@ from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_gr
 from ogm.geometric.kernels.arguments import BeamColumns, BeamNumbers, Cells, Directions, PolarGrid
 from ogm.geometric.kernels.beams import ends_of, fans_of, find_directions
 from ogm.geometric.kernels.causes import GAP
-from ogm.geometric.kernels.planar import TAIL, clear_fans, combine_claims, mark_ends
+from ogm.geometric.kernels.planar import TAIL, clear_fans, mark_ends, write_masses
 from ogm.geometric.ray import polar_grid
 from ogm.grid import EvidentialGrid, GridSpec, PartialGrid
 from ogm.jit import log_compilation
@@ -163,7 +163,7 @@ class PlanarISM:
         # Ends mark; occupied wins over free from other beams
         mark_ends(ends, cells, self.range_noise, occupied)
         mass = np.empty((*shape, 2), np.float32)
-        combine_claims(free, occupied, self.p_false_alarm, mass)
+        write_masses(free, occupied, self.p_false_alarm, mass)
         _clear_footprint(mass, cells, mount)
         grid = PartialGrid.of(self.spec, corner, mass, in_plane=True)
         return grid, beams, directions, numbers, mount

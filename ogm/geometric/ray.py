@@ -1,4 +1,4 @@
-"""The model to use: rays over a local ground, marking apart from clearing."""
+"""Ray model for lidars: rays over a local ground, with separate marking and clearing."""
 
 import logging
 import math
@@ -38,17 +38,17 @@ from ogm.threads import shared_threads, spans
 _log = logging.getLogger(__name__)
 
 ALL_SHOWN = np.empty(0, np.uint8)  # see `kernels.evidence.ground_evidence`
-MAX_BINS = 2**15 - 1  # what the kernels count in int16
+MAX_BINS = 2**15 - 1  # largest int16, the type of bin numbers in the kernels
 
 
 class RayTrace(NamedTuple):
-    """The rays of one scan, the ground below them and their masses: `ogm.models.layers` derives layers from them.
+    """Rays of a scan, the ground below them and their masses, from which `ogm.models.layers` derives layers.
 
     Attributes
     ----------
     grid : EvidentialGrid
     mass : (nx, ny, 2) float32
-        Masses by the rays alone; `grid` may hold several models combined.
+        Masses of the rays alone; `grid` may combine several models.
     mount : Mount
     points : Points
         N returns in the vehicle frame; ``work.above`` begins with their heights above the ground [m].
@@ -60,7 +60,7 @@ class RayTrace(NamedTuple):
     polar : PolarGrid
     numbers : RayNumbers
     work : WorkSpace
-        As `kernels.belief.clear_sectors` filled it.
+        Filled by `kernels.belief.clear_sectors`.
     """
 
     grid: EvidentialGrid
@@ -78,79 +78,79 @@ class RayTrace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RayISM:
-    """The geometric model to use: local ground, marking apart from clearing, counts turned into belief.
+    """Recommended geometric model: local ground, separate marking and clearing, belief from counts.
 
     Each return is a ray. Obstacle returns (between `obstacle_height` and `clearance` above the *local* ground)
-    mark their cell, and so do sudden steps and holes in the ground. All rays, also those to the ground, to tree
-    crowns and, if given, beams without echo, clear the cells they pass, the less the higher above ground they pass
-    and not at all above `clearance`. Where no ray passes low enough, or an obstacle before the cell hides some
-    heights above it, the cell stays unknown.
+    mark their cell, and so do sudden steps and holes in the ground. All rays clear the cells they pass: rays to
+    obstacles, to the ground, to tree crowns and, if given, beams without echo. A ray clears less the higher it passes
+    above ground, and not at all above `clearance`. A cell stays unknown if no ray passes low enough, or if a nearer
+    obstacle hides some heights above it.
 
-    Where a scan does not show the ground, as that of a planar laser, the plane under the mount is the ground, and all
-    returns from 0.05 m above it mark, except those of beams that meet one surface one behind another; see
-    `kernels.evidence.ground_evidence`. A line in the log states it, once for each model. With `flat_ground` the plane
-    is the ground in any case, and returns mark from `obstacle_height` on.
+    If a scan does not show the ground, like the scan of a planar laser, the ground is the plane under the mount. All
+    returns from 0.05 m above this plane mark, except returns that show the ground; see
+    `kernels.evidence.ground_evidence`. The log has a line about it, once for each model. With `flat_ground` the plane
+    is always the ground, and returns mark from `obstacle_height` on.
 
     Counts become belief: R returns give occupied ``1 - p_false_alarm**R`` (as in Bosch's evidential occupancy, CVPR
-    2024), and rays give free ``1 - E_H[p_miss**N(H)]`` with N(H) the number of rays below the unknown height H of an
-    obstacle, see `kernels.belief.clear_sectors`.
+    2024). Rays give free ``1 - E_H[p_miss**N(H)]``, with the number N(H) of rays below the unknown height H of an
+    obstacle; see `kernels.belief.clear_sectors`.
 
     Parameters
     ----------
     spec : GridSpec
-        The grid to fill, in the vehicle frame; must hold the sensor.
+        Grid to fill, in the vehicle frame. It must contain the sensor.
     mount : Mount, optional
-        Where the sensor is mounted; by default each scan's own, `Scan.mount`.
-        Returns from the ego footprint are dropped, its cells stay unknown.
+        Mount of the sensor; by default the mount of each scan, `Scan.mount`. Returns from the ego footprint are
+        dropped, and its cells stay unknown.
     ground : function
-        `local_ground`, `flat_ground`, `patchwork_ground` or any other ``(xyz, spec, ground_point) -> height``.
+        `local_ground`, `flat_ground`, `patchwork_ground` or another function ``(xyz, spec, ground_point) -> height``.
     obstacle_height : float
-        Lowest return above the ground map that marks [m]. Steps in the ground mark from 0.1 m on, whatever this is.
+        Lowest height above the ground map of a return that marks [m]. Steps in the ground mark from 0.2 m on.
     clearance : float
-        Height that a vehicle needs [m]; what hangs above does not mark. The paper's band ends at 2.0 m.
+        Height that a vehicle needs [m]. Higher returns do not mark. The paper's band ends at 2.0 m.
     below_ground : float
-        Returns further below ground are in a hole or multipath [m].
+        Depth below ground, beyond which a return is in a hole or multipath [m].
     hidden_height : float
-        Largest thickness of something that hangs where no ray passes, because an obstacle before it stops them [m].
+        Largest thickness of a hanging obstacle behind a nearer obstacle that stops the rays [m].
     hidden_depth : float
-        How far such a thing may reach back from that obstacle [m].
+        Largest distance of such an obstacle behind the nearer obstacle [m].
     range_noise : float
         Standard deviation of a range [m]; +-3 cm in the VLP-32C's data sheet.
     p_miss : float
-        Chance that a ray passes an occupied cell unnoticed. With 0.5, one ray alone predicts no far cell free; the
-        likeliest value is lower (docs/geometric.md), and 0.8 in Bosch's belief model.
+        Chance that a ray passes an occupied cell unnoticed. With 0.5, a single ray predicts no far cell free. The
+        likeliest value is lower (docs/geometric.md); Bosch's belief model has 0.8.
     p_false_alarm : float
-        Chance that a return comes from an empty cell; 0.05 in Bosch's belief model; two fits on training towns gave
+        Chance that a return comes from a free cell. Bosch's belief model has 0.05; two fits on training towns gave
         0.02 and 0.03.
     free_reliability_at_hits : float
-        Shafer reliability of the rays that pass a cell in which others of the same scan were returned. With 1,
-        both are evidence of one state (Bosch's belief model: walls at a grazing angle fade); with 0, only the
-        returns count. Rays pass beside or above what others hit, hence a low default.
+        Shafer reliability of the rays that pass a cell with returns of the same scan. With 1, rays and returns are
+        evidence of the same state (Bosch's belief model: walls at a grazing angle fade). With 0, only the returns
+        count. The default is low because rays pass next to or above the obstacles that other rays hit.
     max_mass : float
-        No mass of one scan exceeds this, so that a map can change its mind.
+        Largest mass from a single scan. The limit lets later scans change a map.
     max_range : float
-        How far an obstacle would be seen, for beams without echo [m].
+        Range of an obstacle that a beam would detect, for beams without echo [m].
     no_return_weight : float
-        Reliability of these beams as a source: black and wet surfaces swallow beams too.
+        Reliability of beams without echo. Black and wet surfaces give no echo either.
     noise_growth : float
-        Growth of the standard deviation of a range with its square [1/m], added to `range_noise`: 0 for lidars. Where
-        it exceeds a cell (0.1 m at least), returns do not mark, and rays still clear up to two deviations before.
+        Growth of the standard deviation of a range with its square [1/m], added to `range_noise`; 0 for lidars. If
+        this part exceeds a cell (at least 0.1 m), returns do not mark. Rays still clear up to two deviations before
+        the return.
     p_hidden : float
-        Chance that something is hidden between two rays, below the lowest or above the highest one, though no ray shows
-        it. 0 for lidars, whose rays differ by known steps; 1 for depth cameras: what has no depth, and what lies
-        outside of the view, leaves a gap.
+        Chance of a hidden obstacle between two rays, below the lowest or above the highest ray. 0 for lidars, with
+        known steps between rays. 1 for depth cameras: pixels without depth and the limits of the view leave gaps.
     azimuth_step : float
-        Width of the polar sectors that rays are counted in [rad]; not finer than the sensor's azimuth step,
-        or free space falls into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
+        Width of the polar sectors in which rays are counted [rad]. Sectors finer than the sensor's azimuth step
+        break free space into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
     ground_cell : float
-        Side of the cells of the ground map, at least that of the grid's cells [m].
+        Side of the cells of the ground map, at least `spec.resolution` [m].
     threads : int
-        Number of threads for each scan, at least 1. Results are identical for any number of threads.
+        Number of threads for each scan, at least 1. It has no effect on results.
 
     Raises
     ------
     ValueError
-        If a number is out of its range, or the sensor lies outside the grid.
+        If a number is out of range, or the sensor lies outside the grid.
     """
 
     spec: GridSpec
@@ -194,13 +194,13 @@ class RayISM:
             raise ValueError(f"threads must be a whole number of at least 1, got {self.threads}")
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
-        """Map one scan.
+        """Map a scan.
 
         Parameters
         ----------
         scan : Scan or (N, 4) float32
-            Uses x, y, z and, where it has them, the beams without echo (`Scan.no_returns`). NaN and inf rows are
-            dropped and counted in the log.
+            Uses x, y, z and, if present, the beams without echo (`Scan.no_returns`). NaN and inf rows are dropped and
+            counted in the log.
 
         Returns
         -------
@@ -210,7 +210,7 @@ class RayISM:
         return self.trace(scan).grid
 
     def trace(self, scan: Scan | NDArray[np.float32]) -> RayTrace:
-        """Map one scan, and keep its rays and its ground. The parameter is that of a call."""
+        """Map a scan like ``self(scan)``, and return its rays, ground and grid."""
         log_compilation(clear_sectors)
         scan, spec = as_scan(scan), self.spec
         mount = mount_in_grid(scan, spec, self.mount)
@@ -224,8 +224,8 @@ class RayISM:
         xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
         points, directions = Points(*xyz.T), _no_return_directions(scan, mount)
 
-        # The ground, by the returns that show it, and the rays that meet it and the clearance above it
-        threads, is_plane = shared_threads(int(self.threads)), self.ground is flat_ground  # whatever the returns show
+        # The ground, from the returns that show it, and the slopes of rays to the ground and the clearance
+        threads, is_plane = shared_threads(int(self.threads)), self.ground is flat_ground
 
         def find_ground(k: int) -> Any:
             if k == self.threads - 1:
@@ -247,14 +247,14 @@ class RayISM:
         returns = RayScan(points, directions, origin, cells, numbers, polar, ground, shown, limits, rays, breaks, work)
         parts = [(*span, k) for k, span in enumerate(spans(len(xyz), threads.count))]
         turn = [(first << ROW_BITS, last << ROW_BITS) for first, last in spans(polar.rows, 2 * threads.count)]
-        turns = [[(*span, k) for span in turn[k :: threads.count]] for k in range(threads.count)]  # two opposite ones
+        turns = [[(*span, k) for span in turn[k :: threads.count]] for k in range(threads.count)]  # two opposite spans
         threads.run(lambda k: ray_step(AIM, parts[k], returns))
         threads.run(lambda k: ray_step(PLACE, parts[k], returns))
         threads.run(lambda k: [ray_step(SORT, part, returns) for part in turns[k]])
         ray_step(AGREE, parts[0], returns)
         silence = silence_reliability(rays, limits, polar) if len(directions) else np.ones(polar.bins, np.float32)
 
-        # Rays clear what they pass, and mark steps and holes that stop them
+        # Rays clear the cells they pass, and mark the steps and holes that stop them
         def clear(k: int) -> None:
             for part in turns[k]:
                 clear_sectors(rays, points, limits, polar, cells, breaks, silence, numbers, part, work)
@@ -271,19 +271,19 @@ class RayISM:
         return RayTrace(grid, mass, mount, points, ground, shown, rays, limits, polar, numbers, work)
 
     def _surface(self, xyz: NDArray[np.float32], mount: Mount) -> Surface:
-        """Return the surface of the ground by some points (N, 3) of a scan."""
+        """Return the surface of the ground from points (N, 3) of a scan."""
         coarse = _ground_spec(self.spec, self.ground_cell)
         return surface_of(_checked_height(self.ground(xyz, coarse, mount.ground_point), coarse), coarse)
 
     def _explain_unseen_ground(self, shown: int, mount: Mount) -> None:
-        """Log, once for each model, that the mount's height decides what is ground."""
+        """Log, once for each model, that the mount's height sets the ground."""
         if self in _explained:
             return
         _explained.add(self)
         seen = f"only {shown} returns show" if shown else "no return shows"
         _log.warning(
-            "%s the ground: it is taken to lie %.2f m below the sensor, and what rises above it is an obstacle; "
-            "check `sensor_height`, and use the model `planar` for a laser in one plane",
+            "%s the ground: the model puts it %.2f m below the sensor, and higher returns mark obstacles; "
+            "check `sensor_height`, and use the model `planar` for a planar laser",
             seen,
             mount.sensor_height,
         )
@@ -301,7 +301,7 @@ def _no_return_directions(scan: Scan, mount: Mount) -> NDArray[np.float32]:
 
 
 def _checked_height(height: NDArray[Any], spec: GridSpec) -> NDArray[np.float32]:
-    """Check what a ground estimate returned: the kernels trust it."""
+    """Check the result of a ground estimate, because the kernels do not."""
     if not isinstance(height, np.ndarray) or height.shape != spec.shape or not np.isfinite(height).all():
         got = f"shape {height.shape}" if isinstance(height, np.ndarray) else type(height).__name__
         raise ValueError(f"a ground estimate must return {spec.shape} finite heights [m], got {got}")
@@ -312,9 +312,9 @@ def _checked_height(height: NDArray[Any], spec: GridSpec) -> NDArray[np.float32]
 def polar_grid(
     spec: GridSpec, place: tuple[float, float], ego_footprint: tuple[float, ...], azimuth_step: float
 ) -> PolarGrid:
-    """Lay the polar grid over a spec; computed once for each place of a sensor."""
-    together = 2**ROW_BITS
-    sectors = together * math.ceil(2 * math.pi / azimuth_step / together - 1e-9)
+    """Return the polar grid of a spec, computed once for each place of a sensor."""
+    row_sectors = 2**ROW_BITS
+    sectors = row_sectors * math.ceil(2 * math.pi / azimuth_step / row_sectors - 1e-9)
     (x, y), (x0, x1, y0, y1) = place, spec.extent
     far = math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0))
     bins = math.ceil(far / spec.resolution) + 1
@@ -325,14 +325,14 @@ def polar_grid(
         )
     cells, footprint = Cells(*spec.origin, spec.resolution), np.array(ego_footprint, np.float32)
     lookup = polar_lookup(cells, spec.shape, np.array([x, y, 0], np.float32), footprint, sectors, bins)
-    return PolarGrid(spec.resolution, sectors, sectors // together, bins, *lookup)
+    return PolarGrid(spec.resolution, sectors, sectors // row_sectors, bins, *lookup)
 
 
 def _work_space(count: int, polar: PolarGrid, parts: int) -> WorkSpace:
     """Allocate the work space for `count` rays in one piece.
 
-    The allocator keeps one large piece for the next scan; the pages of many it would return to the system, and
-    fresh pages cost as much time as the rays.
+    The allocator keeps a single large piece for the next scan. It would return many small pieces to the system, and
+    new pages cost as much time as the rays.
     """
     rays: tuple[int, ...] = (count,)
     shapes = [rays, rays, rays, rays, (4 * count,), rays, rays]
@@ -350,12 +350,12 @@ def _work_space(count: int, polar: PolarGrid, parts: int) -> WorkSpace:
 
 @lru_cache(maxsize=16)
 def _ground_spec(spec: GridSpec, cell: float) -> GridSpec:
-    """Return cells of the ground map over the area of a grid; not finer than those of the grid."""
+    """Return the spec of the ground map over the area of a grid, with cells at least as large."""
     size = max(cell, spec.resolution)
     return GridSpec(size, (max(math.ceil(spec.length / size), 2), max(math.ceil(spec.width / size), 2)), spec.origin)
 
 
 @lru_cache(maxsize=64)
 def _powers(base: float) -> NDArray[np.float32]:
-    """Tabulate ``base ** n`` until it does not matter in float32."""
+    """Tabulate ``base ** n`` until it is negligible in float32."""
     return np.append(base ** np.arange(min(math.ceil(-17 / math.log(base)), 2**12)), 0).astype(np.float32)

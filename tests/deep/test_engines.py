@@ -194,7 +194,7 @@ def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, t
 
     small_export = weights.with_suffix(".int8.onnx")
     quantize_onnx(exported, small_export, frames)
-    refused("quantised already", quantize_onnx, small_export, small_export, frames, error=OgmError)
+    refused("already quantised", quantize_onnx, small_export, small_export, frames, error=OgmError)
     refused("no frame", quantize_onnx, exported, small_export, [])
     for source in (tmp_path, weights, small_export):
         ism = DeepISM.load(source, mount=mount)

@@ -1,4 +1,4 @@
-"""What kernels take and return: arrays and numbers that belong together."""
+"""Parameters and results of the kernels, as named tuples of arrays and numbers."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ __all__ = [
 
 
 class Cells(NamedTuple):
-    """Where the cells of a grid lie."""
+    """Position and size of the cells of a grid."""
 
     x0: float  # corner of cell (0, 0) [m]
     y0: float
@@ -20,38 +20,38 @@ class Cells(NamedTuple):
 
 
 class BeamColumns(NamedTuple):
-    """Beams in the plane of a grid, in the order of their azimuths, echoes of one beam in that of their ranges."""
+    """Beams in the plane of a grid, sorted by azimuth; the echoes of a beam are sorted by range."""
 
     x: NDArray[np.float64]  # (N,) cosine of the azimuth
     y: NDArray[np.float64]  # (N,) sine
     azimuth: NDArray[np.float64]  # (N,) [rad]
-    reach: NDArray[np.float64]  # (N,) range of the end, or where the beam leaves the heights that count [m]
+    reach: NDArray[np.float64]  # (N,) range of the end, or of the point that leaves the band of heights [m]
     echo: NDArray[np.bool_]  # (N,)
-    marks: NDArray[np.bool_]  # (N,) the end is an echo, at a height that counts
+    marks: NDArray[np.bool_]  # (N,) the end is an echo within the band of heights
     beyond: NDArray[np.uint8]  # (N,) `UnknownCause` of the cells beyond the end
 
 
 class Directions(NamedTuple):
-    """Directions that a planar laser measured, in the order of their azimuths; the last is before the first."""
+    """Directions that a planar laser measured, sorted by azimuth; the first follows the last."""
 
     of_beam: NDArray[np.int64]  # (N,) direction of each beam
     x: NDArray[np.float64]  # (D,) cosine of the azimuth
     y: NDArray[np.float64]  # (D,) sine
-    reach: NDArray[np.float64]  # (D,) range of the nearest echo, or up to which a beam without echo counts [m]
+    reach: NDArray[np.float64]  # (D,) range of the nearest echo, or range of a beam without echo [m]
     silent: NDArray[np.bool_]  # (D,) no echo
-    turn: NDArray[np.float64]  # (D,) angle to the next one [rad]
-    jump: NDArray[np.float64]  # (D,) step of the range to the next one that one surface can explain [m]
-    adjacent: NDArray[np.bool_]  # (D,) the next one is one step of the sensor away
-    same: NDArray[np.bool_]  # (D,) and ends at the same surface
-    limit: NDArray[np.float64]  # (D,) range beyond which neighbours contradict [m], infinity for none
+    turn: NDArray[np.float64]  # (D,) angle to the next direction [rad]
+    jump: NDArray[np.float64]  # (D,) largest step of the range to the next direction on one surface [m]
+    adjacent: NDArray[np.bool_]  # (D,) the next direction is one step of the sensor away
+    same: NDArray[np.bool_]  # (D,) the next direction is adjacent and ends at the same surface
+    limit: NDArray[np.float64]  # (D,) range beyond which neighbours contradict [m]; infinite without contradiction
 
 
 class BeamNumbers(NamedTuple):
-    """The parameters of `PlanarISM` that the comparison of beams uses."""
+    """Parameters of `PlanarISM` for the comparison of beams."""
 
-    free: float  # greatest mass
-    occupied: float
-    weak: float  # reliability of beams without echo, and of wide ones
+    free: float  # largest mass of free
+    occupied: float  # largest mass of occupied
+    weak: float  # reliability of beams without echo and of wide beams
     half_width: float  # tangent of half the width of a beam
     side: float  # of a cell [m]
     cone: bool  # beams have no neighbours
@@ -75,7 +75,7 @@ class Surface(NamedTuple):
 
 
 class GroundLimits(NamedTuple):
-    """What `local_ground` takes for ground; see the constants of `ogm.geometric.ground`."""
+    """Limits of the ground of `local_ground`; see the constants of `ogm.geometric.ground`."""
 
     max_slope: float  # rise over run from cell to cell
     max_descent: float  # rise over run on average, down from the ground point
@@ -84,7 +84,7 @@ class GroundLimits(NamedTuple):
 
 
 class HeightBand(NamedTuple):
-    """Which returns `HeightBandISM` uses."""
+    """Band of heights and minimum range of the returns that `HeightBandISM` uses."""
 
     low: float  # open interval of heights in the frame of the grid [m]
     high: float
@@ -92,7 +92,7 @@ class HeightBand(NamedTuple):
 
 
 class RayNumbers(NamedTuple):
-    """The parameters of `RayISM` that kernels use; see there."""
+    """Parameters of `RayISM` for the kernels; see `ogm.geometric.RayISM`."""
 
     obstacle_height: float
     clearance: float
@@ -110,76 +110,76 @@ class RayNumbers(NamedTuple):
 
 
 class PolarGrid(NamedTuple):
-    """Sectors and rings around the sensor, and where each cell of a grid lies among them."""
+    """Sectors and rings around the sensor, and the sector and ring of each cell of a grid."""
 
     step: float  # depth of a bin [m]
     sectors: int
     rows: int  # coarse sectors in which the ground is sampled
     bins: int
     sector: NDArray[np.int16]  # (nx, ny) first sector that the cell touches, counted to the left from the x axis
-    span: NDArray[np.int16]  # (nx, ny) how many sectors it subtends, at least one
+    span: NDArray[np.int16]  # (nx, ny) number of sectors that the cell subtends, at least 1
     ring: NDArray[np.int16]  # (nx, ny) radial bin; -1 for a cell under the ego vehicle
 
 
 class RayLimits(NamedTuple):
-    """Slopes (rise over run) of the rays that meet the ground, and the clearance above it, in each polar bin."""
+    """Slopes (rise over run) of the rays that meet the ground or the clearance in each polar bin."""
 
     ground: NDArray[np.float32]  # (rows, bins)
     clearance: NDArray[np.float32]  # (rows, bins)
 
 
 class Rays(NamedTuple):
-    """Rays, sorted by sector and in a sector by slope."""
+    """Rays, sorted by sector, then by slope."""
 
     slope: NDArray[np.float32]  # (N,) rise over run
-    run: NDArray[np.float32]  # (N,) of the return [m]
+    run: NDArray[np.float32]  # (N,) run of the return [m]
     above: NDArray[np.float32]  # (N,) height of the return above the ground [m]
-    point: NDArray[np.int32]  # (N,) of the return among the points; -1 for a beam without echo
-    starts: NDArray[np.int32]  # (sectors + 1,) where each sector begins
+    point: NDArray[np.int32]  # (N,) index of the return among the points; -1 for a beam without echo
+    starts: NDArray[np.int32]  # (sectors + 1,) first ray of each sector
 
 
 class Breaks(NamedTuple):
-    """Where the ground rises or falls suddenly: one entry for each bin of each profile, see `kernels.breaks`."""
+    """Sudden rises and falls of the ground in each bin of each profile; see `kernels.breaks`."""
 
     kind: NDArray[np.int8]  # (profiles, count)
-    limit: NDArray[np.float32]  # (profiles, count) height beyond which returns are in the break, from the sensor [m]
-    begin: NDArray[np.int32]  # (profiles, count) polar bin of the ground before it
-    end: NDArray[np.int32]  # (profiles, count) last bin of the profile in it
-    reliability: NDArray[np.float32]  # (profiles, bins) of belief in free, in each polar bin
-    broken: NDArray[np.bool_]  # (profiles,) that have a break
-    width: int  # of a profile's bin, in polar bins
+    limit: NDArray[np.float32]  # (profiles, count) height limit of the returns in the break, from the sensor [m]
+    begin: NDArray[np.int32]  # (profiles, count) polar bin of the ground before the break
+    end: NDArray[np.int32]  # (profiles, count) last bin of the break in the profile
+    reliability: NDArray[np.float32]  # (profiles, bins) reliability of free in each polar bin
+    broken: NDArray[np.bool_]  # (profiles,) the profile has a break
+    width: int  # width of a bin of a profile [polar bins]
 
 
 class SectorRays(NamedTuple):
-    """The rays of one sector: what they hit, and the bins in which they are below clearance."""
+    """Class of each ray of a sector, and its bins below clearance."""
 
     kind: NDArray[np.int8]  # (N,)
     start: NDArray[np.int32]  # (N,) first bin
-    stop: NDArray[np.int32]  # (N,) first bin after these
+    stop: NDArray[np.int32]  # (N,) last bin + 1
     block: NDArray[np.int32]  # (N,) bin of an obstacle
 
 
 class WorkSpace(NamedTuple):
-    """Memory for the kernels of one scan, with arbitrary content."""
+    """Memory for the kernels of a scan, with arbitrary content."""
 
-    sector: NDArray[np.int32]  # (N,) as all of one dimension but the records
+    sector: NDArray[np.int32]  # (N,), as every array of one dimension except `records` and `indices`
     slope: NDArray[np.float32]
     run: NDArray[np.float32]
     above: NDArray[np.float32]
-    records: NDArray[np.float32]  # (4 N,) slope, run and height above ground of each ray, by sectors
-    indices: NDArray[np.int32]  # (4 N,) the same memory: the fourth value of a record is the number of the ray
+    records: NDArray[np.float32]  # (4 N,) slope, run and height above ground of each ray, sorted by sector
+    indices: NDArray[np.int32]  # (4 N,) the same memory; the fourth value of a record is the ray number
     point: NDArray[np.int32]
     height: NDArray[np.float32]
-    counts: NDArray[np.int32]  # (parts, sectors) rays
+    counts: NDArray[np.int32]  # (parts, sectors) number of rays
     hits: NDArray[np.int32]  # (parts, nx, ny)
     free: NDArray[np.float32]  # (sectors, bins)
 
 
 class RayScan(NamedTuple):
-    """One scan, from points over a known ground to sorted rays and breaks."""
+    """Points of a scan, the ground below them, and memory for sorted rays and breaks."""
 
     points: Points
-    directions: NDArray[np.float32]  # (M, 3) of beams without echo, in the frame of the grid
+    directions: NDArray[np.float32]  # (M, 3) directions of beams without echo, in the frame of the grid
     origin: NDArray[np.float32]  # (3,) the sensor [m]
     cells: Cells
     numbers: RayNumbers
@@ -193,8 +193,8 @@ class RayScan(NamedTuple):
 
 
 class HeightSpace(NamedTuple):
-    """Layers of heights, and memory of their kernels with arbitrary content."""
+    """Height layers, and memory for their kernels, with arbitrary content."""
 
-    layers: NDArray[np.float32]  # (7, nx, ny); first it holds the sums over the returns of each cell
+    layers: NDArray[np.float32]  # (7, nx, ny) at first the sums over the returns of each cell
     wide: NDArray[np.float32]  # (2, nx, ny) highest and lowest surface along a row
-    part: NDArray[np.float32]  # (PARTS,) of one row
+    part: NDArray[np.float32]  # (PARTS,) values of a row

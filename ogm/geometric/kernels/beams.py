@@ -1,4 +1,4 @@
-"""Kernels that compare the beams of a planar laser with their neighbours: which fans are free, which ends count."""
+"""Free fans and occupied ends of the beams of a planar laser, by comparison with neighbouring beams."""
 
 import math
 
@@ -10,18 +10,20 @@ from ogm.jit import kernel
 
 __all__ = ["ends_of", "fans_of", "find_directions", "range_limits"]
 
-MAX_STEP = math.radians(3)  # [rad] between neighbouring beams: wider gaps may hide what stands in them
-FLATTEST = math.tan(math.radians(5))  # angle at which a surface is seen; flatter ones count as edges
-MIN_JUMP = 0.1  # [m] between the ranges of two beams that end at different surfaces
-MAX_MARGIN = 10.0  # [cells] that a fan ends before a surface seen at a flat angle
-ISOLATED = 0.5  # reliability of an echo that its neighbours contradict
-NARROW = 0.3  # [m] openings up to this width may be a mirror, or a pane with echoes from behind it
-PANE = 4.0  # [m] the same for openings of which half of the beams or more have no echo
+MAX_STEP = math.radians(3)  # [rad] largest angle between neighbouring beams; wider gaps may hide an obstacle
+MIN_INCIDENCE = math.tan(math.radians(5))  # smallest angle between beam and surface; below it an edge
+MIN_JUMP = 0.1  # [m] smallest difference of range between two surfaces
+MAX_MARGIN = 10.0  # [cells] largest distance of the end of a fan from a surface at a flat angle
+ISOLATED_RELIABILITY = 0.5  # reliability of an echo that the neighbours contradict
+MAX_MIRROR_WIDTH = 0.3  # [m] largest width of a mirror, or of a pane with echoes from behind it
+MAX_PANE_WIDTH = 4.0  # [m] the same if at least half of the beams in the opening have no echo
 
 
 @kernel
 def find_directions(beams: BeamColumns, step: float, cone: bool) -> Directions:
-    """Return the directions of beams, of which several may be echoes of one, and which are neighbours.
+    """Return the directions of beams and the relations of neighbouring directions.
+
+    Several echoes of a beam share a direction.
 
     Parameters
     ----------
@@ -47,7 +49,7 @@ def find_directions(beams: BeamColumns, step: float, cone: bool) -> Directions:
         n = (d + 1) % size
         turn[d] = azimuth[n] - azimuth[d] + (0.0 if n > d else 2 * math.pi)
         adjacent[d] = size > 1 and not cone and turn[d] <= min(1.5 * step, MAX_STEP)
-        jump[d] = max(MIN_JUMP, min(reach[d], reach[n]) * turn[d] / FLATTEST)
+        jump[d] = max(MIN_JUMP, min(reach[d], reach[n]) * turn[d] / MIN_INCIDENCE)
         same[d] = adjacent[d] and not (silent[d] or silent[n]) and abs(reach[d] - reach[n]) <= jump[d]
     directions = Directions(of_beam, x, y, reach, silent, turn, jump, adjacent, same, limit)
     range_limits(directions)
@@ -56,39 +58,39 @@ def find_directions(beams: BeamColumns, step: float, cone: bool) -> Directions:
 
 @kernel
 def range_limits(directions: Directions) -> None:
-    """Find the range beyond which the beams in narrow openings and panes are contradicted by their edges.
+    """Limit the range of the beams in narrow openings and panes by the edges of the opening.
 
     Parameters
     ----------
     directions : Directions
-        `limit`, infinity before, becomes the range of the chord between the two edges of an opening.
+        `limit`, infinite at first, becomes the range of the chord between the two edges of an opening.
     """
     x, y, reach, silent = directions.x, directions.y, directions.reach, directions.silent
     jump, adjacent, count = directions.jump, directions.adjacent, len(directions.reach)
     for first in range(count):
-        near, quiet = reach[first], 0
+        near, silent_count = reach[first], 0
         if silent[first] or not adjacent[first] or not reach[(first + 1) % count] > near + jump[first]:
             continue
         for k in range(1, count):
             inner, before = (first + k) % count, (first + k - 1) % count
             across = abs(x[first] * y[inner] - y[first] * x[inner])  # sine of the angle
-            if not adjacent[before] or x[first] * x[inner] + y[first] * y[inner] <= 0 or near * across > PANE:
+            if not adjacent[before] or x[first] * x[inner] + y[first] * y[inner] <= 0 or near * across > MAX_PANE_WIDTH:
                 break
             if k > 1 and not silent[inner] and reach[before] > reach[inner] + jump[before]:
                 ex, ey = reach[inner] * x[inner] - near * x[first], reach[inner] * y[inner] - near * y[first]
-                if math.hypot(ex, ey) <= (PANE if 2 * quiet >= k - 1 else NARROW):
+                if math.hypot(ex, ey) <= (MAX_PANE_WIDTH if 2 * silent_count >= k - 1 else MAX_MIRROR_WIDTH):
                     for inside in range(1, k):
                         at = (first + inside) % count
                         turn = x[at] * ey - y[at] * ex
                         if turn != 0:
                             chord = near * (x[first] * ey - y[first] * ex) / turn
                             directions.limit[at] = min(directions.limit[at], max(chord, 0.0))
-            quiet += silent[inner]
+            silent_count += silent[inner]
 
 
 @kernel
 def fans_of(directions: Directions, numbers: BeamNumbers) -> NDArray[np.float64]:
-    """Return what is free: a fan between neighbours, up to the nearer of their ends, and single beams.
+    """Return the free fans: between neighbours up to the nearer end, and around single beams.
 
     Parameters
     ----------
@@ -133,7 +135,9 @@ def fans_of(directions: Directions, numbers: BeamNumbers) -> NDArray[np.float64]
 
 @kernel
 def ends_of(beams: BeamColumns, directions: Directions, numbers: BeamNumbers) -> NDArray[np.float64]:
-    """Return what is occupied: the ends of beams with an echo, of which those count less that others contradict.
+    """Return the occupied ends of the beams with an echo.
+
+    An end that neighbours or a nearer surface contradict has less mass.
 
     Parameters
     ----------
@@ -152,11 +156,11 @@ def ends_of(beams: BeamColumns, directions: Directions, numbers: BeamNumbers) ->
             continue
         d = directions.of_beam[k]
         before, jump = d - 1, directions.jump[d]
-        beside = directions.adjacent[d] or directions.adjacent[before]
-        alone = beside and not (directions.same[d] or directions.same[before])
-        behind = beams.reach[k] > min(directions.reach[d], directions.limit[d]) + jump
+        has_neighbour = directions.adjacent[d] or directions.adjacent[before]
+        is_alone = has_neighbour and not (directions.same[d] or directions.same[before])
+        is_behind = beams.reach[k] > min(directions.reach[d], directions.limit[d]) + jump
         end = ends[count]
         end[0], end[1], end[2], end[3] = beams.x[k], beams.y[k], beams.reach[k], numbers.half_width
-        end[4] = numbers.occupied * (ISOLATED if alone or behind else 1.0)
+        end[4] = numbers.occupied * (ISOLATED_RELIABILITY if is_alone or is_behind else 1.0)
         count += 1
     return ends[:count]

@@ -1,4 +1,4 @@
-"""From classified rays to masses."""
+"""Masses of the cells, by the classified rays of a scan."""
 
 import math
 
@@ -24,11 +24,11 @@ from ogm.jit import kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]
 
-# Where the parts of the work space of a sector begin; constants, so that the compiler sees them apart
+# Begin of each part of the work space of a sector; with constants the compiler knows that the parts do not overlap
 PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
-LANES = 0xFFF8  # bins are passed in eights, from which those beside a ray's are masked: no remainder without vectors
-LOWEST = np.float32(-3e38)  # slope
-NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
+LANES = 0xFFF8  # loops run over groups of eight bins, and a mask drops the bins outside the ray: no scalar remainder
+LOWEST_SLOPE = np.float32(-3e38)  # slope
+NEGLIGIBLE_CHANCE = np.float32(1e-4)  # chance below which further rays through a bin are ignored
 
 
 @kernel
@@ -44,27 +44,27 @@ def clear_sectors(
     part: tuple[int, int, int],
     work: WorkSpace,
 ) -> None:
-    """Fill in the belief in free of every polar bin, and what marks the cells.
+    """Fill in the belief in free of every polar bin, and the hits of steps and holes.
 
-    Let a cell be occupied by something that stands on the ground and has an unknown height H, equally likely
-    anywhere up to `clearance`. A ray at a height below H passes it unnoticed with probability p, each for
-    itself. Then the chance that all rays pass it is E[p ** N(H)], with N(H) the number of rays below H, and
+    Let an obstacle on the ground have an unknown height H, uniformly distributed up to `clearance`. A ray at a
+    height below H passes the obstacle unnoticed with probability p, independently of the other rays. All rays pass
+    it with probability E[p ** N(H)]. Here N(H) is the number of rays below H, and
 
         free = 1 - E_H[p ** N(H)],       E_H = (sum_i (h_i+1 - h_i) * p ** i) / clearance,
 
-    for the heights h_1 <= h_2 <= ... of the rays, h_0 = 0 and the clearance as the last. It is exact, but for
-    terms below `NEGLIGIBLE`.
+    for the heights h_1 <= h_2 <= ... of the rays, with h_0 = 0 and the clearance as the last height. The sum is exact
+    except for terms below `NEGLIGIBLE_CHANCE`.
 
-    Something may also hang at a height that no ray passes, because an obstacle before it stops them. Let such a
-    thing be as thick as some height, equally likely anywhere up to `hidden_height`. It fits between two
-    neighbouring rays that are d apart, if others between them were stopped, with probability
-    ``min(d / hidden_height, 1)``, times the chance that the obstacle reaches so far back, which falls to 0 at
-    `hidden_depth`. A gap that ends at the clearance counts twice. Belief is reduced by the largest of these.
-    Where nothing was stopped in a gap, the chance is `p_hidden`; and belief is reduced by `p_hidden` times the share of
-    the heights up to the clearance that lie above the highest ray.
+    An obstacle may also hang in a gap of heights, behind a nearer obstacle that stops the rays. Let its thickness be
+    uniformly distributed up to `hidden_height`. It fits into a gap of height d between two neighbouring rays with
+    probability ``min(d / hidden_height, 1)``, if other rays between the two were stopped. A second factor is the
+    chance that the nearer obstacle extends to the cell, which falls to 0 at `hidden_depth`. A gap that ends at the
+    clearance counts twice. The largest of these chances reduces belief. In a gap without stopped rays the chance is
+    `p_hidden`. Belief is also reduced by `p_hidden` times the share of the heights above the highest ray, up to the
+    clearance.
 
-    Beams without echo are one source of evidence. Its reliability is `no_return_weight` times what
-    `silence_reliability` gives: belief is that without them, plus this share of what they add.
+    Beams without echo are a second source of evidence. Its reliability is `no_return_weight` times the result of
+    `silence_reliability`. Belief without these beams is raised by this share of their contribution.
 
     Parameters
     ----------
@@ -79,24 +79,24 @@ def clear_sectors(
     numbers : RayNumbers
         p is `p_miss`.
     part : (first, last, k)
-        Sectors from `first` up to but without `last` are part k.
+        Part k: sectors from `first` to ``last - 1``.
     work : WorkSpace
-        The sectors' entries in `free` are filled, and half hits of returns from steps and holes added to `hits[k]`.
+        The sectors' entries in `free` are filled. Returns from steps and holes add half hits to `hits[k]`.
     """
-    sectors, bins, most, (first_sector, last_sector, part_number) = polar.sectors, polar.bins, 0, part
+    sectors, bins, largest_count, (first_sector, last_sector, part_number) = polar.sectors, polar.bins, 0, part
     for s in range(first_sector, last_sector):
-        most = max(most, rays.starts[s + 1] - rays.starts[s])
-    whole = np.empty((3, most), np.int32)
-    found = SectorRays(np.empty(most, np.int8), whole[0], whole[1], whole[2])
+        largest_count = max(largest_count, rays.starts[s + 1] - rays.starts[s])
+    bin_memory = np.empty((3, largest_count), np.int32)
+    found = SectorRays(np.empty(largest_count, np.int8), bin_memory[0], bin_memory[1], bin_memory[2])
     part_space, hits = np.empty(PARTS, np.float32), work.hits[part_number]
-    for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
+    for k in range(bins):  # chance that a ray misses an obstacle in a cell, which subtends a part of the sector
         part_space[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
     weight = np.float32(numbers.no_return_weight)
     hidden_bins = (
         *(np.float32(numbers.hidden_height / polar.step), np.float32(numbers.hidden_depth / polar.step)),
         np.float32(numbers.p_hidden),
     )
-    no = sectors < 0  # False as a variable: constants would be compiled twice
+    false = sectors < 0  # False as a variable: each constant would be compiled separately
     for s in range(first_sector, last_sector):
         first, row, profile = rays.starts[s], s >> ROW_BITS, s >> PROFILE_BITS
         end = classify_rays(rays, s, limits, polar, breaks, numbers, found)
@@ -106,11 +106,11 @@ def clear_sectors(
         if breaks.broken[profile]:
             _mark_breaks(rays, s, points, cells, found, hits)
         free, slopes = work.free[s, :end], rays.slope[first : rays.starts[s + 1]]
-        if _free_belief(slopes, found, limits, row, hidden_bins, no, part_space, free):
-            alone = free.copy()
-            _free_belief(slopes, found, limits, row, hidden_bins, not no, part_space, free)
+        if _free_belief(slopes, found, limits, row, hidden_bins, false, part_space, free):
+            returns_only = free.copy()
+            _free_belief(slopes, found, limits, row, hidden_bins, not false, part_space, free)
             for k in range(end):
-                free[k] = alone[k] + weight * silence[k] * max(free[k] - alone[k], np.float32(0.0))
+                free[k] = returns_only[k] + weight * silence[k] * max(free[k] - returns_only[k], np.float32(0.0))
         if breaks.broken[profile]:
             for k in range(end):
                 free[k] *= breaks.reliability[profile, k]
@@ -127,14 +127,14 @@ def _free_belief(
     part: NDArray[np.float32],
     free: NDArray[np.float32],
 ) -> bool:
-    """Fill in the belief of one sector's bins, with the beams without echo or without them.
+    """Fill in the belief of a sector's bins, and return whether beams without echo were skipped.
 
-    `hidden_bins` are `hidden_height` and `hidden_depth` in bins, and `p_hidden`.
+    With `silent` these beams count. `hidden_bins` holds `hidden_height` and `hidden_depth` in bins, and `p_hidden`.
     """
     end, first_block, near, blocked, last_block = free.shape[0], free.shape[0], 0, PARTS, PARTS
     one, two = np.float32(1.0), np.float32(2.0)
-    zero = int(np.int64(0))  # a constant would be compiled once more
-    left_out, noted, noted_slope = False, (zero, zero), np.float32(0.0)  # a ray not yet noted as passing, and where
+    zero = int(np.int64(0))  # a constant would be compiled separately
+    skipped, pending, pending_slope = False, (zero, zero), np.float32(0.0)  # bins and slope of a ray still to record
     ground, clearance = limits.ground[row], limits.clearance[row]
     scale, fade, p_hidden = one / hidden_bins[0], one / hidden_bins[1], hidden_bins[2]
     gaps_count = p_hidden > 0
@@ -151,19 +151,19 @@ def _free_belief(
         if kind == NONE:
             continue
         if kind == NO_RETURN and not silent:
-            left_out = True
+            skipped = True
             continue
         slope, start, stop = slopes[n], found.start[n] & 0x7FFF, found.stop[n] & 0x7FFF
         first = max(start, near)
         if first < min(stop, first_block):
             _pass(part, slope, first, min(stop, first_block))
-        # Behind an obstacle: where nothing was stopped since the last ray, and enough have passed, only heights count
+        # Behind an obstacle: bins without a ray stopped since the last ray, and with enough rays, need heights only
         first = max(start, first_block)
         if first < stop:
             plain = first if gaps_count else min(max(min(near, blocked), first), stop)
-            if first > noted[0] or plain < noted[1]:
-                _raise(part, noted_slope, noted[0], noted[1])
-            noted, noted_slope = (first, plain), slope
+            if first > pending[0] or plain < pending[1]:
+                _raise(part, pending_slope, pending[0], pending[1])
+            pending, pending_slope = (first, plain), slope
             if plain < stop:
                 _pass_obstacles(part, slope, plain, stop, p_hidden)
                 blocked = max(blocked, stop) if first <= blocked else blocked
@@ -173,21 +173,21 @@ def _free_belief(
             last_block = found.block[n]
             blocked = min(blocked, last_block)
             _block(part, last_block, max(min(end, last_block + int(1.0 / fade) + 1), last_block), fade)
-        while near < end and part[PASS + near] < NEGLIGIBLE:
+        while near < end and part[PASS + near] < NEGLIGIBLE_CHANCE:
             near += 1
-    _raise(part, noted_slope, noted[0], noted[1])
+    _raise(part, pending_slope, pending[0], pending[1])
     for k in range(end):
         up = max(clearance[k] - part[SLOPE + k], np.float32(0.0))
         missed = (part[SUM + k] + up * part[PASS + k]) / (clearance[k] - ground[k])
         hidden = max(part[HIDDEN + k], two * part[BLOCKED + k] * up) * (np.float32(k) + np.float32(0.5)) * scale
         above = one - p_hidden * up / (clearance[k] - ground[k])
         free[k] = (one - min(missed, one)) * max(one - hidden, np.float32(0.0)) * above
-    return left_out
+    return skipped
 
 
 @vector
 def _pass(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> None:
-    """Let a ray pass some bins before any obstacle."""
+    """Update bins before any obstacle for a ray that passes them."""
     zero, one, first, count = np.float32(0.0), np.float32(1.0), np.int32(start), np.uint32(stop - start)
     for k in range(start & LANES, (stop + 7) & LANES):
         inside = np.uint32(np.int32(k) - first) < count
@@ -200,23 +200,23 @@ def _pass(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -
 
 @vector
 def _raise(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> None:
-    """Note that a ray passes some bins."""
+    """Raise the highest slope in bins to the slope of a passing ray."""
     first, count = np.int32(start), np.uint32(stop - start)
     for k in range(start & LANES, (stop + 7) & LANES):
         inside = np.uint32(np.int32(k) - first) < count
-        part[SLOPE + k] = max(part[SLOPE + k], slope if inside else LOWEST)
+        part[SLOPE + k] = max(part[SLOPE + k], slope if inside else LOWEST_SLOPE)
 
 
 @vector
 def _pass_obstacles(part: NDArray[np.float32], slope: np.float32, start: int, stop: int, p_hidden: np.float32) -> None:
-    """Let a ray pass some bins behind an obstacle that stops other rays of the sector."""
+    """Update bins behind an obstacle, which stops other rays of the sector, for a ray that passes them."""
     zero, one, first, count = np.float32(0.0), np.float32(1.0), np.int32(start), np.uint32(stop - start)
     for k in range(start & LANES, (stop + 7) & LANES):
         inside = np.uint32(np.int32(k) - first) < count
         blocked, up = part[BLOCKED + k], max(slope - part[SLOPE + k], zero)
         up = up if inside else zero
         part[HIDDEN + k] += max(max(blocked, p_hidden) * up - part[HIDDEN + k], zero)
-        part[BLOCKED + k] = min(blocked, zero if inside else -LOWEST)  # no store under a mask, which takes longer
+        part[BLOCKED + k] = min(blocked, zero if inside else -LOWEST_SLOPE)  # a masked store would take longer
         part[SUM + k] += up * part[PASS + k]
         part[PASS + k] *= max(part[POWER + k], zero if inside else one)
         part[SLOPE + k] += up
@@ -224,7 +224,7 @@ def _pass_obstacles(part: NDArray[np.float32], slope: np.float32, start: int, st
 
 @vector
 def _block(part: NDArray[np.float32], start: int, stop: int, fade: np.float32) -> None:
-    """Let an obstacle stop a ray: the chance that it is still there falls behind it."""
+    """Update the bins behind an obstacle that stops a ray; the chance of its presence falls with distance."""
     first, count = np.int32(start), np.uint32(stop - start)
     for k in range(start & LANES, (stop + 7) & LANES):
         place = np.int32(k) - first
@@ -235,7 +235,7 @@ def _block(part: NDArray[np.float32], start: int, stop: int, fade: np.float32) -
 
 @kernel
 def _mark_breaks(rays: Rays, s: int, points: Points, cells: Cells, found: SectorRays, hits: NDArray[np.int32]) -> None:
-    """Let the returns from steps and holes of a sector mark their cells."""
+    """Add the hits of the returns from steps and holes of a sector to their cells."""
     first = rays.starts[s]
     for n in range(rays.starts[s + 1] - first):
         if found.kind[n] == FACE_OF_STEP or found.kind[n] == DEEP:
@@ -256,21 +256,21 @@ def ray_mass(
 ) -> None:
     """Turn polar belief in free and counts of returns into masses of some rows of cells.
 
-    R returns give occupied the mass ``1 - p_false_alarm**R``: that of R simple masses ``1 - p_false_alarm``,
-    combined. Free is the mean over the polar bins that a cell covers. Where a cell has both, the two are combined
-    by the conjunctive rule, the conflict going to unknown (Yager), after free is discounted to
-    `free_reliability_at_hits`.
+    R returns give occupied the mass ``1 - p_false_alarm**R``, the combination of R simple masses
+    ``1 - p_false_alarm``. Free is the mean over the polar bins that a cell covers. In a cell with both, free is
+    discounted by `free_reliability_at_hits`, then combined by the conjunctive rule. The conflict becomes unknown
+    (Yager).
 
     Parameters
     ----------
     work : WorkSpace
-        `free` and `hits`, from `clear_sectors`.
+        With `free` and `hits` of `clear_sectors`.
     polar : PolarGrid
     false_alarm : (entries,) float32
-        ``p_false_alarm ** (n / 2)`` for n half hits; the last entry holds beyond.
+        ``p_false_alarm ** (n / 2)`` for n half hits; the last entry also for more.
     numbers : RayNumbers
     first, last : int
-        Rows from `first` up to but without `last`.
+        Rows from `first` to ``last - 1``.
     mass : (nx, ny, 2) float32
         Free and occupied; the rows are filled.
     """

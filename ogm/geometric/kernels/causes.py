@@ -1,4 +1,4 @@
-"""Why cells of one scan are unknown: by the rays of each sector, and from polar bins to cells."""
+"""Causes of the unknown cells of a scan: by the rays of each sector, and from polar bins to cells."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,23 +15,27 @@ BETWEEN_BEAMS, NO_ECHO = int(UnknownCause.BETWEEN_BEAMS), int(UnknownCause.NO_EC
 NEAR_VEHICLE, ABOVE_CLEARANCE = int(UnknownCause.NEAR_VEHICLE), int(UnknownCause.ABOVE_CLEARANCE)
 CONTRADICTED = int(UnknownCause.CONTRADICTED)
 
-WEDGES = 16  # of a turn, in which, with their neighbours, the view is that from the lowest to the highest ray
-GAP = 36  # parts of a turn: up to so wide a gap, 10 degrees, lies between two beams; a wider one is outside the view
-FLAT = np.float32(1e9)  # slope of no ray
+WEDGES = 16  # wedges of a turn; the view of a wedge ranges from the lowest to the highest ray in it and its neighbours
+GAP = 36  # parts of a turn: the widest gap between two beams is 10 degrees; a wider gap is outside the view
+FLAT = np.float32(1e9)  # slope that no ray has
 
 
 @kernel
 def polar_causes(
     rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayNumbers, view: NDArray[np.float32]
 ) -> NDArray[np.uint8]:
-    """Return why each polar bin would be unknown, by the rays of its sector.
+    """Return the cause of each polar bin if it is unknown, by the rays of its sector.
 
-    The first of these holds: a ray that an obstacle stops before the bin would pass it above the ground, or a return
-    from under the ground lies beyond it, `BEHIND_OBSTACLE`; all rays of the view pass above half the clearance, before
-    the lowest meets the ground, `NEAR_VEHICLE`; the lowest ray that passes below clearance has no echo, `NO_ECHO`, or
-    has one, `BETWEEN_BEAMS`; some pass above clearance, `ABOVE_CLEARANCE`; the view has the ground there, `NO_ECHO`,
-    or not, `OUTSIDE_VIEW`. A sector without rays is `BETWEEN_BEAMS` in a gap of at most 10 degrees, else
-    `OUTSIDE_VIEW`.
+    The first rule that holds decides:
+
+    1. `BEHIND_OBSTACLE`: a ray that an obstacle stops before the bin would pass the bin above the ground, or a return
+       from under the ground lies beyond the bin.
+    2. `NEAR_VEHICLE`: all rays of the view pass above half the clearance, before the lowest ray meets the ground.
+    3. `NO_ECHO` or `BETWEEN_BEAMS`: the lowest ray below clearance has no echo, or has an echo.
+    4. `ABOVE_CLEARANCE`: a ray passes above clearance.
+    5. `NO_ECHO` or `OUTSIDE_VIEW`: the view contains the ground of the bin, or does not.
+
+    A sector without rays is `BETWEEN_BEAMS` in a gap of at most 10 degrees, else `OUTSIDE_VIEW`.
 
     Parameters
     ----------
@@ -40,7 +44,7 @@ def polar_causes(
     polar : PolarGrid
     numbers : RayNumbers
     view : (sectors, 2) float32
-        Slopes of the lowest and of the highest ray of the view around each sector.
+        Slopes of the lowest and the highest ray of the view around each sector.
 
     Returns
     -------
@@ -50,7 +54,7 @@ def polar_causes(
     causes = np.empty((sectors, bins), np.uint8)
     slopes = np.full((3, bins + 1), FLAT, np.float32)
     slopes[2] = -FLAT
-    last = sectors - 1  # the last sector with rays before this one, as if the turn began with it
+    last = sectors - 1  # the last sector with rays precedes the first sector of the turn
     while last > 0 and rays.starts[last] == rays.starts[last + 1]:
         last -= 1
     before, after = last - sectors, -1
@@ -81,17 +85,18 @@ def _find_slopes(
     numbers: RayNumbers,
     slopes: NDArray[np.float32],
 ) -> int:
-    """Fill in the slopes of rays of a sector that matter to each bin; return the end of the farthest ray.
+    """Fill in the decisive slopes of a sector for each bin; return the end of the farthest ray.
 
-    Rows of `slopes`: the lowest ray with echo that reaches a bin, the lowest one without echo that is above the ground
-    there, and the highest one that is stopped in it; `FLAT`, `FLAT` and `-FLAT` before.
+    Rows of `slopes`: the lowest ray with echo that reaches the bin, the lowest ray without echo above the ground in
+    the bin, and the highest ray that an obstacle in the bin stops. Before the call they hold `FLAT`, `FLAT` and
+    `-FLAT`.
     """
     bins, per_metre = ground.shape[0], np.float32(1.0 / step)
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     below, before = np.float32(-numbers.below_ground), np.float32(2 * numbers.range_noise)
-    growth, most, zero, one = np.float32(2 * numbers.noise_growth), np.float32(bins), np.float32(0.0), np.float32(1.0)
+    growth, limit, zero, one = np.float32(2 * numbers.noise_growth), np.float32(bins), np.float32(0.0), np.float32(1.0)
     passed, silent, meets = 0, 0, 0
-    for n in range(sector[0], sector[1]):  # from the lowest slope up: the first to reach a bin is the lowest
+    for n in range(sector[0], sector[1]):  # in order of slope: the first ray that reaches a bin is the lowest
         slope, run, above = rays.slope[n], rays.run[n], rays.above[n]
         here = run * per_metre
         if here < 1:
@@ -99,8 +104,8 @@ def _find_slopes(
         if rays.point[n] < 0 or above < below:
             while meets < bins and slope >= ground[meets]:
                 meets += 1
-            end = int(min(here, most))
-            if rays.point[n] >= 0:  # from under the ground: as if stopped where the ray meets it
+            end = int(min(here, limit))
+            if rays.point[n] >= 0:  # from under the ground: stopped at the ground
                 for k in range(meets, end):
                     slopes[2, k] = max(slopes[2, k], ground[k])
                 continue
@@ -110,7 +115,7 @@ def _find_slopes(
             continue
         stops = above > low and above < high
         here += -(before + growth * run * run) * per_metre if stops else one if above <= low else zero
-        end = int(min(max(here, zero), most))
+        end = int(min(max(here, zero), limit))
         slopes[2, (end if stops else bins) & 0x7FFF] = slope
         if end > passed:
             for k in range(passed, end):
@@ -128,7 +133,7 @@ def _name_causes(
     top: int,
     causes: NDArray[np.uint8],
 ) -> None:
-    """Fill in the causes of a sector's bins; the slopes are reset."""
+    """Fill in the causes of a sector's bins, and reset the slopes."""
     bins, lowest, highest, stopped = causes.shape[0], view[0], view[1], -FLAT
     meets = bins  # bin in which the lowest ray of the view meets the ground
     while meets > 0 and lowest < ground[meets - 1]:
@@ -150,9 +155,9 @@ def _name_causes(
 
 @kernel
 def cell_causes(
-    mass: NDArray[np.float32], own: NDArray[np.float32], causes: NDArray[np.uint8], polar: PolarGrid, least: float
+    mass: NDArray[np.float32], own: NDArray[np.float32], causes: NDArray[np.uint8], polar: PolarGrid, min_mass: float
 ) -> NDArray[np.uint8]:
-    """Return why cells are unknown: the cause of the polar bin in their middle, 0 for cells that are known.
+    """Return the causes of unknown cells, from the polar bin at the middle of each; 0 for known cells.
 
     Parameters
     ----------
@@ -163,8 +168,8 @@ def cell_causes(
     causes : (sectors, bins) uint8
     polar : PolarGrid
         A cell under the ego vehicle has no ring.
-    least : float
-        Mass of occupied, of either, from which an unknown cell is contradicted.
+    min_mass : float
+        Mass of occupied, in `mass` or `own`, from which an unknown cell is contradicted.
 
     Returns
     -------
@@ -181,7 +186,7 @@ def cell_causes(
             if k < 0:
                 found[i, j] = NEAR_VEHICLE
                 continue
-            if max(occupied, own[i, j, 1]) >= least:
+            if max(occupied, own[i, j, 1]) >= min_mass:
                 found[i, j] = CONTRADICTED
                 continue
             s = (polar.sector[i, j] & 0x7FFF) + (polar.span[i, j] >> 1)

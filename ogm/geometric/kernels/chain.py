@@ -1,6 +1,6 @@
-"""The steps of `RayISM` from points over a known ground to sorted rays and breaks, each divided among threads.
+"""Steps of `RayISM` from points to sorted rays and breaks, each divided among threads.
 
-One kernel does them all: each kernel that is called from Python takes time to load.
+The steps share a kernel, because each kernel that Python calls takes time to load.
 """
 
 from ogm.geometric.kernels.arguments import RayScan
@@ -15,14 +15,14 @@ AIM, PLACE, SORT, AGREE = range(4)
 
 @kernel
 def ray_step(step: int, part: tuple[int, int, int], scan: RayScan) -> None:
-    """Do a part of a step.
+    """Run a part of a step.
 
     Parameters
     ----------
     step : int
-        `AIM` to `AGREE`; all parts of a step end before the next begins.
+        `AIM` to `AGREE`; all parts of a step end before the next step begins.
     part : (first, last, k)
-        Part k: returns, or for `SORT` sectors, from `first` up to but without `last`. `AGREE` has one part.
+        Part k: returns, or for `SORT` sectors, from `first` to ``last - 1``. `AGREE` has a single part.
     scan : RayScan
         `rays`, `breaks` and `work` are filled.
     """

@@ -1,4 +1,4 @@
-"""What each ray of a sector hits, and the bins in which it is below clearance."""
+"""Class of each ray of a sector, and its bins below clearance."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +23,10 @@ NO_RETURN = 6
 def classify_rays(
     rays: Rays, s: int, limits: RayLimits, polar: PolarGrid, breaks: Breaks, numbers: RayNumbers, found: SectorRays
 ) -> int:
-    """Fill in what the rays of sector `s` hit, and the bins in which they are below clearance.
+    """Fill in the classes of the rays of sector `s`, and their bins below clearance.
 
-    A ray clears from the sensor to its end: up to and with the bin of a ground return, to two standard deviations
-    before an obstacle, to the edge of a hole, and no further than it stays below `clearance`.
+    A ray clears from the sensor to its end, while it stays below `clearance`. The end is the bin of a ground return,
+    two standard deviations before an obstacle, or the edge of a hole.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def classify_rays(
         if kind == NONE:
             continue
         slope = rays.slope[first + n]
-        # This ray, and all that are flatter, are below clearance between these bins only
+        # This ray and all following rays are below clearance between these bins only
         if far > 0 and not clearance[(far - 1) & 0x7FFF] > slope:
             far = _last_below(clearance, far, slope)
         while near < far and not clearance[near & 0x7FFF] > slope:
@@ -62,7 +62,7 @@ def classify_rays(
         stop = min(found.stop[n], far)
         while stop > near and not clearance[(stop - 1) & 0x7FFF] > slope:
             stop -= 1
-        if kind == NO_RETURN:  # up to the ground, which steeper rays meet no nearer
+        if kind == NO_RETURN:  # up to the ground, which the following rays meet no nearer
             meets = max(meets, near)
             while meets < polar.bins and slope >= ground[meets & 0x7FFF]:
                 meets += 1
@@ -74,8 +74,8 @@ def classify_rays(
 
 @kernel
 def _last_below(clearance: NDArray[np.float32], far: int, slope: np.float32) -> int:
-    """Return the end of the last bin, of those up to `far`, in which a ray is below clearance; 0 if it is in none."""
-    while far >= 8:  # in eights, on the vector units
+    """Return the end of the last bin before `far` in which a ray is below clearance; 0 if there is no such bin."""
+    while far >= 8:  # groups of eight for the vector units
         begin, below = (far - 8) & 0x7FFF, 0
         for k in range(8):
             below += int(clearance[begin + k] > slope)
@@ -89,7 +89,7 @@ def _last_below(clearance: NDArray[np.float32], far: int, slope: np.float32) -> 
 
 @kernel
 def _find_ends(rays: Rays, first: int, last: int, polar: PolarGrid, numbers: RayNumbers, found: SectorRays) -> None:
-    """Fill in what rays hit on ground without breaks, and the first bin after their end, also as the obstacle's bin."""
+    """Fill in classes and end bins of rays over ground without breaks; `block` gets the end bin, too."""
     first, step, per_metre = first & 0x7FFFFFFF, np.float32(polar.step), np.float32(1.0 / polar.step)
     noise, growth = np.float32(numbers.range_noise), np.float32(numbers.noise_growth)
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
@@ -120,7 +120,7 @@ def _find_broken(
     numbers: RayNumbers,
     found: SectorRays,
 ) -> None:
-    """Fill in which rays hit the faces of steps, and which end in holes."""
+    """Reclassify the rays that hit the face of a step or end in a hole."""
     step, per_metre, far_out = np.float32(polar.step), np.float32(1.0 / polar.step), np.float32(1e6)
     low, below = np.float32(numbers.obstacle_height), np.float32(-numbers.below_ground)
     first, inverse = first & 0x7FFFFFFF, 2**32 // breaks.width + 1

@@ -1,4 +1,4 @@
-"""Sums over the returns of each cell and each block of cells, and the surface that they are counted from."""
+"""Sums over the returns of each cell and each block of cells, and their reference surface."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,10 @@ from ogm.jit import kernel
 
 __all__ = ["add_row", "find_bulges", "finish_blocks", "ground_cells", "mended_surface", "sum_returns"]
 
-DEEP, COUNT, SUM, SQUARE, TOP, HANG = 1, 2, 3, 4, 5, 6  # sums over the returns of a cell, where layers will stand
-BULGE = np.float32(0.25)  # [m] above the ground within 5 m, from which a surface is no ground
-FEW = np.float32(8.0)  # returns beyond which a block weighs no more
-FAR = np.float32(1e3)  # [m] no surface; float32 keeps 0.06 mm beside it
+DEEP, COUNT, SUM, SQUARE, TOP, HANG = 1, 2, 3, 4, 5, 6  # layers that at first hold sums over the returns of a cell
+BULGE = np.float32(0.25)  # [m] largest height of ground above the ground within 5 m
+MAX_WEIGHT = np.float32(8.0)  # [returns] largest weight of a block
+NO_SURFACE = np.float32(1e3)  # [m] height or distance without a surface; float32 resolves 0.06 mm there
 
 
 @kernel
@@ -29,9 +29,9 @@ def sum_returns(
     cells : Cells
     numbers : RayNumbers
     sums : (7, nx, ny) float32
-        Filled from the second on. Number of returns below the ground by more than `below_ground`; of returns up to
-        `obstacle_height` number, sum and sum of squares; of higher ones the highest below the clearance, and the lowest
-        of all. 0 where there is none.
+        The layers from the second on are filled: number of returns below the ground by more than `below_ground`;
+        number, sum and sum of squares of the returns up to `obstacle_height`; the highest return between that height
+        and the clearance; the lowest return above that height. 0 without such returns.
     """
     sums[DEEP:] = 0
     shape = sums.shape[1:]
@@ -59,16 +59,16 @@ def sum_returns(
 
 @kernel
 def ground_cells(sums: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the cells with returns of the ground, and none of obstacles in them or the cells around them, (nx, ny)."""
+    """Return a mask (nx, ny) of cells with ground returns and without obstacle returns within one cell."""
     nx, ny = sums.shape[1:]
-    beside, valid = np.zeros((nx + 2, ny), np.bool_), np.empty((nx, ny), np.bool_)
+    marked, valid = np.zeros((nx + 2, ny), np.bool_), np.empty((nx, ny), np.bool_)
     for i in range(nx):
         for j in range(ny):
             if sums[TOP, i, j] > 0:
-                beside[i + 1, max(j - 1, 0) : j + 2] = True
+                marked[i + 1, max(j - 1, 0) : j + 2] = True
     for i in range(nx):
         for j in range(ny):
-            valid[i, j] = (sums[COUNT, i, j] > 0) & ~(beside[i, j] | beside[i + 1, j] | beside[i + 2, j])
+            valid[i, j] = (sums[COUNT, i, j] > 0) & ~(marked[i, j] | marked[i + 1, j] | marked[i + 2, j])
     return valid
 
 
@@ -82,9 +82,9 @@ def mended_surface(
     place: tuple[float, float],
     ground_z: np.float32,
 ) -> NDArray[np.float32]:
-    """Return a surface whose cells without valid cells are filled from the others; lengths in cells of the surface.
+    """Return a surface without obstacles: its cells without valid cells are filled from other cells.
 
-    Cells in bulges are valid no more.
+    Lengths are in cells of the surface. Cells in bulges become invalid.
     """
     result, weight = height.copy(), np.zeros(height.shape, np.float32)
     mx, my = height.shape[0] - 1, height.shape[1] - 1
@@ -100,7 +100,7 @@ def mended_surface(
         result[k, l], weight[k, l] = ground_z, np.float32(1.0)
     for k in range(mx + 1):
         for l in range(my + 1):  # noqa: E741
-            weight[k, l] = min(weight[k, l], FEW)
+            weight[k, l] = min(weight[k, l], MAX_WEIGHT)
     fill(result, weight, ground_z)
     return result
 
@@ -109,7 +109,7 @@ def mended_surface(
 def find_bulges(height: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
     """Return 1 for cells above the opening of a surface by a square (Serra 1982), else 0: roofs and bonnets of cars.
 
-    Beyond its edges the surface goes on as its reflection through the edge, so that a slope does not bulge.
+    The surface is extended by point reflection at its edges, so that a slope has no bulge.
     """
     mx, my = height.shape
     wide = np.empty((mx + 2 * reach, my + 2 * reach), np.float32)
@@ -146,10 +146,10 @@ def _extreme(height: NDArray[np.float32], reach: int, sign: np.float32) -> NDArr
                 rows[k, l] = min(rows[k, l], sign * height[t, l])
     for k in range(mx):
         for l in range(my):  # noqa: E741
-            least = rows[k, l]
+            lowest = rows[k, l]
             for t in range(max(l - reach, 0), min(l + reach + 1, my)):
-                least = min(least, rows[k, t])
-            result[k, l] = sign * least
+                lowest = min(lowest, rows[k, t])
+            result[k, l] = sign * lowest
     return result
 
 
@@ -163,9 +163,9 @@ def add_row(
     size: int,
     blocks: NDArray[np.float32],
 ) -> None:
-    """Add the returns of a row's valid cells, shifted by `part` from `start` on, to its blocks.
+    """Add the returns of a row's valid cells to its blocks, shifted by `part` from `start` on.
 
-    `blocks` hold sum, sum of squares, nothing, number, and the number of returns of all cells below the ground.
+    `blocks` holds sum, sum of squares, an unused layer, number, and the number of returns below the ground.
     """
     k, start = i // size, start & 0x7FFFF
     for j in range(valid.shape[1]):
@@ -180,23 +180,23 @@ def add_row(
 
 @kernel
 def finish_blocks(blocks: NDArray[np.float32], side: np.float32) -> None:
-    """Turn sums into means [m] and variances [m2], filled where a block has none, and distances [m] to one that has.
+    """Turn sums into means [m] and variances [m2] of all blocks, and distances [m] to the nearest block with returns.
 
-    The distance is `FAR` where most returns are below the ground: it is elsewhere.
+    The distance is `NO_SURFACE` in blocks with most returns below the ground.
     """
     zero = np.float32(0.0)
     for k in range(blocks.shape[1]):
         for l in range(blocks.shape[2]):  # noqa: E741
             count = blocks[3, k, l]
-            blocks[2, k, l] = zero if count > 0 else FAR
+            blocks[2, k, l] = zero if count > 0 else NO_SURFACE
             if count > 0:
                 mean = blocks[0, k, l] / count
                 blocks[0, k, l], blocks[1, k, l] = mean, max(blocks[1, k, l] / count - mean * mean, zero)
-                blocks[3, k, l] = min(count, FEW)
+                blocks[3, k, l] = min(count, MAX_WEIGHT)
     fill(blocks[0], blocks[3], zero)
     fill(blocks[1], blocks[3], zero)
     lower_envelope(blocks[2], side)
     for k in range(blocks.shape[1]):
         for l in range(blocks.shape[2]):  # noqa: E741
             if blocks[4, k, l] > blocks[3, k, l]:
-                blocks[2, k, l] = FAR
+                blocks[2, k, l] = NO_SURFACE

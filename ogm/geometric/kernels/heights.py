@@ -1,4 +1,4 @@
-"""Heights of one scan, cell by cell: see `ogm.geometric.heights.height_layers`."""
+"""Heights of the cells of a scan: see `ogm.geometric.heights.height_layers`."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from ogm.geometric.kernels.arguments import Cells, HeightSpace, Surface
 from ogm.geometric.kernels.height_sums import (
     COUNT,
-    FAR,
     HANG,
+    NO_SURFACE,
     SUM,
     TOP,
     add_row,
@@ -34,16 +34,16 @@ __all__ = ["PARTS", "WIDTH", "height_cells"]
 
 GROUND, VARIANCE, SLOPE, STEP, ROUGHNESS, OBSTACLE, CLEARANCE = 0, 1, 2, 3, 4, 5, 6  # layers
 BASE, SHIFT, MEAN, SPREAD, GAP, COUNTS, SUMS, TOPS, HANGS, FREE, USED, ROOF, PARTS = (WIDTH * k for k in range(6, 19))
-BLOCK = 0.64  # [m] side of the blocks of cells over which roughness is taken, and gaps are filled
+BLOCK = 0.64  # [m] side of the blocks of cells for roughness and for filled gaps
 SLOPE_REACH, STEP_REACH = 0.5, 0.35  # [m] on either side of a cell
-STANDS = np.float32(0.5)  # [m] above the ground up to which the lowest return of an obstacle shows that it stands there
-BULGE_REACH = 5.0  # [m] on either side of what may be a roof
-MAX_GAP = np.float32(3.0)  # [m] from a block with ground, up to which the ground is known
-OBSERVED = np.float32(0.1)  # mass of free from which the ground of a cell in a gap is known
-FLOOR = np.float32(0.005**2)  # [m2] least variance of a height
-NOISE = np.float32(0.01**2)  # [m2] of one return, at least
-WITHIN = np.float32(0.3)  # share of a block's variance that lies within one cell
-BEND = np.float32(0.04)  # rise over run by which the ground may bend in a gap
+MAX_FOOT_HEIGHT = np.float32(0.5)  # [m] largest height of the lowest return of an obstacle that stands on the ground
+BULGE_REACH = 5.0  # [m] on either side of a possible roof
+MAX_GAP = np.float32(3.0)  # [m] largest distance of known ground from a block with ground
+MIN_FREE = np.float32(0.1)  # smallest mass of free of a cell in a gap with known ground
+MIN_VARIANCE = np.float32(0.005**2)  # [m2] smallest variance of a height
+MIN_NOISE = np.float32(0.01**2)  # [m2] smallest variance of a return
+CELL_SHARE = np.float32(0.3)  # share of a block's variance within a cell
+BEND = np.float32(0.04)  # largest change of the rise over run of ground in a gap
 
 
 @kernel
@@ -60,7 +60,7 @@ def height_cells(
     ----------
     mass : (nx, ny, 2) float32
     ground : Surface
-        Surface that heights are counted from.
+        Reference surface of the heights.
     ground_point : (x, y, z)
         Ground under the sensor [m].
     cells : Cells
@@ -69,7 +69,7 @@ def height_cells(
     out, wide, part = work
     nx, ny, side, valid = out.shape[1], out.shape[2], cells.resolution, ground_cells(out)
 
-    # The surface without cells that show obstacles alone, without roofs, and what was taken away
+    # The surface without obstacles and roofs, and the difference to the ground
     per_metre, x0, y0 = float(ground.per_metre), float(ground.x0), float(ground.y0)
     scale, x, y = side * per_metre, (cells.x0 - x0) * per_metre, (cells.y0 - y0) * per_metre
     place = (ground_point[0] - x0) * per_metre, (ground_point[1] - y0) * per_metre
@@ -80,7 +80,7 @@ def height_cells(
     away = ground.height - mended
     base, shift = _stretched(mended, y, scale, ny), _stretched(away, y, scale, ny)
 
-    # Means and variances of the returns about it in blocks, and the distance to the nearest block
+    # Means and variances of the returns about this surface in blocks, and the distance to the nearest block
     size = max(int(BLOCK / side + 0.5), 1)
     blocks = np.zeros((5, max((nx + size - 1) // size, 2), max((ny + size - 1) // size, 2)), np.float32)
     for i in range(nx):
@@ -119,7 +119,7 @@ def height_cells(
         for j in range(ny & 0x7FFF):
             wide[0, i, j], wide[1, i, j] = part[TOP_SURFACE + j], part[BOTTOM_SURFACE + j]
 
-    # Steps and slopes, and no value where the ground is unknown
+    # Steps and slopes, and NaN for unknown ground
     bound = max(int(SLOPE_REACH / side + 0.5), 1)
     for i in range(nx):
         _interpolate(along, (i + 0.5) * scale + x, part, RISE)
@@ -130,34 +130,34 @@ def height_cells(
 
 @kernel
 def _hide_unknown(out: NDArray[np.float32]) -> None:
-    """Leave ground, variance and slope without value where the variance is `FAR`."""
+    """Set ground, variance and slope to NaN in cells with the variance `NO_SURFACE`."""
     nan = np.float32(np.nan)
     for i in range(out.shape[1]):
         for layer in (GROUND, SLOPE, VARIANCE):
             for j in range(out.shape[2]):
-                out[layer, i, j] = out[layer, i, j] if out[VARIANCE, i, j] < FAR else nan
+                out[layer, i, j] = out[layer, i, j] if out[VARIANCE, i, j] < NO_SURFACE else nan
 
 
 @kernel
 def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
-    """Replace sums and ground of a row by its layers, and fill in the highest and the lowest surface of its cells."""
+    """Replace sums and ground of a row by its layers, and fill in the highest and lowest surface of its cells."""
     one, half, zero, nan = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(np.nan)
     for j in range(count & 0x7FFF):
         number, top, hang, used = part[COUNTS + j], part[TOPS + j], part[HANGS + j], part[USED + j]
         base, shift, mean = part[BASE + j], part[SHIFT + j], part[MEAN + j]
         spread, gap, free = part[SPREAD + j], part[GAP + j], part[FREE + j]
         own = part[SUMS + j] / (number if number > one else one) + shift
-        prior, noise = spread + NOISE, spread if spread > NOISE else NOISE
+        prior, noise = spread + MIN_NOISE, spread if spread > MIN_NOISE else MIN_NOISE
         weight = used * prior / (used * prior + noise)
-        within = WITHIN * spread if used > zero else zero
-        known = ((gap <= near) | ((gap <= MAX_GAP) & (free > OBSERVED))) & (part[ROOF + j] < half)
-        variance = (one - weight) * prior + within + FLOOR + BEND * BEND * gap * gap
+        within = CELL_SHARE * spread if used > zero else zero
+        known = ((gap <= near) | ((gap <= MAX_GAP) & (free > MIN_FREE))) & (part[ROOF + j] < half)
+        variance = (one - weight) * prior + within + MIN_VARIANCE + BEND * BEND * gap * gap
         highest = top + shift if top > zero else zero
-        stands, surface = (top > zero) & (hang < STANDS), base + own
-        part[HIGH + j] = base + highest if stands else surface if number > zero else -FAR
-        part[LOW + j] = surface if number > zero else base + highest if stands else FAR
+        is_standing, surface = (top > zero) & (hang < MAX_FOOT_HEIGHT), base + own
+        part[HIGH + j] = base + highest if is_standing else surface if number > zero else -NO_SURFACE
+        part[LOW + j] = surface if number > zero else base + highest if is_standing else NO_SURFACE
         part[BASE + j] = base + mean + weight * (own - mean)
-        part[GAP + j] = variance if known else FAR
+        part[GAP + j] = variance if known else NO_SURFACE
         part[SPREAD + j] = np.sqrt(spread) if known else nan
         part[TOPS + j] = highest if known | (top > zero) else nan
         part[HANGS + j] = hang + shift if hang > zero else nan
@@ -165,7 +165,7 @@ def _fill_row(part: NDArray[np.float32], count: int, near: np.float32) -> None:
 
 @kernel
 def _stretched(values: NDArray[np.float32], corner: float, scale: float, count: int) -> NDArray[np.float32]:
-    """Return coarse values at the middles of cells along each row, as `kernels.surface.sample` interpolates."""
+    """Interpolate coarse values along each row at the middles of cells, like `kernels.surface.sample`."""
     mx, my = values.shape
     first, share = np.empty(count, np.int32), np.empty(count, np.float32)
     for j in range(count):
@@ -182,7 +182,7 @@ def _stretched(values: NDArray[np.float32], corner: float, scale: float, count: 
 
 @kernel
 def _interpolate(rows: NDArray[np.float32], at: float, part: NDArray[np.float32], start: int) -> None:
-    """Fill in a row of cells between two of `_stretched`."""
+    """Interpolate a row of cells between two rows of `_stretched`, in place."""
     u = min(max(at - 0.5, 0.0), rows.shape[0] - 1.0)
     k, start = min(int(u), rows.shape[0] - 2) & 0xFFFF, start & 0x7FFFF
     share = np.float32(u - k)

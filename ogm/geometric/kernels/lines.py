@@ -1,4 +1,4 @@
-"""Straight lines of cells: what `HeightBandISM` draws."""
+"""Straight lines of cells, for `HeightBandISM`."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,17 @@ UNKNOWN, FREE, OCCUPIED, BEYOND = 0, 1, 2, 3  # states of a cell while `height_b
 
 @kernel
 def draw_lines(state: NDArray[np.uint8], ends: NDArray[np.int32], i0: int, j0: int) -> None:
-    """Mark cells as free on the straight line from (i0, j0) to each end, up to the first occupied one.
+    """Mark cells as free on the straight line from (i0, j0) to each end, up to the first occupied cell.
 
-    Lines are Bresenham's: one cell per step along the longer axis, the other rounded to the nearest (half
-    up, away from the start), in 32.32 fixed point, exact for lines of up to 2**16 cells.
+    Lines follow Bresenham: a cell per step along the longer axis, rounded to the nearest cell along the other (half
+    up, away from the start). The fixed-point numbers (32.32) are exact for lines of up to 2**16 cells.
 
     Parameters
     ----------
     state : (nx, ny) uint8, changed in place
-        An end that is BEYOND (where a ray leaves the grid) becomes FREE if its line gets there.
+        An end in state BEYOND (a ray leaves the grid) becomes FREE if its line reaches the end.
     ends : (M, 2) int32
-        Cells ix, iy.
+        Cell indices ix, iy.
     i0, j0 : int
         The sensor's cell.
     """
@@ -64,11 +64,11 @@ def height_band_states(
     shape: tuple[int, int],
     band: HeightBand,
 ) -> NDArray[np.uint8]:
-    """Mark the cells of returns in a height band as occupied, the cells between these and the sensor as free.
+    """Mark the cells of returns in a height band as occupied, and the cells between them and the sensor as free.
 
-    Van Kempen et al. 2021, Sec. VI-A: "cells with returns between 0.5 and 2.0 m above ground". One line is drawn
-    per distinct cell, which gives the same states as one per return. Returns beyond the grid end where their
-    ray leaves it, and mark nothing.
+    Van Kempen et al. 2021, Sec. VI-A: "cells with returns between 0.5 and 2.0 m above ground". A line per distinct
+    cell gives the same states as a line per return. The ray of a return beyond the grid ends at the edge of the
+    grid, and marks no cell.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ def height_band_states(
     origin : (3,) float32
         The sensor [m].
     start : (i0, j0)
-        The cell that holds it.
+        The sensor's cell.
     cells : Cells, shape : (nx, ny)
     band : HeightBand
 
     Returns
     -------
     (nx, ny) uint8
-        UNKNOWN, FREE or OCCUPIED (or BEYOND: a ray's exit that it did not reach).
+        UNKNOWN, FREE, OCCUPIED, or BEYOND for the exit of a ray that an occupied cell stops.
     """
     x, y, z = points
     x0, y0, resolution = cells
@@ -125,7 +125,7 @@ def height_band_states(
 
 @kernel
 def state_mass(state: NDArray[np.uint8], evidence: float, factor: int) -> NDArray[np.float32]:
-    """Turn states into masses, e / (2 + sum of e), averaging evidence over `factor` x `factor` cells.
+    """Turn states into masses e / (2 + sum of e), with the mean evidence e of `factor` x `factor` cells.
 
     Parameters
     ----------

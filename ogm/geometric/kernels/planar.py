@@ -1,4 +1,4 @@
-"""Kernels of `PlanarISM`: cells that fans clear, and cells that ends mark."""
+"""Kernels of `PlanarISM`: cells cleared by fans and marked by the ends of beams."""
 
 import math
 from typing import Any
@@ -9,21 +9,22 @@ from numpy.typing import NDArray
 from ogm.geometric.kernels.arguments import Cells
 from ogm.jit import kernel
 
-__all__ = ["clear_fans", "combine_claims", "mark_ends"]
+__all__ = ["clear_fans", "mark_ends", "write_masses"]
 
-TOUCH = 1e-6  # [m] by which rounding may move an edge
-TAIL = 4.0  # standard deviations beyond which a range has no likelihood
+ROUNDING = 1e-6  # [m] rounding error of an edge
+TAIL = 4.0  # standard deviations of a range, beyond which its likelihood counts as 0
 
 
 @kernel
 def clear_fans(fans: NDArray[np.float64], cells: Cells, noise: float, free: Any) -> None:
-    """Raise the mass of free in the cells of fans that lie along the first axis.
+    """Raise the mass of free in the cells of fans along the first axis.
 
     Parameters
     ----------
     fans : (K, 7) float64
-        Cosine and sine of the middle, both with the first at least the second in size; tangent of half the width;
-        range [m] and mass of a near part; range and mass of a far part, which is no shorter and has no more mass.
+        Cosine and sine of the middle, with the cosine at least as large as the sine in size; tangent of half the
+        width; range [m] and mass of the near part; range and mass of the far part. The far part is at least as long
+        and has at most the same mass.
     cells : Cells
         Corner of the array, from the sensor.
     noise : float
@@ -31,17 +32,17 @@ def clear_fans(fans: NDArray[np.float64], cells: Cells, noise: float, free: Any)
     free : (nx, ny) float32
     """
     side, (nx, ny) = cells.resolution, free.shape
-    narrow, least = side / 2 + TOUCH, 1 / (2 * noise * noise)
+    narrow, inverse = side / 2 + ROUNDING, 1 / (2 * noise * noise)
     for k in range(len(fans)):
         c, s, t, near, near_mass, far, far_mass = fans[k]
         sign, c = (1.0, c) if c >= 0 else (-1.0, -c)
         own = side / 2 * (c + abs(s))  # half the extent of a cell along the fan
         sure = max(near - own - TAIL * noise, 0.0) ** 2
-        beside = max(far * t, narrow) * abs(s)
+        side_reach = max(far * t, narrow) * abs(s)
         if sign > 0:
-            low, high = -beside, far * c + beside
+            low, high = -side_reach, far * c + side_reach
         else:
-            low, high = -far * c - beside, beside
+            low, high = -far * c - side_reach, side_reach
         first, last = max(int((low - cells.x0) / side), 0), min(int((high - cells.x0) / side) + 1, nx)
         for i in range(first, last):
             u = sign * (cells.x0 + (i + 0.5) * side)
@@ -61,10 +62,10 @@ def clear_fans(fans: NDArray[np.float64], cells: Cells, noise: float, free: Any)
                     continue
                 left, mass = near - own - math.sqrt(square), 0.0
                 if left > 0:
-                    mass = near_mass * (1 - math.exp(-left * left * least))
+                    mass = near_mass * (1 - math.exp(-left * left * inverse))
                 left += far - near
                 if left > 0:
-                    mass = max(mass, far_mass * (1 - math.exp(-left * left * least)))
+                    mass = max(mass, far_mass * (1 - math.exp(-left * left * inverse)))
                 free[i, j] = max(free[i, j], np.float32(mass))
 
 
@@ -89,7 +90,7 @@ def mark_ends(ends: NDArray[np.float64], cells: Cells, noise: float, occupied: A
         x, y = c * distance, s * distance
         arc = 2 * distance * t
         wide = arc > side
-        pad = reach + (arc / 2 if wide else 0.0) + TOUCH
+        pad = reach + (arc / 2 if wide else 0.0) + ROUNDING
         i0, i1 = max(int((x - pad - cells.x0) / side - 0.5), 0), min(int((x + pad - cells.x0) / side + 1.5), nx)
         j0, j1 = max(int((y - pad - cells.y0) / side - 0.5), 0), min(int((y + pad - cells.y0) / side + 1.5), ny)
         share = mass * side / arc if wide else mass
@@ -100,11 +101,11 @@ def mark_ends(ends: NDArray[np.float64], cells: Cells, noise: float, occupied: A
                 if wide:
                     if abs(c * v - s * u) > t * (c * u + s * v):
                         continue
-                    off = max(abs(math.hypot(u, v) - distance) - half - TOUCH, 0.0)
+                    off = max(abs(math.hypot(u, v) - distance) - half - ROUNDING, 0.0)
                 else:
                     # Part of the axis within the cell, counted from the end
-                    a, b = _crossing(u - x, c, half + TOUCH)
-                    start, stop = _crossing(v - y, s, half + TOUCH)
+                    a, b = _crossing(u - x, c, half + ROUNDING)
+                    start, stop = _crossing(v - y, s, half + ROUNDING)
                     start, stop = max(start, a), min(stop, b)
                     if start > stop:
                         continue
@@ -116,7 +117,7 @@ def mark_ends(ends: NDArray[np.float64], cells: Cells, noise: float, occupied: A
 
 @kernel
 def _crossing(middle: float, slope: float, half: float) -> tuple[float, float]:
-    """Return between which parameters a line is within a strip: all, or none, where it runs along it."""
+    """Return the interval of the parameter of a line inside a strip; infinite or empty for a line along the strip."""
     if abs(slope) > 1e-9:
         a, b = (middle - half) / slope, (middle + half) / slope
         return min(a, b), max(a, b)
@@ -124,16 +125,16 @@ def _crossing(middle: float, slope: float, half: float) -> tuple[float, float]:
 
 
 @kernel
-def combine_claims(
+def write_masses(
     free: NDArray[np.float32], occupied: NDArray[np.float32], false_alarm: float, mass: NDArray[np.float32]
 ) -> None:
-    """Write masses: where a surface is more likely than a false alarm, the free of other beams is dropped.
+    """Write masses; cells with more occupied mass than `false_alarm` lose the free mass of other beams.
 
     Parameters
     ----------
     free, occupied : (nx, ny) float32
     false_alarm : float
-        Chance that an echo comes from an empty cell.
+        Chance that an echo comes from a free cell.
     mass : (nx, ny, 2) float32
     """
     for i in range(free.shape[0]):

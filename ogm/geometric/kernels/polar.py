@@ -1,4 +1,4 @@
-"""The polar grid around the sensor: which bins cover a cell, where a point lies, how high a ray passes."""
+"""Polar grid around the sensor: bins of each cell, coordinates of points, slopes of rays."""
 
 import math
 
@@ -12,8 +12,8 @@ from ogm.jit import inline, kernel, vector
 __all__ = ["ROW_BITS", "azimuth", "polar_coordinates", "polar_lookup", "ray_limits"]
 
 TAU = np.float32(2 * math.pi)
-ROW_BITS = 3  # the ground is sampled once for 2**3 neighbouring sectors
-# Coefficients of odd powers, fitted
+ROW_BITS = 3  # 2**3 neighbouring sectors share the samples of the ground
+# Fitted coefficients of the odd powers of the arc tangent
 _ATAN = (0.99999611, -0.33317370, 0.19807826, -0.13233361, 0.07962379, -0.03360420, 0.00681176)
 
 
@@ -26,7 +26,7 @@ def polar_lookup(
     sectors: int,
     bins: int,
 ) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
-    """Return for every cell which polar bins around the sensor cover it.
+    """Return the polar bins around the sensor that cover each cell.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def polar_lookup(
     origin : (3,) float32
         The sensor [m].
     footprint : (4,) float32
-        x_min, x_max, y_min, y_max of the ego vehicle [m]: cells whose middle lies in it get no ring.
+        x_min, x_max, y_min, y_max of the ego vehicle [m]; cells with their middle inside get no ring.
     sectors, bins : int
         Size of the polar grid.
 
@@ -64,7 +64,7 @@ def polar_lookup(
 
 @inline
 def azimuth(x: np.float32, y: np.float32) -> np.float32:
-    """Angle from the x axis to the left in [0, 2 pi), by a polynomial with an error below 1e-6 rad."""
+    """Return the angle from the x axis to the left in [0, 2 pi), by a polynomial with an error below 1e-6 rad."""
     ax: np.float32 = abs(x)
     ay: np.float32 = abs(y)
     long = max(ax, ay)
@@ -86,7 +86,7 @@ def azimuth(x: np.float32, y: np.float32) -> np.float32:
 def polar_coordinates(
     points: Points, origin: NDArray[np.float32], sectors: int, first: int, last: int, work: WorkSpace
 ) -> None:
-    """Fill sector, slope (rise over run) and run [m] of some points from the sensor, without branches."""
+    """Fill in sector, slope (rise over run) and run [m] of points from `first` to ``last - 1``, without branches."""
     x, y, z = points
     sx, sy, sz = origin
     to_sector, top = np.float32(sectors / (2 * math.pi)), np.int32(sectors - 1)
@@ -109,13 +109,13 @@ def ray_limits(ground: Surface, origin: NDArray[np.float32], clearance: float, p
     origin : (3,) float32
         The sensor [m].
     clearance : float
-        Height above ground from which a ray has no weight [m].
+        Height above ground from which a ray has no effect [m].
     polar : PolarGrid
 
     Returns
     -------
     RayLimits
-        The ground is sampled in every fourth bin, linear between.
+        The ground is sampled in every fourth bin and interpolated linearly.
     """
     rows, bins, step = polar.rows, polar.bins, polar.step
     low, high = np.empty((rows, bins), np.float32), np.empty((rows, bins), np.float32)

@@ -1,4 +1,4 @@
-"""Cells that a radar clears and marks."""
+"""Kernels of the radar model: cleared cells and marked ellipses."""
 
 import math
 
@@ -9,7 +9,7 @@ from ogm.jit import kernel
 
 __all__ = ["clear_cells", "mark_ellipses"]
 
-REACH = 3.0  # standard deviations up to which an ellipse marks
+REACH = 3.0  # [standard deviations] radius of an ellipse
 
 
 @kernel
@@ -20,18 +20,18 @@ def clear_cells(
     table: NDArray[np.float32],
     free: NDArray[np.float32],
 ) -> None:
-    """Write the mass of free.
+    """Write the mass of free of each cell.
 
     Parameters
     ----------
     sector, distance : (nx, ny) int32, float32
-        Of each cell; sector -1 is not seen.
+        Sector, -1 for an unseen cell, and distance [m] of each cell.
     until : (sectors,) float32
-        Range up to which a sector is cleared [m].
+        Range of the cleared part of each sector [m].
     table : (metres,) float32
-        Mass by range.
+        Mass of free by range [m].
     free : (nx, ny) float32
-        0 before.
+        0 before the call.
     """
     for i in range(sector.shape[0]):
         for j in range(sector.shape[1]):
@@ -48,19 +48,19 @@ def mark_ellipses(
     ego: NDArray[np.bool_],
     mass: NDArray[np.float32],
 ) -> None:
-    """Write masses: occupied from all ellipses as independent sources, free in what that leaves.
+    """Write masses: occupied from all ellipses as independent sources, free scaled by the remaining mass.
 
     Parameters
     ----------
     rows : (N, 6) float64
-        Of each detection: x, y, cosine and sine of its bearing, standard deviation across the beam [m], greatest mass.
+        For each detection x, y, cosine and sine of the bearing, standard deviation across the beam [m], largest mass.
     place : (4,) float64
         Origin and resolution of the grid, standard deviation along the beam [m].
     free : (nx, ny) float32
     ego : (nx, ny) bool
         Cells that stay unknown.
     mass : (nx, ny, 2) float32
-        0 before.
+        0 before the call.
     """
     x0, y0, cell, along = place
     nx, ny = free.shape

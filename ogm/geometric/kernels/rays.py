@@ -1,4 +1,4 @@
-"""From returns and beams without echo to rays, sorted by sector and slope."""
+"""Rays of returns and of beams without echo, sorted by sector and slope."""
 
 import math
 
@@ -13,9 +13,9 @@ from ogm.jit import kernel
 
 __all__ = ["aim_rays", "place_rays", "sort_sectors"]
 
-CLASSES = 256  # of slopes, in the first pass of the sort of a sector
+CLASSES = 256  # classes of slopes in the first pass of the sort of a sector
 LEVEL = np.float32(0.2)  # slope below which the classes are fine
-LEAST_SPREAD = 0.1  # [m]
+MIN_SPREAD = 0.1  # [m] smallest limit of growing noise for returns that mark
 
 
 @kernel
@@ -28,22 +28,22 @@ def aim_rays(
     part: tuple[int, int, int],
     work: WorkSpace,
 ) -> None:
-    """Fill in sector, slope and run of the rays of a part of the returns, and count its rays by sectors.
+    """Fill in sector, slope and run of a part of the rays, and count its rays in each sector.
 
     Parameters
     ----------
     points : Points
         N returns.
     directions : (M, 3) float32
-        Unit vectors of beams without echo, in the frame of the grid; those that are no directions have no effect. They
-        belong to the last part.
+        Unit vectors of beams without echo, in the frame of the grid, which belong to the last part. Vectors of another
+        length have no effect.
     origin : (3,) float32
         The sensor [m].
     polar : PolarGrid
     max_range : float
         Run of a beam without echo [m].
     part : (first, last, k)
-        Returns from `first` up to but without `last` are part k.
+        Part k: returns from `first` to ``last - 1``.
     work : WorkSpace
         For N + M rays; `counts[k]` is filled, too.
     """
@@ -61,7 +61,7 @@ def aim_rays(
 
 @kernel
 def _aim_beams(directions: NDArray[np.float32], count: int, sectors: int, max_range: float, work: WorkSpace) -> None:
-    """Append beams without echo behind `count` returns."""
+    """Append the beams without echo after `count` returns."""
     to_sector = np.float32(sectors / (2 * math.pi))
     for m in range(directions.shape[0]):
         dx, dy, dz = directions[m, 0], directions[m, 1], directions[m, 2]
@@ -84,9 +84,9 @@ def place_rays(
     part: tuple[int, int, int],
     work: WorkSpace,
 ) -> None:
-    """Fill in the heights of a part of the returns above the ground, mark cells, and place its rays by sectors.
+    """Fill in the heights above the ground of a part of the returns, mark cells, and group the part's rays by sector.
 
-    Returns of obstacles mark. Where the noise that grows exceeds a cell, or `LEAST_SPREAD`, none marks.
+    Returns of obstacles mark, unless the growing part of the noise exceeds both a cell and `MIN_SPREAD`.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def place_rays(
     part : (first, last, k)
         See `aim_rays`.
     work : WorkSpace
-        Filled by `aim_rays` for all parts. `above`, `hits[k]` and the entries of the part in `records` are filled.
+        Filled by `aim_rays` for all parts. The call fills `above`, `hits[k]` and the entries of the part in `records`.
     """
     first, last, k = part
     ends, total, parts = np.empty(work.counts.shape[1], np.int32), 0, work.counts.shape[0]
@@ -111,14 +111,14 @@ def place_rays(
             total += work.counts[j, s]
     (x, y, z), corners, marked = points, corner_heights(ground), first
     low, high, near = np.float32(numbers.obstacle_height), np.float32(numbers.clearance), np.float32(cells.resolution)
-    growth, spread = np.float32(numbers.noise_growth), np.float32(max(cells.resolution, LEAST_SPREAD))
+    growth, spread = np.float32(numbers.noise_growth), np.float32(max(cells.resolution, MIN_SPREAD))
     for n in range(first & 0x7FFFFFFF, last & 0x7FFFFFFF):
         run, above = work.run[n], z[n] - sample_corners(corners, ground, x[n], y[n])
         if shown.shape[0] > 0 and not shown[n]:
             above = raise_unshown(above, numbers)
         work.above[n] = above
         _place_ray(n, above, ends, work)
-        # Without branches: obstacles and ground may alternate
+        # No branches, because obstacles and ground may alternate
         work.point[marked & 0x7FFFFFFF] = n
         marked += int((above > low) & (above < high) & (run >= near) & (growth * run * run <= spread))
     for n in range(last & 0x7FFFFFFF, (work.sector.shape[0] if k == parts - 1 else last) & 0x7FFFFFFF):
@@ -146,10 +146,10 @@ def _mark_obstacles(
     runs: NDArray[np.float32],
     hits: NDArray[np.int32],
 ) -> None:
-    """Let the returns of obstacles, of numbers `marked`, mark their cells.
+    """Add the hits of the obstacle returns with the indices `marked` to their cells.
 
-    Each is spread over the two points one standard deviation before and behind it (two-point Gauss-Hermite rule),
-    each marking its cell with half a hit.
+    A return adds half a hit at each of two points, a standard deviation before and behind it (two-point Gauss-Hermite
+    rule).
     """
     hits[:] = 0
     noise, growth = np.float32(numbers.range_noise), np.float32(numbers.noise_growth)
@@ -164,7 +164,7 @@ def _mark_obstacles(
 
 @kernel
 def hit_cell(hits: NDArray[np.int32], cells: Cells, x: np.float32, y: np.float32) -> None:
-    """Add half a hit to the cell at (x, y), if it lies in the grid."""
+    """Add half a hit to the cell at (x, y), if the point lies in the grid."""
     inverse = np.float32(1.0 / cells.resolution)
     u, v = (x - np.float32(cells.x0)) * inverse, (y - np.float32(cells.y0)) * inverse
     if u >= 0 and u < hits.shape[0] and v >= 0 and v < hits.shape[1]:
@@ -175,15 +175,15 @@ def hit_cell(hits: NDArray[np.int32], cells: Cells, x: np.float32, y: np.float32
 def sort_sectors(rays: Rays, first: int, last: int, count: int, work: WorkSpace) -> None:
     """Sort the rays of sectors by slope, and rays of equal slope by run.
 
-    Rays of one sector do not cross, so that their order by slope is their order by height in every bin. The order
-    of the points has no effect, unless slope and run are equal.
+    Rays of a sector do not cross. Their order by slope is therefore their order by height in every bin. The order of
+    the points has no effect, unless slope and run are equal.
 
     Parameters
     ----------
     rays : Rays
-        With `starts`; the entries of the sectors are filled.
+        Needs `starts`; the entries of the sectors are filled.
     first, last : int
-        Sectors from `first` up to but without `last`.
+        Sectors from `first` to ``last - 1``.
     count : int
         Number of returns.
     work : WorkSpace
@@ -203,7 +203,7 @@ def sort_sectors(rays: Rays, first: int, last: int, count: int, work: WorkSpace)
 def _sort_by_class(
     work: WorkSpace, begin: int, end: int, count: int, classes: NDArray[np.int32], ends: NDArray[np.int32], rays: Rays
 ) -> None:
-    """Fill in the rays of a sector by classes of slope (a counting sort)."""
+    """Fill in the rays of a sector, sorted by class of slope (counting sort)."""
     begin, half, one = begin & 0x7FFFFFFF, np.float32(CLASSES // 2), np.float32(1.0)
     for n in range(end - begin):
         slope = work.records[(begin + n) << 2]
@@ -227,7 +227,7 @@ def _sort_by_class(
 
 @kernel
 def _finish_sort(rays: Rays, begin: int, end: int) -> None:
-    """Sort the rays of a sector, which are nearly sorted, by slope and then by run (insertion sort)."""
+    """Sort the nearly sorted rays of a sector by slope, then by run (insertion sort)."""
     begin, (slopes, runs, heights, points, _) = begin & 0x7FFFFFFF, rays
     for n in range(begin + 1, end):
         slope, run = slopes[n], runs[n]

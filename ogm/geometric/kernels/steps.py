@@ -1,9 +1,9 @@
-"""Steps and slopes of heights, row by row."""
+"""Steps and slopes of the heights, by rows of cells."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.kernels.height_sums import FAR
+from ogm.geometric.kernels.height_sums import NO_SURFACE
 from ogm.geometric.kernels.polar import azimuth
 from ogm.jit import kernel, vector
 
@@ -20,13 +20,13 @@ __all__ = [
     "widen",
 ]
 
-WIDTH = 16400  # cells of a row; parts of a row begin at constants, so that the compiler sees them apart
+WIDTH = 16400  # cells of a row; parts begin at constants, so that the compiler knows that they do not overlap
 HIGH, LOW, RISE, TOP_SURFACE, BOTTOM_SURFACE = (WIDTH * k for k in range(1, 6))
 
 
 @kernel
 def rises(height: NDArray[np.float32], scale: np.float32) -> NDArray[np.float32]:
-    """Return the median rise along the first axis, over five pairs of cells around each, times a scale."""
+    """Return the median rise along the first axis over five pairs of cells around each cell, times `scale`."""
     nx, ny = height.shape
     result, five = np.empty((nx, ny), np.float32), np.empty(5, np.float32)
     for k in range(nx):
@@ -46,7 +46,7 @@ def rises(height: NDArray[np.float32], scale: np.float32) -> NDArray[np.float32]
 
 @vector
 def widen(part: NDArray[np.float32], count: int, reach: int) -> None:
-    """Fill in the highest and the lowest surface up to `reach` cells away along a row, less the rise of the slope."""
+    """Fill in the highest and lowest surface within `reach` cells along a row, without the rise of the slope."""
     zero = np.float32(0.0)
     for j in range(count & 0x7FFF):  # masks show the compiler that no index is negative
         part[TOP_SURFACE + j], part[BOTTOM_SURFACE + j] = part[HIGH + j], part[LOW + j]
@@ -63,7 +63,7 @@ def widen(part: NDArray[np.float32], count: int, reach: int) -> None:
 def steps_of_row(
     wide: NDArray[np.float32], i: int, reach: int, part: NDArray[np.float32], out: NDArray[np.float32]
 ) -> None:
-    """Fill in the greatest rise up to `reach` cells away from a row's cells, without the slope; NaN without any."""
+    """Fill in the largest rise within `reach` cells of a row's cells, without the slope; NaN without a surface."""
     count, nan = out.shape[1] & 0x7FFF, np.float32(np.nan)
     for j in range(count):
         part[TOP_SURFACE + j], part[BOTTOM_SURFACE + j] = wide[0, i, j], wide[1, i, j]
@@ -71,12 +71,12 @@ def steps_of_row(
         _extend(wide, i + t, np.float32(t), count, part)
     for j in range(count):
         step = part[TOP_SURFACE + j] - part[BOTTOM_SURFACE + j]
-        out[i, j] = step if step > -FAR else nan
+        out[i, j] = step if step > -NO_SURFACE else nan
 
 
 @vector
 def _extend(wide: NDArray[np.float32], k: int, away: np.float32, count: int, part: NDArray[np.float32]) -> None:
-    """Raise the highest and lower the lowest surface of the cells of a row by those of row k."""
+    """Extend the highest and lowest surface of the cells of a row by the surfaces of row `k`."""
     k, count, zero = k & 0x7FFFFFFF, count & 0x7FFF, np.float32(0.0)
     for j in range(count):
         part[TOP_SURFACE + j] += max(wide[0, k, j] - part[RISE + j] * away - part[TOP_SURFACE + j], zero)
@@ -93,7 +93,7 @@ def slopes_of_row(
     part: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """Fill in the inclination [rad] of a row's cells, by the rise over `reach` cells on either side."""
+    """Fill in the inclination [rad] of a row's cells, by the rise across `reach` cells on either side."""
     nx, count, one = height.shape[0], height.shape[1] & 0x7FFF, np.float32(1.0)
     first, last, i = max(i - reach, 0) & 0x7FFFFFFF, min(i + reach, nx - 1) & 0x7FFFFFFF, i & 0x7FFFFFFF
     for j in range(count):

@@ -1,4 +1,4 @@
-"""Surfaces of heights: the ground under a scan, and interpolation in it."""
+"""Surfaces of heights: ground under a scan, interpolation, filled gaps."""
 
 import math
 
@@ -13,11 +13,11 @@ __all__ = ["corner_heights", "fill", "ground_heights", "lower_envelope", "sample
 
 @kernel
 def sample(surface: Surface, x: np.float32, y: np.float32) -> np.float32:
-    """Interpolate a `Surface` bilinearly at (x, y); beyond the outermost middles the edge's height holds."""
+    """Interpolate a `Surface` bilinearly at (x, y), with constant heights beyond the outermost middles of cells."""
     height, half, zero = surface.height, np.float32(0.5), np.float32(0.0)
     u = min(max((x - surface.x0) * surface.per_metre - half, zero), np.float32(height.shape[0] - 1))
     v = min(max((y - surface.y0) * surface.per_metre - half, zero), np.float32(height.shape[1] - 1))
-    # Here and elsewhere, a mask shows the compiler that an index is not negative: no wrap-around is needed.
+    # In all kernels a mask shows the compiler that an index is not negative, which saves the wrap-around.
     i, j = min(int(u), height.shape[0] - 2) & 0xFFFF, min(int(v), height.shape[1] - 2) & 0xFFFF
     a, b = u - np.float32(i), v - np.float32(j)
     low = height[i, j] + (height[i, j + 1] - height[i, j]) * b
@@ -28,7 +28,7 @@ def sample(surface: Surface, x: np.float32, y: np.float32) -> np.float32:
 
 @kernel
 def corner_heights(surface: Surface) -> NDArray[np.float32]:
-    """Return, for each cell and its next neighbours, what `sample` needs of their heights, (4 (gx - 1) (gy - 1),)."""
+    """Return the coefficients of `sample` for each cell and its next neighbours, (4 (gx - 1) (gy - 1),)."""
     height, place = surface.height, 0
     corners = np.empty(4 * (height.shape[0] - 1) * (height.shape[1] - 1), np.float32)
     for i in range(height.shape[0] - 1):
@@ -41,7 +41,7 @@ def corner_heights(surface: Surface) -> NDArray[np.float32]:
 
 @kernel
 def sample_corners(corners: NDArray[np.float32], surface: Surface, x: np.float32, y: np.float32) -> np.float32:
-    """Do `sample` by the result of `corner_heights`."""
+    """Interpolate like `sample`, from the result of `corner_heights`."""
     nx, ny, half, zero = surface.height.shape[0], surface.height.shape[1], np.float32(0.5), np.float32(0.0)
     u = min(max((x - surface.x0) * surface.per_metre - half, zero), np.float32(nx - 1))
     v = min(max((y - surface.y0) * surface.per_metre - half, zero), np.float32(ny - 1))
@@ -55,7 +55,7 @@ def sample_corners(corners: NDArray[np.float32], surface: Surface, x: np.float32
 
 @kernel
 def sample_many(surface: Surface, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Do `sample` for each of many points."""
+    """Interpolate like `sample` at each point."""
     result = np.empty(x.shape[0], np.float32)
     for n in range(x.shape[0]):
         result[n] = sample(surface, x[n], y[n])
@@ -66,7 +66,7 @@ def sample_many(surface: Surface, x: NDArray[np.float32], y: NDArray[np.float32]
 def ground_heights(
     points: Points, ground_point: tuple[float, float, float], cells: Cells, shape: tuple[int, int], limits: GroundLimits
 ) -> NDArray[np.float32]:
-    """Estimate the ground: see `ogm.geometric.local_ground`, whose four steps these are.
+    """Estimate the ground by the four steps of `ogm.geometric.local_ground`.
 
     Parameters
     ----------
@@ -87,12 +87,12 @@ def ground_heights(
     i0 = min(max(int((gx - np.float32(cells.x0)) * inverse), 0), shape[0] - 1)
     j0 = min(max(int((gy - np.float32(cells.y0)) * inverse), 0), shape[1] - 1)
 
-    # 1. lowest return of each cell, but for what no road could lead down to
+    # 1. lowest return of each cell, without returns below the steepest road
     cell, lowest = _lowest_returns(points, ground_point, cells, shape, limits)
     descent = np.float32(limits.max_descent * cells.resolution)
     _drop_strays(lowest, i0, j0, gz, descent, np.float32(limits.low_tolerance))
 
-    # 2. lower envelope under the slope limit, from these and from the ground point: what touches it is ground
+    # 2. lower envelope of these and the ground point under the slope limit; heights on the envelope are ground
     lowest[i0, j0] = min(lowest[i0, j0], gz)
     envelope = lowest.copy()
     lower_envelope(envelope, np.float32(limits.max_slope * cells.resolution))
@@ -101,12 +101,12 @@ def ground_heights(
             if lowest[i, j] > envelope[i, j]:
                 lowest[i, j] = np.inf
 
-    # 3. mean of their lowest layer, or of the one above it
+    # 3. mean of the lowest layer of these cells, or of the layer above
     height, weight = _layer_means(points.z, cell, lowest, np.float32(1.0 / limits.band))
     if weight[i0, j0] == 0 and math.isfinite(lowest[i0, j0]):
         height[i0, j0], weight[i0, j0] = gz, np.float32(1.0)
 
-    # 4. a smooth surface through them, that climbs nowhere faster from them than the slope limit
+    # 4. smooth surface through the means, no steeper than the slope limit
     limit = height.copy()
     for i in range(shape[0]):
         for j in range(shape[1]):
@@ -125,7 +125,7 @@ def ground_heights(
 def _lowest_returns(
     points: Points, ground_point: tuple[float, float, float], cells: Cells, shape: tuple[int, int], limits: GroundLimits
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the cell of each point (nx * ny outside), and each cell's lowest return above the steepest descent."""
+    """Return the cell of each point (nx * ny if outside), and each cell's lowest return above the steepest descent."""
     x, y, z = points
     nx, ny = shape
     x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
@@ -153,17 +153,17 @@ def _lowest_returns(
 def _layer_means(
     z: NDArray[np.float32], cell: NDArray[np.int32], lowest: NDArray[np.float32], layers_per_metre: np.float32
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the mean height of each ground cell's lowest layer of returns, and how many returns are in it.
+    """Return mean height [m] and weight (at most 8 returns) of the lowest layer of returns of each ground cell.
 
-    The layer above it is taken where the layers below and above that one have less than a tenth of its returns.
+    The second layer replaces the first if the first and third layer each have at most a tenth of its returns.
     """
     nx, ny = lowest.shape
-    flat = np.full(nx * ny + 1, np.inf, np.float32)  # the last is of points outside
+    flat = np.full(nx * ny + 1, np.inf, np.float32)  # the last entry is for points outside
     for i in range(nx):
         for j in range(ny):
             flat[i * ny + j] = lowest[i, j]
     places, heights, kept = np.empty(z.shape[0], np.int32), np.empty(z.shape[0], np.float32), 0
-    for n in range(z.shape[0]):  # without branches: obstacles and ground may alternate
+    for n in range(z.shape[0]):  # no branches, because obstacles and ground may alternate
         c = cell[n] & 0x7FFFFFFF
         above = z[n] - flat[c]
         layer = above * layers_per_metre
@@ -191,11 +191,12 @@ def _layer_means(
 def _drop_strays(
     lowest: NDArray[np.float32], i0: int, j0: int, ground_z: np.float32, rise: np.float32, tolerance: np.float32
 ) -> None:
-    """Set cells to inf whose lowest return lies under the ground: multipath and ghost returns.
+    """Set cells with a lowest return under the ground to inf: multipath and ghost returns.
 
-    Square rings of cells are visited outward from cell (i0, j0), where the ground is known. Each cell expects
-    the height of its up to three inner neighbours, the more the fewer steps ago they had ground, and may lie
-    below it by `tolerance` plus `rise` for each of these steps. What a stray return spoils stays behind it.
+    Square rings of cells are visited outward from cell (i0, j0) with known ground. The expected height of a cell is the
+    weighted mean of its up to three inner neighbours. Neighbours fewer steps away from ground have more weight. A cell
+    may lie below the expected height by `tolerance` plus `rise` for each of these steps. A stray return therefore
+    affects only the cells behind it.
     """
     nx, ny = lowest.shape
     ground = np.full((nx, ny), ground_z, np.float32)
@@ -203,7 +204,7 @@ def _drop_strays(
     one = np.float32(1.0)
     for ring in range(1, max(i0, nx - 1 - i0, j0, ny - 1 - j0) + 1):
         for i in range(max(i0 - ring, 0), min(i0 + ring + 1, nx)):
-            stride = 1 if abs(i - i0) == ring else 2 * ring  # whole edge, or the two ends of a row
+            stride = 1 if abs(i - i0) == ring else 2 * ring  # a whole edge, or the two ends of a row
             for j in range(j0 - ring, j0 + ring + 1, stride):
                 if j < 0 or j >= ny:
                     continue
@@ -227,7 +228,7 @@ def _drop_strays(
 
 @kernel
 def lower_envelope(height: NDArray[np.float32], rise: np.float32) -> None:
-    """Lower every cell to what its neighbours allow: a two-pass chamfer distance transform in height."""
+    """Lower every cell until it rises at most `rise` per cell from its neighbours (two-pass chamfer transform)."""
     nx, ny = height.shape
     diagonal = rise * np.float32(math.sqrt(2.0))
     for step in (1, -1):  # from the first corner to the last, and back
@@ -249,7 +250,7 @@ def lower_envelope(height: NDArray[np.float32], rise: np.float32) -> None:
 
 @kernel
 def fill(height: NDArray[np.float32], weight: NDArray[np.float32], otherwise: np.float32) -> None:
-    """Give cells of weight 0 the height of a smooth surface through the others (pull-push), in place."""
+    """Fill cells of weight 0 with a smooth surface through the other cells (pull-push), in place."""
     nx, ny = height.shape
     if nx <= 2 and ny <= 2:
         known, mean = np.float32(0.0), np.float32(0.0)
@@ -277,7 +278,7 @@ def fill(height: NDArray[np.float32], weight: NDArray[np.float32], otherwise: np
     fill(coarse, total, otherwise)
     half, zero = np.float32(0.5), np.float32(0.0)
     surface = Surface(coarse, zero, zero, half)
-    for i in range(nx):  # push: what is missing comes from the level above, interpolated
+    for i in range(nx):  # push: empty cells are interpolated from the coarser level
         for j in range(ny):
             if weight[i, j] == 0:
                 height[i, j] = sample(surface, np.float32(i) + half, np.float32(j) + half)

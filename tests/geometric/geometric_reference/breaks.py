@@ -68,13 +68,14 @@ def profiles_of(sectors: Sequence[Sequence[Beam]], step: float, obstacle_height:
         found: dict[int, list[Beam]] = {}
         for beam in beams:
             number = int(beam.run / (wide * step))
-            if beam.is_return and beam.above <= obstacle_height and number <= int(constants.BEYOND * bins) // wide:
+            in_profile = number <= int(constants.PROFILE_RADII * bins) // wide
+            if beam.is_return and beam.above <= obstacle_height and in_profile:
                 found.setdefault(number, []).append(beam)
         result.append(
             [
                 Bin(number, float(np.mean([b.run for b in held])), float(np.mean([b.slope * b.run for b in held])))
                 for number, held in sorted(found.items())
-                if len(held) >= constants.FEW
+                if len(held) >= constants.MIN_RETURNS
             ]
         )
     return result
@@ -114,7 +115,7 @@ def find_breaks(
         }
         result.append(kept)
         for kept_break in kept.values():
-            share = 0 if kept_break.kind == constants.HOLE else constants.DOUBTFUL
+            share = 0 if kept_break.kind == constants.HOLE else constants.DOUBTFUL_RELIABILITY
             part = reliability[row, kept_break.begin : (kept_break.end + 1) * wide + 1]
             part[:] = np.minimum(part, share)
     return result, reliability
@@ -140,24 +141,25 @@ def _compare(profile: list[Bin], lowest: float, step: float, below_ground: float
                 known, last_ground = [(run, height)], [run]
             continue
         line = _line(known, run, incline)
-        incline, slack = line.incline, constants.BEND * (run - line.run) + constants.ROUGH * line.rough
-        rise, is_near = line.rest(run, height), run - line.run < constants.REACH
+        incline, slack = line.incline, constants.BEND * (run - line.run) + constants.ROUGHNESS_FACTOR * line.rough
+        rise, is_near = line.rest(run, height), run - line.run < constants.MAX_GAP
         edge = max([r for r in last_ground if r <= run - constants.EDGE], default=last_ground[0])
         begin = max(int(edge / step) - 1, 0)
 
         if is_near and rise > constants.ONSET + slack:
             end = _end(profile, k, line, 1)
             high = line.rest(*profile[end][1:]) if end is not None else 0.0
-            least = constants.RISE + constants.RISE_ANGLE * run + constants.ROUGH * line.rough
-            if end is not None and high > least and max(_jumps(profile, k, end, line)) > constants.SUDDEN * high:
-                face = height - rise + constants.FACE + constants.ROUGH * line.rough
+            least = constants.RISE + constants.RISE_ANGLE * run + constants.ROUGHNESS_FACTOR * line.rough
+            min_jump = constants.MIN_JUMP_SHARE * high
+            if end is not None and high > least and max(_jumps(profile, k, end, line)) > min_jump:
+                face = height - rise + constants.FACE + constants.ROUGHNESS_FACTOR * line.rough
                 limit = face if high > constants.OBSTACLE_STEP else math.inf
                 found[number] = Break(constants.STEP, limit, begin, profile[end].number)
                 known, resume, hole = [profile[end][1:]], end + 1, None
                 last_ground.append(profile[end].run)
                 horizon = max(horizon, height / run)
                 continue
-        elif rise < -constants.SINK - slack:
+        elif rise < -constants.HOLE_ONSET - slack:
             if height / run < horizon:
                 continue
             goes_on = False
@@ -174,7 +176,7 @@ def _compare(profile: list[Bin], lowest: float, step: float, below_ground: float
                     hole = hole or (before, begin)
                     found[number] = Break(constants.HOLE, floor, hole[1], number)
                     continue
-                if is_near and min(_jumps(profile, k, k, line)) < constants.SUDDEN * rise:
+                if is_near and min(_jumps(profile, k, k, line)) < constants.MIN_JUMP_SHARE * rise:
                     found[number] = Break(constants.FALL, -math.inf, begin, number)
                     known = []
         hole, horizon, lowest = None, max(horizon, height / run), min(lowest, height)
@@ -189,11 +191,11 @@ def _line(known: list[tuple[float, float]], run: float, before: float) -> Line:
     base = max((n for n in range(at + 1) if known[n][0] <= known[at][0] - constants.BASELINE), default=0)
     r, z = np.array(known[base : at + 1]).T
     if ((r - r.mean()) ** 2).sum() > 0.5:
-        incline = min(max(float(np.polyfit(r, z, 1)[0]), -constants.STEEPEST), constants.STEEPEST)
+        incline = min(max(float(np.polyfit(r, z, 1)[0]), -constants.MAX_INCLINE), constants.MAX_INCLINE)
     else:
         incline = before
     rest = ((z - z.mean()) ** 2).sum() - incline * ((r - r.mean()) * (z - z.mean())).sum()
-    rough = math.sqrt(max(rest, 0) / (len(r) - 2)) if len(r) >= constants.MANY else 0.0
+    rough = math.sqrt(max(rest, 0) / (len(r) - 2)) if len(r) >= constants.MIN_ROUGHNESS_BINS else 0.0
     return Line(known[at][0], float(z.mean() + incline * (known[at][0] - r.mean())), incline, rough)
 
 
@@ -216,7 +218,7 @@ def _end(profile: list[Bin], k: int, line: Line, sign: int) -> int | None:
             is_noise = sign > 0 and rest < before / 2 and grown < constants.BUMP
             return None if is_noise else last
         last = later[0]
-        if profile[last].run - line.run > constants.LONGEST or rest > constants.HIGHEST:
+        if profile[last].run - line.run > constants.MAX_RISE_RUN or rest > constants.MAX_RISE:
             return None
 
 
