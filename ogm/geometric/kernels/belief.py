@@ -27,7 +27,7 @@ __all__ = ["clear_sectors", "ray_mass"]
 # Begin of each part of the work space of a sector; with constants the compiler knows that the parts do not overlap
 PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
 LANES = 0xFFF8  # loops run over groups of eight bins, and a mask drops the bins outside the ray: no scalar remainder
-LOWEST_SLOPE = np.float32(-3e38)  # slope
+LOWEST_SLOPE = np.float32(-3e38)  # rise over run below every ray
 NEGLIGIBLE_CHANCE = np.float32(1e-4)  # chance below which further rays through a bin are ignored
 
 
