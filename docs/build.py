@@ -187,9 +187,9 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     },
     "docs/project.md": lambda: {"pythons": pythons()},
     "docs/radar.md": lambda: {
-        "radar": with_source("radar", *radar_tables(record("radar"))),
-        "radar-far": with_source("radar_far", *far_tables(record("radar_far"))),
-        "radar-fusion": with_source("radar_fusion", *fusion_tables(record("radar_fusion"))),
+        "radar": with_command("radar", *radar_tables(record("radar"))),
+        "radar-far": with_command("radar_far", *far_tables(record("radar_far"))),
+        "radar-fusion": with_command("radar_fusion", *fusion_tables(record("radar_fusion"))),
     },
     "docs/reproduction.md": lambda: (
         sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed", "objects")))
