@@ -1,6 +1,6 @@
 """Make the tables of the documentation from the records of the benchmarks.
 
-    python docs/build.py            # writes docs/results.md and fills the marked tables of other pages
+    python docs/build.py            # fills the marked tables of the pages
     python docs/build.py --check    # writes nothing; exit code 1 if a page differs from its record
 
 Both list the records that are outdated, with the commands that measure them again (`record_tables.outdated`).
@@ -23,22 +23,12 @@ from dynamic_tables import dynamic_tables
 from evidence_tables import evidence_tables
 from quality_tables import quality_tables
 from radar_tables import far_tables, fusion_tables, radar_tables
-from record_tables import RESULTS, link, mark, marked, outdated, record, table, verdicts, with_source
+from record_tables import RESULTS, link, marked, outdated, record, table, verdicts, with_command, with_source
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
 from world_tables import build_tables, rule_tables, world_tables
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def section(title: str, name: str, *parts: str) -> str:
-    """Return a section of the page of results."""
-    found = record(name)
-    facts = found.get("environment", found)
-    cpu = re.sub(r"\((R|TM)\)| Processor| @.*", "", facts["cpu"])
-    cores = "1 core" if facts["cores used"] == 1 else f"{facts['cores used']} cores"
-    made = f"*`{facts['command']}`, {facts['date'].split()[0]}, {cpu}, {cores}; {link(name)}.*{mark(name)}"
-    return "\n\n".join([f"## {title}", *parts, made])
 
 
 # --- One table each -------------------------------------------------------------------------------------
@@ -55,19 +45,18 @@ def truth_modes() -> str:
 def simulation() -> str:
     """Return the cost of simulated samples."""
     cost = record("simulation")
-    seconds, times = cost["one sample"]["seconds, median"], cost["one sample"]["times the rays alone, median"]
-    worst = cost["one sample"]["times the rays alone, worst moment"]
-    two, reading = cost["two workers"], cost["reading"]
+    seconds, two, reading = cost["one sample"]["seconds, median"], cost["two workers"], cost["reading"]
+    rates = [two[f"samples per second by {by}"] for by in ("one worker on one core", "two workers on two")]
     rows = [
         ["Open3D alone, the rays of a sample", f"{seconds['rays alone']:.2f} s"],
         ["a whole sample, `--truth hd`, written to disk", f"{seconds['hd']:.2f} s"],
-        ["... in multiples of the rays alone (worst moment)", f"{times['hd']:.2f} ({worst['hd']:.2f})"],
         ["a whole sample, `--truth aimed`", f"{seconds['aimed']:.2f} s"],
-        ["samples per second, one worker", f"{two['samples per second by one worker on one core']:.2f}"],
-        ["... two workers", f"{two['samples per second by two workers on two']:.2f}"],
+        ["samples per second: one worker, two", "{:.2f}, {:.2f}".format(*rates)],
         ["bytes per sample", f"{two['bytes per sample']:,}"],
-        ["samples read per second, one process", f"{reading['samples per second, 1 process']:.0f}"],
-        ["... two processes", f"{reading['samples per second, 2 processes']:.0f}"],
+        [
+            "read per second: one process, two",
+            f"{reading['samples per second, 1 process']:.0f}, {reading['samples per second, 2 processes']:.0f}",
+        ],
     ]
     return table(["", "measured"], rows)
 
@@ -133,37 +122,24 @@ def coverage() -> str:
     return marked("interval_coverage", table(["[%]", *heads], rows))
 
 
-def results() -> str:
-    """Return the page of results."""
-    boxes = (
-        "Cells of an annotated object with a mass above 1/2, means over objects with 50 returns or more. The hidden "
-        "side counts. No weights were chosen by these recordings."
-    )
-    parts = [
-        "# Results",
-        "Made by `python docs/build.py` from the records of the [benchmarks](../benchmarks/README.md). "
-        "[Models compared](quality.md); [what intervals are worth](evaluation.md#intervals).",
-        section(
-            "Sensor models, simulated test drive",
-            "deep_quality",
-            f"{deep.extent()}; {record('deep_quality')['intervals']}.",
-            *(deep.deep_quality(), deep.deep_targets(), deep.deep_occupied()),
-        ),
-        section("Objects in real scans", "objects", boxes, deep.objects()),
-        section("Losses of the network", "deep_losses", deep.deep_losses()),
-        section("Time per scan", "speed", geometric.speed()),
-        section("Time of the network", "deep_speed", deep.deep_speed()),
-        section(
-            "Ground estimates, labelled returns not used while parameters were chosen", "ground", geometric.ground()
-        ),
-        section("Maps over time, simulated drives", "fusion_quality", maps.fusion()),
-        section("Time of a map update", "fusion_speed", maps.fusion_speed()),
-        section("Time of logs", "logs", maps.logs()),
-        section("Live, 10 minutes at 10 Hz", "live", verdicts("live", "`ogm serve`, a viewer receives all")),
-        section("Truth of the simulator", "truth_modes", truth_modes()),
-        section("Cost of simulated samples", "simulation", simulation()),
-    ]
-    return "\n\n".join(parts) + "\n"
+def results() -> dict[str, str]:
+    """Return the tables of the page of results."""
+    scores = f"{deep.extent()}; {record('deep_quality')['intervals']}.", deep.deep_quality(), deep.deep_occupied()
+    made = {
+        "models": with_command("deep_quality", *scores),
+        "objects": with_command("objects", deep.objects()),
+        "maps": with_command("fusion_quality", maps.fusion(maps.LISTED_MAPS)),
+        "ground": with_command("ground", geometric.ground()),
+        "speed": with_command("speed", geometric.speed()),
+        "network": with_command("deep_speed", deep.deep_speed()),
+        "update": with_command("fusion_speed", maps.fusion_speed()),
+        "logs": with_command("logs", maps.logs()),
+        "live": with_command("live", verdicts("live", "`ogm serve`, a viewer receives all")),
+        "truth": with_command("truth_modes", truth_modes()),
+        "samples": with_command("simulation", simulation()),
+        "losses": with_command("deep_losses", deep.deep_losses()),
+    }
+    return made | quality_tables(record("quality")) | reliability_tables()
 
 
 def fill(page: str, made: Mapping[str, str]) -> str:
@@ -210,17 +186,16 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "planning": with_source("planning", maps.planning()),
     },
     "docs/project.md": lambda: {"pythons": pythons()},
-    "docs/quality.md": lambda: quality_tables(record("quality")),
     "docs/radar.md": lambda: {
-        "radar": with_source("radar", *radar_tables(record("radar"))),
-        "radar-far": with_source("radar_far", *far_tables(record("radar_far"))),
-        "radar-fusion": with_source("radar_fusion", *fusion_tables(record("radar_fusion"))),
+        "radar": with_command("radar", *radar_tables(record("radar"))),
+        "radar-far": with_command("radar_far", *far_tables(record("radar_far"))),
+        "radar-fusion": with_command("radar_fusion", *fusion_tables(record("radar_fusion"))),
     },
-    "docs/reliability.md": reliability_tables,
     "docs/reproduction.md": lambda: (
         sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed", "objects")))
         | {"losses": deep.losses_of_the_paper(), "divergence": deep.divergences()}
     ),
+    "docs/results.md": results,
     "docs/simulation.md": lambda: {"data_store": with_source("data_store", *data_store_tables(record("data_store")))},
     "docs/world.md": lambda: {
         "world": with_source("world", *world_tables(record("world"))),
@@ -240,8 +215,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
     check = parser.parse_args().check
-    made = {"docs/results.md": results()}
-    made |= {name: fill((ROOT / name).read_text(encoding="utf-8"), parts()) for name, parts in PAGES.items()}
+    made = {name: fill((ROOT / name).read_text(encoding="utf-8"), parts()) for name, parts in PAGES.items()}
     differing = []
     for name, text in made.items():
         path = ROOT / name

@@ -5,12 +5,12 @@ from typing import Any
 
 from record_tables import change, marked, record, table, with_source
 
-MODELS = {  # and titles in the README; the released baseline predicts no cell: docs/quality.md
+MODELS = {  # and titles in the README; the released baseline predicts no cell
     "height-band": "paper's baseline", "ray": "`RayISM`", "lite": "`lite`", "combined": "**`combined`, the default**",
 }  # fmt: skip
 QUALITY = (
-    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
-    *("ece", "ece_relative", "auroc_unknown", "mean_unknown", "kl_e10"),
+    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "false_free", "missed_occupied", "ece"),
+    *("ece_relative", "auroc_unknown"),
 )
 LOSSES = (  # titles of what is compared of trainings; the last is what the reverse KL minimises
     *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known"),
@@ -108,15 +108,6 @@ def deep_quality() -> str:
     return table(["mean (95 %)", *(f"`{model}`" for model in models)], rows)
 
 
-def deep_targets() -> str:
-    """Return the targets of `lite`, reached or missed."""
-    rows = [
-        [row["what"], row["wanted"], f"{row['value']:.3f}", "reached" if row["met"] else "**missed**"]
-        for row in sorted(record("deep_quality")["wanted"], key=lambda row: row["what"].startswith(("kl_", "legacy")))
-    ]
-    return table(["target of `lite`", "wanted", "measured", ""], rows)
-
-
 def deep_occupied() -> str:
     """Return the predictions of occupied cells, by the objects in them."""
     found = record("deep_quality")["occupied cells by what stands there, pooled"]
@@ -126,11 +117,10 @@ def deep_occupied() -> str:
     }  # fmt: skip
     models, rows = _models(found), []
     for kind, title in kinds.items():
-        for state in ("free", "occupied"):
-            key = next(name for name in found[models[0]][kind] if name.endswith(state))
-            shares = (100 * found[model][kind][key] for model in models)
-            rows.append([f"{title}: {state}", *(f"{share:.1f} %" for share in shares)])
-    return table(["occupied cells, predicted", *(f"`{model}`" for model in models)], rows)
+        keys = [key for state in ("free", "occupied") for key in found[models[0]][kind] if key.endswith(state)]
+        shares = ([f"{100 * found[model][kind][key]:.1f}" for key in keys] for model in models)
+        rows.append([title, *map(", ".join, shares)])
+    return table(["occupied cells, predicted free, occupied [%]", *(f"`{model}`" for model in models)], rows)
 
 
 def deep_losses() -> str:
@@ -162,8 +152,7 @@ def divergences() -> str:
     """Return the divergences of `lite` and of both baselines, with the frames that `lite` wins."""
     found = record("deep_quality")
     titles = {
-        "kl_e10": "KL[grid ‖ truth], E = 10", "kl_e1": "KL[grid ‖ truth], E = 1, as the code's labels",
-        "kl_e1_scaled": "the same, a tenth of every model's evidence",
+        "kl_e10": "KL, E = 10", "kl_e1": "KL, E = 1, as the code's labels",
         "legacy_kl": 'the released code\'s "KL", not averaged',
     }  # fmt: skip
     rows = []
@@ -229,11 +218,9 @@ def deep_speed() -> str:
         return f"{times[name]['median']:.3g} ms"
 
     parts = {
-        "points to `EvidentialGrid`": ("lite, whole", "paper, whole"), "pillars": ("pillars", "pillars"),
-        "features and feature map": ("lite, pillars to feature map", "paper, pillars to feature map"),
-        "feature map to evidence": ("lite, feature map to evidence", "paper, feature map to evidence"),
+        "points to `EvidentialGrid`": ("lite, whole", "paper, whole"),
         "its convolutions alone": ("lite, convolutions", "paper, convolutions"),
-    }  # fmt: skip
+    }
     rows = [[title, *map(ms, names)] for title, names in parts.items()]
     networks = [summary[name] for name in ("lite", "paper")]
     rows += [
@@ -241,7 +228,7 @@ def deep_speed() -> str:
         ["share of the time outside convolutions", *(f"{one['share outside convolutions']:.0%}" for one in networks)],
     ]
     models = {"RayISM": "`RayISM`", "HeightBandISM": "`HeightBandISM`", "CombinedISM": "**`combined`, the default**"}
-    rows += [[f"{title} in the same run", ms(name), ""] for name, title in models.items() if name in times]
+    rows += [[title, ms(name), ""] for name, title in models.items() if name in times]
     networks_table = table(["57,600 points, two cores", "`lite`", "`paper`"], rows)
     return f"{networks_table}\n\n{deep_engines(found)}" if "differences in mass" in found else networks_table
 

@@ -11,7 +11,7 @@ def speed() -> str:
         key=lambda name: times["120k"][name]["median [ms]"],
     )
     names = {
-        "copy of the bytes it must read and write": "copying the bytes that must be read and written",
+        "copy of the bytes it must read and write": "copy of the bytes",
         "HeightBandISM": "**`HeightBandISM`**",
         "RayISM": "**`RayISM`**, with ground",
         "local_ground": "`local_ground` alone",

@@ -17,7 +17,7 @@ FUSED = {
 }  # fmt: skip
 STATIC_FUSED = ("nll", "iou_free", "iou_occupied", "false_free")
 PAIRED = ("nll", "brier", "iou_free", "false_free")
-MEAN = "mean over drives ± half of the 95 % interval"
+MEAN = "mean ± half a 95 % interval over drives"
 ALIKE = "RadarISM, static"  # without what moves: nearly the same scores
 
 
@@ -29,9 +29,7 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
             if model != ALIKE:
                 scores.append([name, model, *(f"{one[key]:.3f}" for key in METRICS)])
         compared = found["RadarISM minus another, mean over drives, 95 %"]
-        for other in ("rays (RayISM)", "Werber 2015"):
-            if other in compared["nll"]:
-                pairs.append([f"{name}: {other}", *(_difference(compared[key][other]) for key in PAIRED)])
+        pairs.append([name, *(_difference(compared[key]["rays (RayISM)"]) for key in PAIRED)])
         one = found["detections"]
         least, middle, most = one["per sweep, least, median, most"]
         low, _, high = one["compensated Doppler of static things, 5, 50, 95 %"]
@@ -42,8 +40,8 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
     tables = [
         f"Frames: {record['frames']}, drives: {record['drives']}.\n\n"
         + table(["radar", "model", *METRICS.values()], scores, left=2),
-        table([f"`RadarISM` minus another, {MEAN}", *(METRICS[key] for key in PAIRED)], pairs),
-        table([*head, "Doppler of standing things, 5 to 95 % [m/s]", "time of a sweep [s]"], counts),
+        table([f"`RadarISM` minus rays, {MEAN}", *(METRICS[key] for key in PAIRED)], pairs),
+        table([*head, "static Doppler, 5 to 95 % [m/s]", "time of a sweep [s]"], counts),
     ]
     if times := record.get("ms per sweep, 512 x 352 cells"):
         each = ", ".join(f"{name} {time:.1f} ms" for name, time in times.items())
@@ -64,43 +62,46 @@ def fusion_tables(record: Mapping[str, Any]) -> list[str]:
     times = []
     for name, found in record["drives"].items():
         pairs = [pair for one in found for pair in zip(one["seconds to detect"], one["approaching"], strict=True)]
-        for group, wanted in (("all that move", (True, False)), ("approaching vehicles", (True,))):
-            times.append([name, group, *_times([seconds for seconds, approaching in pairs if approaching in wanted])])
+        groups = [seconds for seconds, _ in pairs], [seconds for seconds, approaching in pairs if approaching]
+        times.append([name, *map(_times, groups)])
     head = f"Drives: {len(record['drives']['lidar'])}, reliability of radar beside lidar: "
     return [
         f"{head}{record['reliability of radar']:g}.",
         table(["", *FUSED.values()], means),
         table([f"minus lidar alone, {MEAN}", *FUSED.values()], less),
-        table(["", "objects", "in sight", "detected", "median time to detect [s]"], times, left=2),
+        table(["in sight, detected, median time to detect [s]", "all that move", "approaching vehicles"], times),
     ]
 
 
 def far_tables(record: Mapping[str, Any]) -> list[str]:
     """Return the tables of maps below and beyond 60 m, in clear air and in fog, with and without radar."""
     drives, titles, rows = record["drives"], [FUSED[key] for key in STATIC_FUSED], []
+    bands = list(next(iter(drives[0].values())))
     for name in drives[0]:
-        for band in drives[0][name]:
-            each = [one[name][band] for one in drives]
-            means = [f"{sum(one[key] for one in each) / len(each):.3f}" for key in STATIC_FUSED]
-            rows.append([f"{name}: {band}", *means, *(sum(one["traffic"][k] for one in each) for k in (0, 1))])
+        scores = {band: [drive[name][band] for drive in drives] for band in bands}
+        means = [
+            [f"{sum(one[key] for one in scores[band]) / len(drives):.3f}" for band in bands] for key in STATIC_FUSED
+        ]
+        traffic = [[str(sum(one["traffic"][k] for one in scores[band])) for band in bands] for k in (0, 1)]
+        rows.append([name, *map(" / ".join, means + traffic)])
     changes = record["radar minus none"].items()
     less = [[name, *(_difference(one[key]) for key in STATIC_FUSED)] for name, one in changes]
     head = f"Drives: {len(drives)}, visibility in fog: {record['visibility in fog [m]']:g} m, "
     return [
         f"{head}reliability of radar: {record['reliability of radar']:g}.",
-        table(["", *titles, "moving participants in sight", "shown"], rows),
+        table([" / ".join(bands), *titles, "moving participants in sight", "shown"], rows),
         table([f"with radar minus without, {MEAN}", *titles], less),
     ]
 
 
-def _times(seconds: Sequence[float | None]) -> list[str]:
+def _times(seconds: Sequence[float | None]) -> str:
     """Return the numbers of objects and of detected ones, and the median time; None for never."""
     each = sorted(float("inf") if value is None else value for value in seconds)
     if not each:
-        return ["0", "0", "–"]
+        return "0, 0, –"
     middle = (each[(len(each) - 1) // 2] + each[len(each) // 2]) / 2
     detected = sum(value < float("inf") for value in each)
-    return [str(len(each)), str(detected), f"{middle:.2f}" if middle < float("inf") else "never"]
+    return f"{len(each)}, {detected}, {f'{middle:.2f}' if middle < float('inf') else 'never'}"
 
 
 def _edges(found: Mapping[str, Any]) -> dict[str, list[str]]:

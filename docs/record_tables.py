@@ -1,6 +1,7 @@
 """Records of the benchmarks, whether they are outdated, and tables and figures of them in Markdown."""
 
 import json
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
@@ -93,6 +94,15 @@ def verdicts(name: str, head: str) -> str:
 def with_source(name: str, *parts: str) -> str:
     """Return tables and texts with the source of the record below them."""
     return "\n\n".join([*parts, source(name)])
+
+
+def with_command(name: str, *parts: str) -> str:
+    """Return tables and texts with the command, the date and the machine of the record below them."""
+    found = record(name)
+    facts = found.get("environment", found)
+    cpu = re.sub(r"\((R|TM)\)| Processor| @.*", "", facts["cpu"])
+    cores = "1 core" if facts["cores used"] == 1 else f"{facts['cores used']} cores"
+    return "\n\n".join([*parts, f"*`{facts['command']}`, {facts['date'].split()[0]}, {cpu}, {cores}.*{mark(name)}"])
 
 
 def source(name: str) -> str:

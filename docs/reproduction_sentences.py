@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
-from record_tables import mark, percent, value
+from record_tables import outdated, percent, value
 
 __all__ = ["sentences"]
 
 Record = Mapping[str, Any]
 CLASSICAL, DEFAULTS, DEMPSTER = "classical Bayes", "EvidentialMapper, default", "Dempster, 2 s"
-MEAN, RATIO = "mean and 95 % interval", "ratio to the classical filter"
+COMPARED = ("combined", "lite", "ray", "height-band")  # on real recordings
+MEAN = "mean and 95 % interval"
 
 
 def sentences(quality: Record, deep: Record, fusion: Record, speed: Record, objects: Record) -> dict[str, str]:
@@ -25,9 +26,10 @@ def sentences(quality: Record, deep: Record, fusion: Record, speed: Record, obje
         "fusion_quality": {"ghosts": _sentence_of_ghosts(fusion)},
         "deep_speed": {"speed": _sentence_of_speed(speed)},
         "objects": {"objects": _sentence_of_objects(objects["all"]["all"])},
-        "quality": _sentences_of_town(quality["town"]) | {"quality: real": _sentence_of_real(quality["real"])},
+        "quality": {"recordings": _sentence_of_real(quality["real"])},
     }
-    return {key: text + mark(name) for name, texts in found.items() for key, text in texts.items()}
+    marks = {name: " **Outdated.**" if outdated(name) else "" for name in found}  # results.md has the reasons
+    return {key: text + marks[name] for name, texts in found.items() for key, text in texts.items()}
 
 
 def _sentences_of_models(record: Record) -> dict[str, str]:
@@ -71,11 +73,11 @@ def _sentence_of_ghosts(record: Record) -> str:
     maps = record["maps"]["combined"]
     area = {name: maps[name][MEAN]["ghost_area"][0] for name in (CLASSICAL, DEMPSTER, DEFAULTS)}
     free = {name: maps[name][MEAN]["static_false_free"][0] for name in area}
+    fewer = 100 * (1 - free[DEFAULTS] / free[CLASSICAL])
     return (
         f"Behind `combined`, ghosts per moving object: classical filter {area[CLASSICAL]:.2f} m², Dempster's rule "
-        f"{area[DEMPSTER]:.2f}, default rule {area[DEFAULTS]:.2f},\n{area[DEFAULTS] / area[CLASSICAL]:.2f} times the "
-        f"filter's. The default rule has {100 * (1 - free[DEFAULTS] / free[CLASSICAL]):.0f} %\nfewer occupied cells at "
-        "P < 1/4."
+        f"{area[DEMPSTER]:.2f}, default rule {area[DEFAULTS]:.2f},\nwhich also has {fewer:.0f} % fewer occupied cells "
+        "at P < 1/4 than the filter."
     )
 
 
@@ -96,44 +98,24 @@ def _sentence_of_speed(record: Record) -> str:
     times = {name: f"{one['median']:.3g} ms" for name, one in record["times [ms]"].items()}
     shipped = 1000 / record["times [ms]"]["lite by onnxruntime"]["median"]
     return (
-        f"- **Ours** (`{record['command']}`, [table](results.md#time-of-the-network)): on two CPU cores, points to "
-        f"grid, `lite`\n  {shipped:.3g} scans per second by ONNX Runtime, the network of the paper's size "
+        f"- **Ours** ([table](results.md#time-of-the-network)): on two CPU cores `lite` maps\n  {shipped:.3g} scans "
+        "per second by ONNX Runtime, the network of the paper's size "
         f"{record['summary']['paper']['scans per second']:.3g} by torch; baseline "
         f"{times['HeightBandISM']}, `RayISM` {times['RayISM']}. No GPU was measured."
     )
 
 
-def _sentences_of_town(town: Record) -> dict[str, str]:
-    models, published = town["models"], town["as the released code would report"]
-    claimed = {
-        name: percent(1 - one["called unknown, free, occupied, of truly unknown, free, occupied"][0][0])
-        for name, one in models.items()
-    }
-    return {
-        "quality: unknown": (
-            f"Of the truly unknown cells, `lite` predicts {claimed['lite']} known, `ray` {claimed['ray']}, the "
-            f"baseline {claimed['height-band']} ([quality](quality.md))."
-        ),
-        "quality: divergence": (
-            f"The released code would report a KL of {value(published['KL, deep'])} for `lite` and "
-            f"{value(published['KL, geometric, mean of both'])} for its baseline (itself "
-            f"{value(published['KL, geometric itself'])}),\nand accuracies of {value(published['accuracy, deep'])} and "
-            f"{value(published['accuracy, geometric'])} ([quality](quality.md))."
-        ),
-    }
-
-
 def _sentence_of_real(recordings: Record) -> str:
-    best: dict[str, list[str]] = {"lite": [], "ray": [], "height-band": []}
-    for name, one in recordings.items():
-        models = one.get("alone", {}).get("models", {})
-        values = {m: models[m]["mean"]["iou_occupied"][0] for m in best if m in models}
-        if len(values) == len(best) and None not in values.values():
-            best[max(values, key=lambda m: values[m])].append(name)
-    count = sum(map(len, best.values()))
-    others = "; ".join(f"`{m}` on {', '.join(names)}" for m, names in best.items() if names and m != "lite")
+    best: dict[str, list[str]] = {}
+    for name, recording in recordings.items():
+        models = recording.get("alone", {}).get("models", {})
+        values = {model: models[model]["mean"]["iou_occupied"][0] for model in COMPARED if model in models}
+        if values and None not in values.values():
+            best.setdefault(max(values, key=lambda model: values[model]), []).append(name)
+    first, *others = sorted(best, key=lambda model: -len(best[model]))
+    rest = "".join(f", for `{model}` on {', '.join(best[model])}" for model in others)
     return (
-        f"IoU of occupied on labelled cells is highest for `lite` on {len(best['lite'])} of {count} sets"
-        f"{', for ' + others if others else ''}\n([quality](quality.md#real-recordings); false alarms cost nothing on "
-        "two sets)."
+        f"IoU of occupied on labelled cells is highest for `{first}` on {len(best[first])} of "
+        f"{sum(map(len, best.values()))} sets{rest}\n([recordings](results.md#real-recordings); false alarms cost "
+        "nothing on two sets)."
     )

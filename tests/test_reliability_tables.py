@@ -1,4 +1,4 @@
-"""The tables of docs/reliability.md: from small records, from records that are not there, and what must be 0."""
+"""Tables of docs/results.md on reliability: from small records, from records that are not there, and what must be 0."""
 
 import json
 import sys
