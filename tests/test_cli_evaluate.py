@@ -445,6 +445,7 @@ def driven(index: int) -> Sample:
     return dataclasses.replace(one, T_world_sensor=T, index=index, stamp=0.1 * frame, scenario=index // 100)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pictures")
 def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: Path, tmp_path: Path) -> None:
     words = ("--ism", "ray", "--fused", "revise,bayes", "--every", 3, "--out", tmp_path)

@@ -43,7 +43,7 @@ def example(name: str) -> ModuleType:
     return module
 
 
-def until(condition: Callable[[], object], seconds: float = 90.0) -> None:  # kernels may have to be compiled
+def until(condition: Callable[[], object], seconds: float = 240.0) -> None:  # kernels may have to be compiled
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

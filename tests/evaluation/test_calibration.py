@@ -90,6 +90,7 @@ def test_no_parameters_nearby_are_likelier(frames: list[Frame], fitted: Calibrat
             assert likelihood(fitted.parameters | {name: fitted.parameters[name] + step}).mean() > least
 
 
+@pytest.mark.slow
 def test_the_likelihood_is_the_metric_of_an_evaluation(frames: list[Frame]) -> None:
     """Each frame's NLL, its mean over the frames of each drive; drives need not be of one length."""
     some = frames[:11]
