@@ -232,7 +232,11 @@ def test_frames_are_found_by_the_number_in_their_names_or_by_row() -> None:
         drive = split_drive("a", frames, "", 20.0)
         moved = drive.by_number(poses)
         assert [one.pose[1, 3] for one in moved.submaps] == [float(one.anchor) for one in drive.submaps]
-    refused("frame 61 of drive a, an anchor, has no pose", split_drive("a", named, "", 20.0).by_number, dict(enumerate(rows)))
+    refused(
+        "frame 61 of drive a, an anchor, has no pose",
+        split_drive("a", named, "", 20.0).by_number,
+        dict(enumerate(rows)),
+    )
     assert len(moved.submaps) > 1
 
 
