@@ -47,7 +47,8 @@ from ogm.models import load_model
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 POINTS, MOUNT = 57_600, Mount(1.98)
 ENGINES = {
-    "lite by onnxruntime": {"engine": "onnxruntime", "threads": run.CORES},
+    "lite by onnxruntime": {"engine": "onnxruntime", "threads": run.CORES},  # in 8-bit integers
+    "lite by onnxruntime, float32": {"engine": "onnxruntime", "threads": run.CORES, "precision": "float32"},
     "lite by torch": {"engine": "torch"},
     "lite by openvino": {"engine": "openvino", "threads": run.CORES},
     "lite by openvino, bfloat16": {"engine": "openvino", "threads": run.CORES, "precision": "bfloat16"},
