@@ -131,6 +131,7 @@ def results() -> dict[str, str]:
         "maps": with_command("fusion_quality", maps.fusion(maps.LISTED_MAPS)),
         "ground": with_command("ground", geometric.ground()),
         "speed": with_command("speed", geometric.speed()),
+        "peers": with_command("peers", maps.peers()),
         "network": with_command("deep_speed", deep.deep_speed()),
         "update": with_command("fusion_speed", maps.fusion_speed()),
         "logs": with_command("logs", maps.logs()),

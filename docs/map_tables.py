@@ -152,3 +152,19 @@ def logs() -> str:
         for way, title in ways.items()
     ]
     return table([f"one core, {found['points']:,} points; [ms] per scan", *formats], rows)
+
+
+def peers() -> str:
+    """Return time, memory and quality of the maps of one real drive by ogm and by other mappers."""
+    rows = [
+        [
+            f"**`{name}`**" if name == "ogm, default" else f"`{name}`" if name.startswith("ogm") else name,
+            found["computes"],
+            f"{found['ms per scan']:.0f} ms",
+            f"{found['memory [MB]']:.0f} MB",
+            *(f"{100 * found[key]:.1f} %" for key in ("static occupied", "static free", "left occupied")),
+        ]
+        for name, found in record("peers")["mappers"].items()
+    ]
+    heads = ["mapper", "map", "a scan", "memory", "static cells: occupied", "free", "cells that movers left: occupied"]
+    return table(heads, rows, left=2)
