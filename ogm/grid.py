@@ -9,6 +9,7 @@
 Opinion(free=0.60, occupied=0.10, unknown=0.30)
 """
 
+import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ Sampling = Literal["nearest", "bilinear"]
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
 _MAX_CELLS = 2**28  # 2 GiB of masses; files that announce more are refused before they are unpacked
 _MIN_CELL, _MAX_CELL = 1e-6, 1e6  # [m] side of a cell: beyond, products of lengths leave the range of float32
+_MAX_META = 65_536  # characters
 _MAX_XY = 1e10  # [m], at which float64 resolves 2 micrometres
 
 
@@ -395,8 +397,20 @@ class EvidentialGrid(SavedGrid):
 
     def with_cause(self, cause: NDArray[np.uint8]) -> Self:
         """Return the grid with codes of `ogm.UnknownCause`, (nx, ny)."""
+        return self._with(_cause=cause)
+
+    @property
+    def meta(self) -> dict[str, str]:
+        """Facts about the grid, such as the ``guarantee`` of its sensor model; kept in ``.npz`` files."""
+        return dict(self.__dict__.get("_meta", {}))
+
+    def with_meta(self, meta: Mapping[str, str]) -> Self:
+        """Return the grid with facts, see `meta`."""
+        return self._with(_meta=dict(meta))
+
+    def _with(self, **attributes: Any) -> Self:
         grid = object.__new__(type(self))
-        grid.__dict__.update(self.__dict__, _cause=cause)
+        grid.__dict__.update(self.__dict__, **attributes)
         return grid
 
     @property
@@ -502,12 +516,23 @@ class EvidentialGrid(SavedGrid):
         """Return the arrays of the file: ``mass`` (nx, ny, 2), ``states``, ``axes``, ``resolution``, ``origin`` [m]."""
         self.check()
         axes = "[ix (x forward), iy (y left), state]; origin is the corner of cell (0, 0)"
-        return {"states": ["free", "occupied"], "axes": axes, **self._place(), "mass": self.mass}
+        meta = {"meta": json.dumps(dict(self.meta))} if self.meta else {}
+        return {"states": ["free", "occupied"], "axes": axes, **self._place(), **meta, "mass": self.mass}
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """See `SavedGrid.of_arrays`."""
-        return cls(spec_of_arrays(arrays, arrays["mass"].shape), arrays["mass"])
+        grid = cls(spec_of_arrays(arrays, arrays["mass"].shape), arrays["mass"])
+        return grid.with_meta(_meta_of(arrays["meta"])) if "meta" in arrays else grid
+
+
+def _meta_of(stored: NDArray[Any]) -> dict[str, str]:
+    """Return the facts in a file; they are shown only, so damaged facts are left out."""
+    try:
+        found = json.loads(str(stored)[:_MAX_META])
+    except (ValueError, RecursionError):
+        return {}
+    return {str(name): str(fact) for name, fact in found.items()} if isinstance(found, dict) else {}
 
 
 class PartialGrid(EvidentialGrid):

@@ -1,10 +1,12 @@
-"""Fit of the parameters of geometric sensor models to labelled frames.
+"""Fit of geometric sensor models to labelled frames, and a guarantee of false free for any model.
 
 >>> from ogm import open_dataset
->>> from ogm.calibration import calibrate
+>>> from ogm.calibration import calibrate, guarantee
 >>> calibrate(open_dataset("data/", split="train"), "ray").save("ray.json")                        # doctest: +SKIP
+>>> guarantee(open_dataset("drives/"), "combined", limit=0.01).save("combined.json")               # doctest: +SKIP
 """
 
 from ogm.calibration.fit import calibrate
+from ogm.calibration.guarantee import guarantee
 
-__all__ = ["calibrate"]
+__all__ = ["calibrate", "guarantee"]

@@ -10,6 +10,7 @@ The file is a model name, as in ``evaluate({"mine": "ray.json"}, ...)``.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
+from typing import Any
 
 from ogm.calibration.likelihood import Likelihood
 from ogm.calibration.search import LikelihoodSearch
@@ -102,11 +103,16 @@ def calibrate(
     )
     names = dict.fromkeys([*model.parameters, *chosen])
     first, fitted = ({name: values[name] for name in names} for values in ends)
+    data = facts_of(dataset) | {"frames": len(likelihood.frames), "drives": len(likelihood.drives)}
+    data["base_rate"] = likelihood.base_rate
+    return Calibration(model.model, fitted, first, errors, before, after, data, search.evaluations, finished)
+
+
+def facts_of(dataset: Sequence[Frame]) -> dict[str, Any]:
+    """Return name, format and description of a dataset, and split and plan of simulated data."""
     about = {"name": "frames", "format": "frames in Python", "description": ""}
     data = {key: getattr(dataset, key, default) for key, default in about.items()}
-    data |= {key: value for key, value in getattr(dataset, "facts", {}).items() if key in ("split", "plan")}
-    data |= {"frames": len(likelihood.frames), "drives": len(likelihood.drives), "base_rate": likelihood.base_rate}
-    return Calibration(model.model, fitted, first, errors, before, after, data, search.evaluations, finished)
+    return data | {key: value for key, value in getattr(dataset, "facts", {}).items() if key in ("split", "plan")}
 
 
 def _check_fit(model: str, chosen: Mapping[str, tuple[float, float]], start: Mapping[str, float]) -> None:

@@ -1,4 +1,4 @@
-"""``ogm calibrate``: fit the parameters of a geometric model to labelled frames."""
+"""``ogm calibrate``: fit the parameters of a geometric model to labelled frames, or bound a model's false free."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +15,13 @@ if TYPE_CHECKING:
 @report_errors
 def calibrate_command(
     data: Annotated[Path, Argument(help="Recording with truth, or dataset of `ogm simulate`.", metavar="DATA")],
-    ism: Annotated[str, Option(help="Model: ray, height-band, planar, or an earlier result to start from.")] = "ray",
+    ism: Annotated[
+        str,
+        Option(
+            help="Model: ray, height-band, planar, or an earlier result to start from; with --guarantee any model of "
+            "`ogm map`."
+        ),
+    ] = "ray",
     fit: Annotated[
         str | None,
         Option(
@@ -32,15 +38,30 @@ def calibrate_command(
     ] = "data",
     first: First = None,
     every: Annotated[int, Option(help="Use every N-th frame.", metavar="N")] = 1,
-    threads: Annotated[int, Option(help="Frames mapped at the same time.")] = 1,
+    threads: Annotated[int, Option(help="Frames mapped at the same time by the fit.")] = 1,
+    guarantee: Annotated[
+        tuple[str, float] | None,
+        Option(
+            help="Fit nothing; discount the model's free so that at most this share of a drive's occupied cells is "
+            "predicted free: false-free 0.01.",
+            metavar="false-free SHARE",
+        ),
+    ] = None,
+    confidence: Annotated[
+        float, Option(help="With --guarantee: probability that a further drive is within it; needs 1/(1-P) - 1 drives.")
+    ] = 0.9,
     out_path: Annotated[Path | None, Option("--out", help="Result file. [default: ./MODEL.json]")] = None,
 ) -> None:
     """Fit the parameters of a geometric model to the labels of your own sensor's data, by maximum likelihood.
 
     The result is a small JSON file. All commands take its path as a model. Evaluate it on drives that were not used
     for the fit: `ogm evaluate TEST --ism ray ray.json`. Ctrl-C ends the search and keeps the best parameters so far.
+
+    With --guarantee, the model's false free is bounded on further drives like the given ones, and maps state the bound:
+    `ogm calibrate DRIVES --ism combined --guarantee false-free 0.01`.
     """
     from ogm.calibration import calibrate
+    from ogm.calibration import guarantee as bounded
     from ogm.datasets import open_dataset
 
     check_first(first)
@@ -51,18 +72,26 @@ def calibrate_command(
         raise ValueError(f"--out must end in .json, got {path}")
     if not path.parent.is_dir():
         raise FileNotFoundError(f"there is no folder {path.parent} for --out {path.name}; create it first")
+    if guarantee is not None and guarantee[0] != "false-free":
+        raise ValueError(f"--guarantee takes false-free and a share, such as false-free 0.01, got {guarantee[0]}")
+    if guarantee is not None and fit is not None:
+        raise ValueError("--guarantee fits nothing: leave out --fit, and give its earlier result by --ism")
     sources = tuple((truth or "").split(",")) if truth else ()
     dataset = open_dataset(data, axes=parsed_axes(axes), split=split, default_split="train", truth=sources)
-    with stderr.status("") as status:
-        fitted = calibrate(
-            dataset[:first:every],
-            ism,
-            fit=None if fit is None else _bounds(fit),
-            base_rate=_base_rate(base_rate),
-            threads=threads,
-            reading=lambda numbers: ticked(numbers, "reading"),
-            progress=lambda n, nll: status.update(f"evaluation {n}: NLL {nll:.4f} (Ctrl-C keeps the best so far)"),
-        )
+    frames = dataset[:first:every]
+    if guarantee is not None:
+        fitted = bounded(frames, ism, guarantee[1], confidence, reading=lambda numbers: ticked(numbers, "mapping"))
+    else:
+        with stderr.status("") as status:
+            fitted = calibrate(
+                frames,
+                ism,
+                fit=None if fit is None else _bounds(fit),
+                base_rate=_base_rate(base_rate),
+                threads=threads,
+                reading=lambda numbers: ticked(numbers, "reading"),
+                progress=lambda n, nll: status.update(f"evaluation {n}: NLL {nll:.4f} (Ctrl-C keeps the best so far)"),
+            )
     fitted.save(path)
     _print(fitted)
     for warning in fitted.warnings:
@@ -98,10 +127,14 @@ def _bounds(text: str) -> dict[str, tuple[float, float]]:
 def _print(fitted: "Calibration") -> None:
     title = f"{fitted.model}, {fitted.data['frames']} frames of {fitted.data['drives']} drives"
     table = number_table(title, "before", "after", "+-")
-    for name, value in fitted.parameters.items():
-        error = fitted.errors.get(name)
-        table.add_row(name, f"{fitted.start[name]:.4g}", f"{value:.4g}", "" if error is None else f"{error:.2g}")
+    if fitted.guarantee is None:
+        for name, value in fitted.parameters.items():
+            error = fitted.errors.get(name)
+            table.add_row(name, f"{fitted.start[name]:.4g}", f"{value:.4g}", "" if error is None else f"{error:.2g}")
     for name, value in fitted.after.items():
         table.add_row(name, f"{fitted.before[name]:.4f}", f"{value:.4f}", "")
     out.print(table)
-    out.print("(+- standard error over drives)")
+    if fitted.guarantee is not None:
+        out.print(f"mass of free times {fitted.guarantee.factor:.4f}: {fitted.guarantee}", markup=False)
+    else:
+        out.print("(+- standard error over drives)")

@@ -91,7 +91,7 @@ def serve(
     from ogm.live import serve as served
     from ogm.live.memory import return_large_blocks
     from ogm.models.layers import ExplainedISM
-    from ogm.models.named import load_model, with_radar
+    from ogm.models.named import describe_model, load_model, with_radar
     from ogm.planning import costmap
     from ogm.plot.panels import CAUSE_LAYER
     from ogm.scan import Mount
@@ -140,6 +140,8 @@ def serve(
             frames = within_limits(receive_frames(listener, mount, stop=stop, on_end=_print), setup)
             example, speed = None, None
             _print("receiving scans at {}:{}".format(*listener.getsockname()))
+        if isinstance(ism, str) and ism.endswith(".json"):
+            _print(describe_model(ism)[0])
         with first_call():
             warm_up(model, mapper, example)
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a disconnected viewer is no error

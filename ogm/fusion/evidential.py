@@ -146,6 +146,7 @@ class EvidentialMapper(Mapper):
         super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=forgets))
         self._parts: dict[int, PartLayers] = {}
         self._combine: Combine | None = None  # combines the parts of several models
+        self._meta: dict[str, str] = {}  # of the last scan that has facts
         self._waiting: dict[int, PartLayers] | None = None  # parts of a saved map, until the first scan
         self._now = 0.0  # [s] sum of the times between scans
         self._codes: NDArray[np.uint8] | None = None  # see `note_causes`; None until a grid has causes
@@ -231,7 +232,7 @@ class EvidentialMapper(Mapper):
         """The map after the last scan (a copy), in map coordinates."""
         self._age_all()
         masses = {part: self._window.unrolled(layers.mass) for part, layers in self._parts.items()}
-        return EvidentialGrid.trusted(self.spec, self._combined(masses, self._window.spec0.shape))
+        return EvidentialGrid.trusted(self.spec, self._combined(masses, self._window.spec0.shape)).with_meta(self._meta)
 
     @locked
     def view(
@@ -248,13 +249,14 @@ class EvidentialMapper(Mapper):
             part: view_layers(self._window.unrolled(layers.mass), self.spec, cells, T, method)
             for part, layers in self._parts.items()
         }
-        return EvidentialGrid.trusted(cells, self._combined(masses, cells.shape))
+        return EvidentialGrid.trusted(cells, self._combined(masses, cells.shape)).with_meta(self._meta)
 
     @locked
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map, with any model."""
         super().reset()
         self._parts, self._waiting, self._combine, self._now, self._codes = {}, None, None, 0.0, None
+        self._meta = {}
 
     @property
     @locked
@@ -355,6 +357,7 @@ class EvidentialMapper(Mapper):
         self._now = now
         if isinstance(grid, CombinedGrid):
             self._combine = grid.combine
+        self._meta = grid.meta or self._meta
         self._note_causes(grid, whole_scan)
 
     def _measured(self, grid: EvidentialGrid) -> dict[int, NDArray[np.float32]]:

@@ -1,4 +1,4 @@
-"""Fitted parameters of a geometric sensor model, written by ``ogm calibrate`` and read by `ogm.models.load_model`.
+"""Results of ``ogm calibrate``, read by `ogm.models.load_model`: fitted parameters, and a guarantee of false free.
 
 >>> from ogm.models import Calibration
 >>> Calibration("ray", {"p_miss": 0.1}).parameters
@@ -20,12 +20,48 @@ _SAFETY = ("false_free", "missed_occupied")
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """Fitted parameters of a geometric model.
+class Guarantee:
+    """Bound of a sensor model's false free on drives that resemble the calibrated drives, see `ogm.calibration`.
 
     Parameters
     ----------
-    model : {"ray", "height-band", "planar"}
+    limit : float
+        Largest share of a drive's occupied cells that are predicted free, in (0, 1).
+    confidence : float
+        Least probability that a further drive stays within the limit, in (0, 1).
+    factor : float
+        Factor for the mass of free, in [0, 1].
+    drives : int
+        Number of drives with occupied cells.
+    sha256 : str
+        Checksum of the weights; empty for models without weights.
+    """
+
+    limit: float
+    confidence: float
+    factor: float
+    drives: int
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        if not (0 < self.limit < 1 and 0 < self.confidence < 1 and 0 <= self.factor <= 1):
+            raise OgmError(f"limit and confidence must lie between 0 and 1, the factor in [0, 1], got {self}")
+
+    def __str__(self) -> str:
+        return (
+            f"at most {100 * self.limit:g} % of the occupied cells of a drive are free, for {100 * self.confidence:g} "
+            f"% of drives like the {self.drives} calibrated"
+        )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Fitted parameters of a geometric model, or a guarantee of any model.
+
+    Parameters
+    ----------
+    model : str
+        "ray", "height-band" or "planar"; with a guarantee any model of `load_model`.
     parameters : dict of str to float
         Fitted parameters, and parameters of the calibration that the fit started from.
     start : dict of str to float
@@ -41,6 +77,8 @@ class Calibration:
         Number of evaluated sets of parameters.
     finished : bool
         False if the fit was interrupted.
+    guarantee : Guarantee, optional
+        Bound of false free.
     """
 
     model: str
@@ -52,9 +90,12 @@ class Calibration:
     data: dict[str, Any] = field(default_factory=dict)
     evaluations: int = 0
     finished: bool = True
+    guarantee: Guarantee | None = None
 
     def __post_init__(self) -> None:
-        known = default_parameters(self.model)
+        if isinstance(self.guarantee, dict):
+            object.__setattr__(self, "guarantee", Guarantee(**self.guarantee))
+        known = default_parameters(self.model) if self.parameters or self.guarantee is None else {}
         for name, value in self.parameters.items():
             if name not in known:
                 raise OgmError(f"{self.model} has no parameter {name!r}; it has {', '.join(known)}")
@@ -65,8 +106,13 @@ class Calibration:
     def warnings(self) -> list[str]:
         """Warnings about the result: few drives, or a model that is less safe than before."""
         found = []
-        if (drives := self.data.get("drives", _MIN_DRIVES)) < _MIN_DRIVES:
+        drives = self.data.get("drives", _MIN_DRIVES)
+        if drives < _MIN_DRIVES and self.guarantee is None:
             found.append(f"fitted to {drives} drives, hardly valid for others: fit to {_MIN_DRIVES} or more")
+        if self.guarantee is not None and self.data.get("fitted_to") == self.data.get("name"):
+            found.append("the parameters were fitted to the same dataset: the guarantee needs drives of no fit")
+        if self.after.get("found_free") == 0:
+            found.append("no cell is free with this guarantee: raise the limit, or lower the confidence")
         for name in _SAFETY:
             if name in self.after and self.after[name] > self.before[name]:
                 change = f"{self.before[name]:.4f} to {self.after[name]:.4f}"

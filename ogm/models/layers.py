@@ -23,6 +23,7 @@ from ogm.geometric.causes import SectorTrace, unknown_causes
 from ogm.geometric.heights import HEIGHT_LAYERS, height_layers, traversability
 from ogm.geometric.ray import RayISM, RayTrace
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.models.bounded import BoundedISM
 from ogm.models.combined import CombinedISM
 from ogm.models.named import ModelsByKind
 from ogm.models.radar import RadarBySensor
@@ -141,6 +142,9 @@ def _trace(model: InverseSensorModel, scan: Scan) -> RayTrace | SectorTrace | No
     """Return the rays or beams of a scan with the masses of the whole model; None for models without rays."""
     while isinstance(model, ModelsByKind | RadarBySensor):
         model = model.part(scan)
+    if isinstance(model, BoundedISM):
+        traced = _trace(model.model, scan)
+        return traced and traced._replace(grid=model.bounded(traced.grid))
     if isinstance(model, RayISM | PlanarISM | RadarISM):
         return model.trace(scan)
     if isinstance(model, CombinedISM):

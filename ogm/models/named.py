@@ -23,12 +23,14 @@ from numpy.typing import NDArray
 from ogm.evidence.map_rules import DYNAMIC, NUSS
 from ogm.extras import install_line
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.models.bounded import BoundedISM
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.depth import depth_model
 from ogm.models.fitted import Calibration, model_class
 from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, load_radar_model
 from ogm.pose import tilt_of
 from ogm.scan import InverseSensorModel, Mount, Scan, as_scan
+from ogm.storage.files import OgmError
 
 GEOMETRIC = RAY, HEIGHT_BAND, PLANAR, DEPTH, RELEASED = "ray", "height-band", "planar", "depth", "height-band-released"
 LITE = "lite"
@@ -114,7 +116,26 @@ def load_model(
         first, *others = name.split("+")
         beside = {_kind_of(part): load_model(part, spec, mount) for part in others}
         return ModelsByKind(load_model(first, spec, mount, drop_ego_returns=drop_ego_returns, device=device), beside)
-    if str(device) != "cpu" and (name in (*GEOMETRIC, *RADAR_MODELS) or _is_fitted(name)):
+    if not _is_fitted(name):
+        return _load(name, {}, spec, mount, drop_ego_returns, device)
+    fitted = Calibration.load(name)
+    model = _load(fitted.model, dict(fitted.parameters), spec, mount, drop_ego_returns, device)
+    if fitted.guarantee is None:
+        return model
+    now = (describe_model(fitted.model)[1] or {}).get("sha256", "")
+    if now != fitted.guarantee.sha256:
+        raise OgmError(
+            f"{name} holds for {fitted.model} with weights of SHA-256 {fitted.guarantee.sha256[:12]}, got {now[:12]}: "
+            "repeat `ogm calibrate --guarantee`"
+        )
+    return BoundedISM(model, fitted.guarantee, fitted.model)
+
+
+def _load(
+    name: str, parameters: dict[str, Any], spec: GridSpec, mount: Mount | None, drop_ego_returns: bool, device: Any
+) -> InverseSensorModel:
+    """Return a model that is no calibration; only geometric models with parameters take `parameters`."""
+    if str(device) != "cpu" and name in (*GEOMETRIC, *RADAR_MODELS):
         raise ValueError(f"{name} runs on the CPU only, got device={str(device)!r}: leave device out or load a network")
     if name in RADAR_MODELS:
         return load_radar_model(name, spec, mount)
@@ -125,11 +146,7 @@ def load_model(
     if name == COMBINED:
         models = [load_model(RAY, spec, mount), load_model(LITE, spec, mount, device=device)]
         return CombinedISM(models, **COMBINATION)
-    if name in GEOMETRIC or _is_fitted(name):
-        parameters: dict[str, Any] = {}
-        if _is_fitted(name):
-            fitted = Calibration.load(name)
-            name, parameters = fitted.model, dict(fitted.parameters)
+    if name in GEOMETRIC:
         if name == HEIGHT_BAND:
             parameters["drop_ego_returns"] = drop_ego_returns
         model: InverseSensorModel = model_class(name)(spec, mount, **parameters)
@@ -281,7 +298,8 @@ def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
         fitted, path = Calibration.load(name), Path(name)
         numbers = ", ".join(f"{key} {value:g}" for key, value in fitted.parameters.items())
         facts = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        return f"{MODELS[fitted.model].rstrip('.')}, with {numbers or 'its defaults'}.", facts
+        text = f"{describe_model(fitted.model)[0].rstrip('.')}, with {numbers or 'its defaults'}"
+        return f"{text}{f'; {fitted.guarantee}' if fitted.guarantee else ''}.", facts
     from ogm.deep.engines import weights_of
 
     with weights_of(LITE if name == COMBINED else name) as path:

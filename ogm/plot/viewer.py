@@ -126,7 +126,8 @@ def write_view(
         shown.insert(0, motion_layer(0, index["dynamic"], index["velocity_x"], grid))
     if not shown:
         raise ValueError("there is nothing to show: the grid has no layers")
-    facts = {"title": title or "grid", "made": f"{datetime.now():%Y-%m-%d %H:%M}", "tile": TILE, "layers": shown}
+    title = "; ".join([title or "grid", *(grid.meta.values() if isinstance(grid, EvidentialGrid) else ())])
+    facts = {"title": title, "made": f"{datetime.now():%Y-%m-%d %H:%M}", "tile": TILE, "layers": shown}
     spec = grid.spec
     facts |= {"roughest": ROUGHEST, "resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin}
     if T_grid_vehicle is not None:

@@ -83,6 +83,7 @@ def _grid(path: Path) -> dict[str, str]:
     layers = grid if isinstance(grid, LayeredGrid) else placed.layers
     masses = {} if isinstance(grid, LayeredGrid) else _masses(grid)
     ranges = {name: Steps.of(layer) for name, layer in layers.layers.items()} if layers else {}
+    facts |= grid.meta if isinstance(grid, EvidentialGrid) else {}
     return facts | masses | {name: f"{low:.4g} ... {high:.4g}" for name, (low, high) in ranges.items()}
 
 

@@ -281,14 +281,15 @@ class FusionRun:
     def facts(self) -> dict[str, str]:
         """Return a summary as names and values."""
         model, mapper = (f"{1e3 * median(times):.1f} ms/scan" for times in zip(*self.seconds, strict=True))
-        spec = self.mapper.spec
+        spec, grid = self.mapper.spec, self.mapper.grid
         cells = f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution:g} m"
         facts = {
             "scans": f"{len(self.taken)} mapped, {self.failed} skipped",
             "time": f"{self.elapsed:.1f} s",
             "path": f"{self.path:.1f} m",
-            **{"+".join(self.models): model, "mapper": mapper, "map": f"{cells}: {_shares(self.mapper.grid)}"},
+            **{"+".join(self.models): model, "mapper": mapper, "map": f"{cells}: {_shares(grid)}"},
         }
+        facts |= grid.meta
         if isinstance(self.mapper, DynamicMapper):
             groups = moving_groups(self.mapper.dynamic_grid)
             cells = f"{np.count_nonzero(groups)} cells in {groups.max()} groups"

@@ -143,7 +143,9 @@ class PlacedGrid:
         spec = replace(self.grid.spec, origin=(corner.x, corner.y))
         grid, layers = self.grid, self.layers and replace(self.layers, spec=spec)
         moved = (
-            EvidentialGrid.trusted(spec, grid.mass) if isinstance(grid, EvidentialGrid) else replace(grid, spec=spec)
+            EvidentialGrid.trusted(spec, grid.mass).with_meta(grid.meta)
+            if isinstance(grid, EvidentialGrid)
+            else replace(grid, spec=spec)
         )
         return replace(self, grid=moved, layers=layers, T_frame_grid=pose(z=float(self.T_frame_grid[2, 3])))
 
