@@ -6,7 +6,8 @@ have 7 bits: sums then fit into 16 bits, and the result does not depend on the p
 First, the channels are balanced in each chain of a convolution, a ReLU and a convolution. A positive factor per channel
 moves between the two convolutions without a change of the result (SmoothQuant, Xiao et al. 2023, with the exponent
 0.4). A few large channels then do not use up the resolution of all channels. The first two convolutions, with the
-largest error, and the last convolution stay in float32.
+largest error, stay in float32, as does everything from the last convolution on: rounded terms of evidence would not sum
+to masses.
 
 >>> from ogm.datasets import open_dataset
 >>> from ogm.deep.quantize import quantize_onnx
@@ -84,7 +85,8 @@ def quantize_onnx(
     metadata = {entry.key: entry.value for entry in model.metadata_props} | {"precision": "int8"}
     metadata.pop("sha256", None)
     _balance(model, samples)
-    convolutions = [node.name for node in model.graph.node if node.op_type == "Conv"]
+    convolutions = [k for k, node in enumerate(model.graph.node) if node.op_type == "Conv"]
+    exact = [*convolutions[:2], *range(convolutions[-1], len(model.graph.node))]
     with tempfile.TemporaryDirectory() as folder, _quiet():
         balanced, small = (str(Path(folder) / f"{name}.onnx") for name in ("balanced", "small"))
         onnx.save(model, balanced)
@@ -98,7 +100,7 @@ def quantize_onnx(
             per_channel=True,
             reduce_range=True,
             op_types_to_quantize=["Conv", "Add", "Relu"],
-            nodes_to_exclude=[*convolutions[:2], convolutions[-1]],
+            nodes_to_exclude=[model.graph.node[k].name for k in exact],
             calibrate_method=tools.CalibrationMethod.Percentile,
             extra_options={"CalibPercentile": PERCENTILE},
         )
