@@ -16,7 +16,7 @@ from ogm import EvidentialGrid, GridSpec, Mount, Scan
 from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS
 from ogm.fusion import DynamicMapper, make_mapper
 from ogm.models import MODELS, load_model
-from ogm.models.radar import RADAR_MODELS
+from ogm.models.radar import RADAR
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=40.96, width=30.72, resolution=0.16)
@@ -72,7 +72,7 @@ def summed(mass: NDArray[np.float32]) -> tuple[float, ...]:
 
 def model_masses(name: str) -> NDArray[np.float32]:
     """Return the masses of a sensor model for the scan of a street, or for detections of a radar."""
-    scan, mount = (radar_detections(), Mount(0.6)) if name in RADAR_MODELS else (street(), Mount(1.9))
+    scan, mount = (radar_detections(), Mount(0.6)) if name == RADAR else (street(), Mount(1.9))
     return load_model(name, SPEC, mount)(scan).mass
 
 

@@ -1,4 +1,4 @@
-"""How good is a map of one radar sweep, by RadarISM, by the learned model, and by others? In simulated towns.
+"""How good is a map of one radar sweep, by RadarISM and by others? In simulated towns.
 
     python benchmarks/radar.py [--frames N] [--fit] [--quick]
 
@@ -7,9 +7,8 @@ simulate --seed 3 --test 240 --drives 24 --test-towns 6 --spacing 10`, against t
 the radar's field of view. `--fit` first fits RadarISM's masses to sweeps in the five training towns of seed 1, by log
 loss with at most 4 % false free, and prints them; the defaults of `RadarISM` are such a fit, rounded. Also counts
 detections, and compares the sweep of an ARS548 with the one recorded frame that may be shared. Without `--fit`, the
-fits of the record stay. The learned model is `DeepRadarISM.load("radar")`; Werber's marks only, and the rays are of a
-lidar. Writes
-benchmarks/results/radar.json and docs/pictures/radar.png.
+fits of the record stay. Werber's model marks only, and the rays are of a lidar. Writes benchmarks/results/radar.json
+and docs/pictures/radar.png.
 """
 
 import _run as run  # first: it sets the number of threads
@@ -31,9 +30,7 @@ from PIL import Image
 from scipy.optimize import minimize
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
-from ogm.deep import DeepRadarISM
 from ogm.evaluation import compare_paired
-from ogm.evidence import discount
 from ogm.fusion import resample_to
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
@@ -61,8 +58,7 @@ TRAINING = DatasetPlan(seed=1, towns=5)
 TEST = DatasetPlan(seed=3, samples=0, validation=0, test=240, drives=24, test_towns=6, spacing=10.0)
 FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")
 HIGH = {"free_mass": 0.98, "hit_mass": 0.98, "extent": 20.0, "behind": 1.0, "reach": 300.0, "margin": 15.0, "beam": 0.1}
-PICTURED = ("RadarISM", "learned", "rays (RayISM)")
-RELIABILITY = 0.7  # of the learned model's last row; chosen on validation sweeps, with the IoU of free not less
+PICTURED = ("RadarISM", "rays (RayISM)")
 MOST_FREE = 0.04  # false free that a fit may have
 METRICS = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "ece", "auroc_unknown")
 PARTS = ("object", "ground", "ghost", "clutter")
@@ -142,21 +138,14 @@ def as_lidar(scan: Scan) -> EvidentialGrid:
     return RayISM(SPEC, scan.mount, ground=flat_ground)(points)
 
 
-def discounted(grid: EvidentialGrid) -> EvidentialGrid:
-    """Return a grid whose masses are discounted by `RELIABILITY`."""
-    return EvidentialGrid(grid.spec, discount(grid.mass, RELIABILITY))
-
-
 def all_models() -> dict[str, Model]:
     """Return the models by name; each maps the sweep of a radar in a frame."""
-    by_numbers, network = (load_model(name, SPEC) for name in ("radar", "deep-radar"))
+    by_numbers = load_model("radar", SPEC)
     return {
         "RadarISM": lambda name, one: by_numbers(one.scan(name)),
         "RadarISM, static": lambda name, one: RadarISM(SPEC, **radar_numbers(name))(one.scan(name)),
         "rays (RayISM)": lambda name, one: as_lidar(one.scan(name)),
         "Werber 2015": lambda name, one: werber(one.scan(name), one.sweeps[name].snr),
-        "learned": lambda name, one: network(one.scan(name)),
-        "learned, discounted": lambda name, one: discounted(network(one.scan(name))),
     }
 
 
@@ -167,8 +156,8 @@ def timed() -> dict[str, float]:
     points[:, 0], points[:, 1] = r * np.cos(azimuth), r * np.sin(azimuth)
     scan = Scan(points, doppler=-8 * np.cos(azimuth), rcs=rng.uniform(-20, 20, 300))
     mount, spec = Mount(0.6, AT), GridSpec.centered()
-    models = {"RadarISM": RadarISM(spec, mount), "learned": DeepRadarISM.load("radar", spec=spec, mount=mount)}
-    times = measure({title: Contender(lambda _, model=model: model(scan)) for title, model in models.items()}, 20)
+    model = RadarISM(spec, mount)
+    times = measure({"RadarISM": Contender(lambda _: model(scan))}, 20)
     return {title: one.median for title, one in times.items()}
 
 
@@ -281,7 +270,7 @@ def main() -> None:
     parser.add_argument("--fit", action="store_true")
     given = parser.parse_args()
     count = 4 if given.quick else given.frames
-    record: dict[str, Any] = {"environment": run.environment("radar", "deep-radar", "ray"), "fit": {}, "radars": {}}
+    record: dict[str, Any] = {"environment": run.environment("radar", "ray"), "fit": {}, "radars": {}}
     if given.out.exists():
         record["fit"] = json.loads(given.out.read_text())["fit"]
     if given.fit:

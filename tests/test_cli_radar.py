@@ -1,7 +1,5 @@
 """Commands on data sets with radars."""
 
-import csv
-import json
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,11 +10,8 @@ from commands import completed, refused_command
 from samples import flat_sample, flat_steps
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
-from ogm.datasets import open_dataset
-from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.geometric import RadarISM, RayISM
 from ogm.models.named import load_model, with_radar
-from ogm.models.radar import radar_noise
 from ogm.pose import pose
 from ogm.scan import Frame, run_model
 from ogm.simulation.mounts import radars_at
@@ -54,18 +49,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def splits(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight samples to train on and two to validate."""
-    folder = tmp_path_factory.mktemp("splits") / "data"
-    counts = {"training": 8, "validation": 2}
-    plan = asdict(DatasetPlan(samples=8, validation=2, test=0, radars=RADAR))
-    made = Store.create(folder, plan, counts, [BEAMS], {"ogm": "0"})
-    for split, count in counts.items():
-        made.write(split, 0, [sample(k, split) for k in range(count)])
-    return folder
-
-
 def run(*words: object) -> str:
     """Return what a command that succeeds prints."""
     result = completed(*words)
@@ -87,7 +70,7 @@ def test_fuse_maps_lidar_and_radar_into_one_map(data: Path, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_evaluate_and_map_take_the_frames_of_one_radar(data: Path, tmp_path: Path) -> None:
-    words = ["--ism", "radar", "deep-radar", "--frames", 1, "--out", tmp_path / "report"]
+    words = ["--ism", "radar", "--frames", 1, "--out", tmp_path / "report"]
     run("evaluate", data, "--sensor", "ars548-front", *words)
     assert (tmp_path / "report" / "report.html").exists()
     run("map", data, "--sensor", "radar", "--ism", "radar", "--out", tmp_path / "grids")
@@ -117,51 +100,3 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
     only = load_model("radar", SPEC)
     np.testing.assert_array_equal(run_model(only, radar).mass, expected(radar.scan).mass)
     refused(r"a model after \+ must be one of .*, got 'ray'", load_model, "ray+ray", SPEC)
-
-
-@pytest.mark.slow  # half a minute; tests/deep/test_deep_radar.py trains and exports without the command
-def test_train_and_export_a_network_of_radars(splits: Path, tmp_path: Path) -> None:
-    pytest.importorskip("lightning")
-    trained, file = tmp_path / "run", tmp_path / "radar.onnx"
-    words = [
-        "train", splits, "--model", "radar", "--out", trained, "--batch", 4, "--accelerator", "cpu", "--workers", 0,
-    ]  # fmt: skip
-    run(*words, "--workers", 0, "--epochs", 2)
-    assert {path.name for path in trained.iterdir()} == {"best.json", "best.safetensors", "log.csv", "state.pt"}
-    with open(trained / "log.csv") as rows:
-        assert [row["epoch"] for row in csv.DictReader(rows)] == ["1", "2"]
-    description = json.loads((trained / "best.json").read_text())
-    assert {name: part["frames"] for name, part in description["data"].items()} == {"training": 8, "validation": 2}
-    assert description["data"]["training"]["radars"] == {"ars548-front": "ars548"}
-    before = (trained / "state.pt").read_bytes()
-    run(*words, "--workers", 0, "--epochs", 2, "--resume")  # nothing is left to do
-    assert (trained / "state.pt").read_bytes() == before
-
-    assert "(2, 144, 160) float32" in run("export", trained, "--out", file)
-    scan = open_dataset(splits, split="val", sensors=["radar"])[0].scan
-    by_torch, exported = (DeepRadarISM.load(path, noise=radar_noise(scan.sensor)) for path in (trained, file))
-    np.testing.assert_allclose(exported(scan).mass, by_torch(scan).mass, atol=1e-5)
-    assert by_torch(scan).mass.any()
-
-
-def test_train_takes_the_noise_of_each_radar(splits: Path) -> None:
-    pytest.importorskip("torch")
-    from ogm.deep.polar import RadarGrid, polar_features
-    from ogm.deep.radar_data import RadarDataset
-
-    frames, corner = open_dataset(splits, split="train", sensors=["radar"]), RADARS["ars548"].widest
-    frame, noise = frames[0], RadarNoise(corner.half_width, 0.1, corner.noise[1])
-    (batch, *_) = RadarDataset(frames, RadarGrid(), radar_noise)
-    wanted = polar_features(frame.scan, frame.mount, noise, RadarGrid())
-    np.testing.assert_array_equal(batch.features[0].numpy(), wanted)
-
-
-def test_what_a_network_of_radars_lacks_is_refused(splits: Path, data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("lightning")
-    for words, message in (
-        ((splits, "--length", 40), "polar grid"),
-        ((splits, "--init", "lite"), "other layers"),
-        ((data,), "no split 'training'"),
-    ):
-        options = ("--model", "radar", "--batch", 4, "--accelerator", "cpu", "--out", tmp_path / "run")
-        refused_command(message, "train", *words, *options)

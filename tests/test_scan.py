@@ -326,7 +326,7 @@ def test_a_model_without_a_mount_takes_that_of_each_scan() -> None:
     assert heights == pytest.approx([0.1, 0.3, 0.1, 0.3])
 
 
-@pytest.mark.parametrize("name", ["ray", "height-band", "radar", "lite", "deep-radar", "combined"])
+@pytest.mark.parametrize("name", ["ray", "height-band", "radar", "lite", "combined"])
 def test_a_models_own_mount_wins_over_the_scans(name: str) -> None:
     spec = GridSpec.centered(length=10.24, width=10.24, resolution=0.16)
     points = np.random.default_rng(1).uniform((-4, -4, -2, 0.1), (4, 4, 0, 0.2), (4000, 4)).astype(np.float32)

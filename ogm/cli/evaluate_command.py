@@ -79,7 +79,7 @@ def evaluate(
     ism: Annotated[
         list[str] | None,
         Option(
-            help="Models: height-band, height-band-released, ray, lite, combined, radar, deep-radar, weights of `ogm "
+            help="Models: height-band, height-band-released, ray, lite, combined, radar, weights of `ogm "
             "train` (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite "
             "combined; planar or depth for such sensors; none with --grids]",
             metavar="NAME [NAME]...",

@@ -27,7 +27,7 @@ Rate = Annotated[float, Option(help="Rate of scans without stamps [Hz], if the p
 Drive = Annotated[str | None, Option(help="Drive of a dataset: its name or number. [default: the first]")]
 _MODELS = (
     "Sensor model: ray, planar, height-band, lite, combined, weights of `ogm train`, or the .json of "
-    "`ogm calibrate`; for radars: radar, deep-radar; for several kinds: ray+radar, ray+planar, ..."
+    "`ogm calibrate`; for radars: radar; for several kinds: ray+radar, ray+planar, ..."
 )
 UsualModel = Annotated[
     str | None,

@@ -88,7 +88,7 @@ def map_(
     ism: Annotated[
         str | None,
         Option(
-            help="Sensor model: combined, ray, planar, height-band, height-band-released, lite, radar, deep-radar, "
+            help="Sensor model: combined, ray, planar, height-band, height-band-released, lite, radar, "
             "a file of `ogm train`, `ogm export` or `ogm calibrate`. [default: combined; ray if the network is not "
             "installed or does not suit the grid; planar for planar lasers and sonars]"
         ),

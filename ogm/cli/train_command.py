@@ -17,15 +17,12 @@ from ogm.storage.remote import as_path
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
     from ogm.deep.network import PillarNetwork
-    from ogm.deep.polar import RadarGrid
-    from ogm.deep.radar_network import RadarNetwork
-    from ogm.grid import GridSpec
 
 
 RESOLUTION = 0.16  # [m]
 
 
-Preset = Literal["lite", "paper", "published", "radar"]
+Preset = Literal["lite", "paper", "published"]
 LossName = Literal["reverse-kl", "squares-printed", "squares-released", "log", "digamma"]  # see docs/deep.md
 
 
@@ -44,7 +41,7 @@ def train_command(
         Option(
             help="lite: small, for CPUs; the masses of RayISM are inputs. paper: PointPillars, our recipe. published: "
             "PointPillars, the paper's recipe (100 epochs, batch 5, squared error, occupied cells x 100, rotation "
-            "only). radar: the network for radars, on the radar sweeps of DATA from `ogm simulate --radar`."
+            "only)."
         ),
     ] = "lite",
     validation: Annotated[
@@ -57,7 +54,7 @@ def train_command(
     ] = None,
     out_folder: Annotated[Path | None, Option("--out", help="The run's folder. [default: runs/MODEL]")] = None,
     initial: Annotated[
-        str | None, Option("--init", help="Initial weights: lite, radar, a run's folder, or a .safetensors file.")
+        str | None, Option("--init", help="Initial weights: lite, a run's folder, or a .safetensors file.")
     ] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the run in --out.")] = False,
     epochs: Annotated[int | None, Option(help="Passes over all frames.")] = None,
@@ -66,9 +63,9 @@ def train_command(
     loss: Annotated[LossName | None, Option(help="Loss function; see docs/deep.md.")] = None,
     samples: Annotated[int | None, Option(help="Number of training frames. [default: all]")] = None,
     seed: Annotated[int | None, Option(help="Random seed of weights, order and augmentation.", min=0)] = None,
-    length: Annotated[float | None, Option(help="Extent along x [m]; not for radar. [default: 81.92]")] = None,
-    width: Annotated[float | None, Option(help="Extent along y [m]; not for radar. [default: 56.32]")] = None,
-    resolution: Annotated[float, Option(help="Side of a cell [m]; not for radar.")] = RESOLUTION,
+    length: Annotated[float | None, Option(help="Extent along x [m]. [default: 81.92]")] = None,
+    width: Annotated[float | None, Option(help="Extent along y [m]. [default: 56.32]")] = None,
+    resolution: Annotated[float, Option(help="Side of a cell [m].")] = RESOLUTION,
     accelerator: Annotated[str, Option(help="cpu, cuda or auto.")] = "auto",
     devices: Annotated[int, Option(help="Accelerators, or CPU processes, per machine.")] = 1,
     nodes: Annotated[int, Option(help="Number of machines; start the command on each, see docs/cluster.md.")] = 1,
@@ -77,25 +74,24 @@ def train_command(
 ) -> None:
     """Train a network on frames with truth.
 
-    Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch (not for radar),
-    and every two minutes state.pt for --resume. Address and credentials of an object store are taken from the
+    Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch, and
+    every two minutes state.pt for --resume. Address and credentials of an object store are taken from the
     environment (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...).
     """
     _need_torch()
     from ogm.deep.recipe import PRESETS
     from ogm.deep.training import train
-    from ogm.models.radar import radar_noise
+    from ogm.grid import GridSpec
 
-    radar = model == "radar"
-    spec = _grid(radar, length, width, resolution)
+    spec = GridSpec.centered(length, width, resolution)
     given = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "loss": loss, "seed": seed}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     recipe = replace(PRESETS[model], **changes)
     folder = out_folder or Path("runs") / model
-    parts = {"training": _open(data, "training", radar)}
+    parts = {"training": _open(data, "training")}
     if validation is None and "split" not in parts["training"].facts:
         raise ValueError(f"{data} has no validation split: give --validation DATA")
-    parts["validation"] = _open(validation or data, "validation", radar)
+    parts["validation"] = _open(validation or data, "validation")
     if samples is not None:
         count = len(parts["training"])
         if not 1 <= samples <= count:
@@ -109,7 +105,6 @@ def train_command(
             spec,
             folder,
             recipe,
-            noise=radar_noise if radar else None,
             initial=_network(initial),
             resume=resume,
             accelerator=accelerator,
@@ -133,7 +128,7 @@ def train_command(
 
 @report_errors
 def export_command(
-    source: Annotated[str, Argument(help="lite, radar, a run's folder, or a .safetensors file.")] = "lite",
+    source: Annotated[str, Argument(help="lite, a run's folder, or a .safetensors file.")] = "lite",
     out_path: Annotated[Path, Option("--out", help="Output file (.onnx).")] = Path("ogm.onnx"),
     int8: Annotated[
         str | None,
@@ -144,23 +139,20 @@ def export_command(
         ),
     ] = None,
 ) -> None:
-    """Write a network as ONNX, for `ogm map --ism FILE.onnx` (lidars), `DeepRadarISM` (radars) and other programs.
+    """Write a network as ONNX, for `ogm map --ism FILE.onnx` and other programs.
 
     Running the file does not need torch.
     """
     _need_torch()
     from ogm.datasets import open_dataset
-    from ogm.deep.checkpoint import load_any_network
+    from ogm.deep.checkpoint import load_network
     from ogm.deep.engines import weights_of
     from ogm.deep.export import export_onnx
-    from ogm.deep.network import PillarNetwork
     from ogm.deep.quantize import quantize_onnx
 
     scans = None if int8 is None else open_dataset(int8, default_split="train")
     with weights_of(source) as path:
-        network, description = load_any_network(path)
-        if scans is not None and not isinstance(network, PillarNetwork):
-            raise ValueError(f"--int8 needs a network for lidars, got {source}: leave it out")
+        network, description = load_network(path)
         _quiet()
         with stderr.status("exporting ..."):
             facts = export_onnx(network, out_path, description=description, weights=path)
@@ -169,35 +161,22 @@ def export_command(
     print_facts({"file": str(out_path), **facts})
 
 
-def _grid(radar: bool, length: float | None, width: float | None, resolution: float) -> "GridSpec | RadarGrid":
-    """Return the grid for the network."""
-    from ogm.deep.polar import RadarGrid
-    from ogm.grid import GridSpec
-
-    if not radar:
-        return GridSpec.centered(length, width, resolution)
-    if (length, width, resolution) != (None, None, RESOLUTION):
-        raise ValueError("the network for radars has a polar grid: leave out --length, --width and --resolution")
-    return RadarGrid()
-
-
-def _network(source: str | None) -> "PillarNetwork | RadarNetwork | None":
+def _network(source: str | None) -> "PillarNetwork | None":
     """Return the network with initial weights; None for random weights."""
     if source is None:
         return None
-    from ogm.deep.checkpoint import load_any_network
+    from ogm.deep.checkpoint import load_network
     from ogm.deep.engines import weights_of
 
     with weights_of(source) as path:
-        return load_any_network(path)[0]
+        return load_network(path)[0]
 
 
-def _open(path: Any, split: str, radar: bool) -> "Dataset":
-    """Open a split of a simulated dataset (for `radar` its radar sweeps), or a recording; warn of missing samples."""
+def _open(path: Any, split: str) -> "Dataset":
+    """Open a split of a simulated dataset, or a recording; warn of missing samples."""
     from ogm.datasets import open_dataset
-    from ogm.datasets.simulated import is_simulated
 
-    dataset = open_dataset(path, default_split=split, sensors=["radar"] if radar and is_simulated(path) else ())
+    dataset = open_dataset(path, default_split=split)
     planned = dataset.facts.get("plan", {}).get({"training": "samples"}.get(split, split), 0)
     made = dataset.facts.get("samples", ())
     if len(made) < planned:

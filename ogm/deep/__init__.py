@@ -1,6 +1,6 @@
-"""Deep inverse sensor models `DeepISM` and `DeepRadarISM`, their networks, losses and training.
+"""Deep inverse sensor model `DeepISM`, its networks, losses and training.
 
-The models run exported networks without torch. The other names here need torch and are loaded on first use.
+The model runs exported networks without torch. The other names here need torch and are loaded on first use.
 
 >>> import numpy as np
 >>> from ogm import Mount, Scan
@@ -14,14 +14,12 @@ import importlib
 from typing import TYPE_CHECKING
 
 from ogm.deep.ism import DeepISM
-from ogm.deep.polar import RadarNoise
-from ogm.deep.radar import DeepRadarISM
 from ogm.extras import install_line
 
 if TYPE_CHECKING:
     from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork
 
-__all__ = ["LITE", "PAPER", "DeepISM", "DeepRadarISM", "NetworkConfig", "PillarNetwork", "RadarNoise"]
+__all__ = ["LITE", "PAPER", "DeepISM", "NetworkConfig", "PillarNetwork"]
 
 
 def __getattr__(name: str) -> object:

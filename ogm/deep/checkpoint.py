@@ -8,34 +8,30 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
-from torch import Tensor, nn
+from torch import Tensor
 
 from ogm.deep.description import FORMAT, description_checksum, grid_of, read_description
 from ogm.deep.network import NetworkConfig, PillarNetwork
-from ogm.deep.polar import RadarGrid
-from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.io.reading import read_bytes
 from ogm.storage.files import OgmError, atomic_write
 
-Made = TypeVar("Made", bound=nn.Module)
 
-
-def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNetwork, facts: Mapping[str, Any]) -> Path:
+def save_network(path: str | os.PathLike[str], network: PillarNetwork, facts: Mapping[str, Any]) -> Path:
     """Write weights and description of a network, each atomically.
 
     Parameters
     ----------
     path : path
         File name of the weights, ending in ``.safetensors``. The description has the same name, ending in ``.json``.
-    network : PillarNetwork or RadarNetwork
+    network : PillarNetwork
     facts : mapping
         Further entries of the description that JSON can hold: provenance, recipe, results.
 
@@ -65,7 +61,7 @@ def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNet
 
 
 def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str, Any]]:
-    """Read a lidar network that `save_network` wrote.
+    """Read a network that `save_network` wrote.
 
     Returns
     -------
@@ -81,38 +77,6 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
     OgmError
         If a file is damaged, of another kind, or does not fit the other file.
     """
-    return _load(path, _pillar_network)
-
-
-def load_radar_network(path: str | os.PathLike[str]) -> tuple[RadarNetwork, dict[str, Any]]:
-    """Read a radar network that `save_network` wrote; see `load_network` for results and errors."""
-    return _load(path, _radar_network)
-
-
-def load_any_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork | RadarNetwork, dict[str, Any]]:
-    """Read a lidar or radar network that `save_network` wrote; see `load_network` for results and errors."""
-    return _load(path, _any_network)
-
-
-def _pillar_network(description: dict[str, Any]) -> PillarNetwork:
-    config = NetworkConfig.from_dict(description["network"])
-    _check_config(config)
-    return PillarNetwork(config, grid_of(description))
-
-
-def _radar_network(description: dict[str, Any]) -> RadarNetwork:
-    config, place = RadarConfig.from_dict(description["network"]), description["spec"]
-    if not (_are_sizes([], config.blocks) and 0 <= config.dropout < 1):
-        raise ValueError(f"a size is out of range in {config}")
-    return RadarNetwork(config, RadarGrid(tuple(place["shape"]), place["range_step"], place["azimuth_step"]))
-
-
-def _any_network(description: dict[str, Any]) -> PillarNetwork | RadarNetwork:
-    return _radar_network(description) if "range_step" in description["spec"] else _pillar_network(description)
-
-
-def _load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) -> tuple[Made, dict[str, Any]]:
-    """Read weights and description; `make` makes the network from the description."""
     path = _checked_path(path)
     beside = path.with_suffix(".json")
     for file in (path, beside):
@@ -121,14 +85,21 @@ def _load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) 
     description = read_description(beside)
     try:
         with torch.device("meta"):  # names and shapes without memory
-            wanted = make(description).state_dict()
+            wanted = _network(description).state_dict()
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError) as error:
         raise OgmError(f"{beside} describes no valid network: {error}; restore both files") from error
     weights = _read_weights(path, wanted)
     _check_sums(path, beside, description)
-    network = make(description)
+    network = _network(description)
     network.load_state_dict(weights)
     return network.eval(), description
+
+
+def _network(description: dict[str, Any]) -> PillarNetwork:
+    """Return the network of a description, with random weights."""
+    config = NetworkConfig.from_dict(description["network"])
+    _check_config(config)
+    return PillarNetwork(config, grid_of(description))
 
 
 def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -25,7 +25,7 @@ from ogm.jit import kernel
 from ogm.scan import Frame, Scan
 from ogm.state import CellState
 
-__all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "FrameDataset", "PillarDataset", "augment", "training_ranges"]
+__all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "PillarDataset", "augment", "training_ranges"]
 
 
 @dataclass(frozen=True)
@@ -107,34 +107,13 @@ class Batch(NamedTuple):
 
 
 @dataclass(eq=False)
-class FrameDataset(Dataset[Any]):
-    """Base class of datasets that give each frame as a batch.
-
-    Parameters
-    ----------
-    frames : sequence of Frame
-        Frames with scan, mount and truth, see ``ogm.datasets.open_dataset(path, split="training")``.
-    """
-
-    frames: Sequence[Frame]
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    @property
-    def shards(self) -> NDArray[np.int64] | None:
-        """Shard of each frame, (N,), if the dataset has shards."""
-        return getattr(self.frames, "shards", None)
-
-
-@dataclass(eq=False)
-class PillarDataset(FrameDataset):
+class PillarDataset(Dataset[Any]):
     """Lidar frames, each as a batch.
 
     Parameters
     ----------
     frames : sequence of Frame
-        See `FrameDataset`.
+        Frames with scan, mount and truth, see ``ogm.datasets.open_dataset(path, split="training")``.
     spec : GridSpec
         Grid of the network, around the sensor.
     augmentation : Augmentation
@@ -149,6 +128,7 @@ class PillarDataset(FrameDataset):
         Whether the network takes the masses of `ogm.geometric.RayISM` as input.
     """
 
+    frames: Sequence[Frame]
     spec: GridSpec
     augmentation: Augmentation = PLAIN
     z_range: tuple[float, float] = (-3.0, 8.0)
@@ -156,6 +136,14 @@ class PillarDataset(FrameDataset):
     most_pillars: int = 0
     most_points: int = 0
     rays: bool = False
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def shards(self) -> NDArray[np.int64] | None:
+        """Shard of each frame, (N,), if the dataset has shards."""
+        return getattr(self.frames, "shards", None)
 
     def __getitem__(self, key: "int | tuple[int, int]") -> Batch:
         """Return frame i with the augmentation of epoch 0, or of the epoch in a key (epoch, i)."""

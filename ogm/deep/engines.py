@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     Engine = OnnxEngine | TorchEngine
 
-__all__ = ["ENGINES", "SHIPPED", "load_engine", "weights_of"]
+__all__ = ["ENGINES", "load_engine", "weights_of"]
 
-SHIPPED = ("lite", "radar")  # names of the weights in the package, which are also exported
+SHIPPED = "lite"  # name of the weights in the package, which are also exported
 ENGINES = ("onnxruntime", "openvino", "torch")
 _TORCH = (
     f"{install_line('train')} (on a machine without an NVIDIA GPU install PyTorch's CPU build first), or export the "
@@ -57,7 +57,7 @@ def load_engine(
         lies next to the weights (``NAME.int8.onnx``), which is then the default. The other engines compute in float32,
         the default, or bfloat16.
     threads, device, compile
-        See `ogm.deep.exported.ExportedNetwork` and `ogm.deep.torch_engine.TorchEngine`. `threads` is not for torch
+        See `ogm.deep.onnx_engine.OnnxEngine` and `ogm.deep.torch_engine.TorchEngine`. `threads` is not for torch
         (see ``torch.set_num_threads``); `device` and `compile` are only for torch.
 
     Returns
@@ -109,15 +109,15 @@ def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
     FileNotFoundError
         If `source` is no name, folder or file of weights.
     """
-    if str(source) in SHIPPED:
+    if str(source) == SHIPPED:
         with as_file(files("ogm") / "data") as folder:
-            yield folder / f"{source}.safetensors"
+            yield folder / f"{SHIPPED}.safetensors"
         return
     path = Path(source)
     if path.is_dir():
         path /= "best.safetensors"
     elif path.suffix not in (".safetensors", ".onnx"):
-        known = f"{' or '.join(map(repr, SHIPPED))}, the folder or .safetensors file of `ogm train`"
+        known = f"{SHIPPED!r}, the folder or .safetensors file of `ogm train`"
         raise FileNotFoundError(f"there are no weights {str(source)!r}: give {known}, or the .onnx of `ogm export`")
     yield path
 

@@ -1,17 +1,15 @@
 """Export of a network to an ONNX file, to run it without torch.
 
-`ogm.deep.onnx_engine.OnnxEngine`, `ogm.deep.radar_onnx.RadarOnnxEngine` and other ONNX runtimes can run the file. It
-holds the network for one scan at a time, with the normalisation folded into the layers. Its metadata are ``format``,
-``description`` (JSON of the weights: spec, network, recipe, ...), ``weights`` (their SHA-256), a documentation of each
-input and output, and as last entry ``sha256``, the checksum of all bytes before it.
+`ogm.deep.onnx_engine.OnnxEngine` and other ONNX runtimes can run the file. It holds the network for one scan at a time,
+with the normalisation folded into the layers. Its metadata are ``format``, ``description`` (JSON of the weights: spec,
+network, recipe, ...), ``weights`` (their SHA-256), a documentation of each input and output, and as last entry
+``sha256``, the checksum of all bytes before it.
 
-A lidar network accepts any grid with sides of multiples of ``multiple`` cells. The step before the network, a linear
+The network accepts any grid with sides of multiples of ``multiple`` cells. The step before the network, a linear
 layer and a maximum over the points of a pillar, is in the entry ``input`` (JSON: weight, bias, rays, z_range,
 multiple)::
 
     feature_map[0, ix, iy, c] = max over the points of the cell of max(0, features @ weight[:, c] + bias[c])
-
-A radar network takes the features of `ogm.deep.polar.polar_features`, named in the entry ``channels``.
 
 >>> from ogm.deep.checkpoint import load_network
 >>> from ogm.deep.export import export_onnx
@@ -30,10 +28,9 @@ from typing import Any
 import torch
 
 from ogm.deep.description import FORMAT as DESCRIPTION_FORMAT
-from ogm.deep.export_parts import ExportParts, lidar_parts, radar_parts
+from ogm.deep.export_parts import ExportParts, network_parts
 from ogm.deep.network import PillarNetwork
 from ogm.deep.onnx_file import OPERATIONS, sealed, weights_sum
-from ogm.deep.radar_network import RadarNetwork
 from ogm.extras import import_extra
 from ogm.storage.files import atomic_write
 
@@ -43,7 +40,7 @@ _OPSET = 18
 
 
 def export_onnx(
-    network: PillarNetwork | RadarNetwork,
+    network: PillarNetwork,
     path: str | os.PathLike[str],
     *,
     description: Mapping[str, Any] | None = None,
@@ -53,8 +50,8 @@ def export_onnx(
 
     Parameters
     ----------
-    network : PillarNetwork or RadarNetwork
-        See `ogm.deep.checkpoint.load_any_network`.
+    network : PillarNetwork
+        See `ogm.deep.checkpoint.load_network`.
     path : path
         File name, ending in ``.onnx``. The file is written atomically.
     description : mapping, optional
@@ -89,7 +86,7 @@ def export_onnx(
     given = {"description": json.dumps(facts), "weights": weights_sum(weights) if weights is not None else ""}
     import_extra("onnxscript", "train")  # needed by torch
     onnx = import_extra("onnx", "train")
-    parts = radar_parts(network, given) if isinstance(network, RadarNetwork) else lidar_parts(network, given)
+    parts = network_parts(network, given)
     with atomic_write(path) as file:
         model = _model(parts)
         onnx.checker.check_model(model, full_check=True)
@@ -113,7 +110,7 @@ def _model(parts: ExportParts) -> Any:
             verbose=False,
             opset_version=_OPSET,
             input_names=[*parts.inputs],
-            output_names=[parts.output],
+            output_names=["mass"],
             dynamic_shapes=parts.shapes,
         )
     assert program is not None  # with dynamo=True
@@ -123,6 +120,6 @@ def _model(parts: ExportParts) -> Any:
     for part in (*graph.node, *graph.value_info, *graph.initializer, *graph.input, *graph.output):
         del part.metadata_props[:]  # contains paths of the machine
         part.doc_string = parts.metadata.get(part.name, "")
-    graph.name, model.doc_string = "ogm", parts.about
+    graph.name, model.doc_string = "ogm", "One lidar scan to an evidential grid map."
     import_extra("onnx.helper", "train").set_model_props(model, parts.metadata)
     return model

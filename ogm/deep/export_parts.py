@@ -1,7 +1,6 @@
 """Parts of an exported network: module of ONNX operations, example inputs and metadata."""
 
 import json
-import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -12,10 +11,7 @@ from torch.nn.functional import pixel_shuffle
 from ogm.deep.network import PillarNetwork
 from ogm.deep.onnx_file import FORMAT
 from ogm.deep.points import FEATURES
-from ogm.deep.polar import CHANNELS
-from ogm.deep.radar_network import RadarNetwork
-from ogm.deep.radar_onnx import FORMAT as RADAR_FORMAT
-from ogm.deep.torch_engine import folded, fused
+from ogm.deep.torch_engine import fused
 
 
 class ExportParts(NamedTuple):
@@ -24,32 +20,26 @@ class ExportParts(NamedTuple):
     Attributes
     ----------
     module : Module
-        Module that computes the output from the inputs.
+        Module that computes belief masses from the inputs.
     inputs : dict of str to Tensor
         Example inputs by name.
-    output : str
-        Name of the output.
-    shapes : dict, optional
+    shapes : dict
         Axes of variable length, the ``dynamic_shapes`` of `torch.onnx.export`.
     metadata : dict of str to str
         Metadata of the file. An entry with the name of an input or output is also its documentation.
-    about : str
-        Documentation of the model.
     facts : dict of str to str
         Names and values that describe the file, to print.
     """
 
     module: nn.Module
     inputs: dict[str, torch.Tensor]
-    output: str
-    shapes: dict[str, Any] | None
+    shapes: dict[str, Any]
     metadata: dict[str, str]
-    about: str
     facts: dict[str, str]
 
 
-def lidar_parts(network: PillarNetwork, given: Mapping[str, str]) -> ExportParts:
-    """Return the parts of a lidar network, from the feature map to belief masses.
+def network_parts(network: PillarNetwork, given: Mapping[str, str]) -> ExportParts:
+    """Return the parts of a network, from the feature map to belief masses.
 
     Parameters
     ----------
@@ -75,29 +65,7 @@ def lidar_parts(network: PillarNetwork, given: Mapping[str, str]) -> ExportParts
         "grid": f"{spec.length:g} x {spec.width:g} m, cells of {spec.resolution:g} m",
     }
     metadata = _documentation(network) | _input(module.network) | dict(given)
-    return ExportParts(module, inputs, "mass", shapes, metadata, "One lidar scan to an evidential grid map.", facts)
-
-
-def radar_parts(network: RadarNetwork, given: Mapping[str, str]) -> ExportParts:
-    """Return the parts of a radar network, from polar features to evidence; see `lidar_parts`."""
-    polar, shape = network.spec, (1, len(CHANNELS), *network.spec.shape)
-    metadata = {
-        "format": RADAR_FORMAT,
-        "channels": json.dumps(CHANNELS),
-        **given,
-        "features": "[0, channel, range, azimuth]: see ogm.deep.polar.polar_features.",
-        "evidence": "[state, range, azimuth]: free, then occupied. Mass is evidence / (free + occupied + 2).",
-    }
-    step = math.degrees(polar.azimuth_step)
-    facts = {
-        "features": f"{shape} float32, see ogm.deep.polar.polar_features",
-        "evidence": f"{(2, *polar.shape)} float32: free, occupied",
-        "grid": f"{polar.reach:g} m x {2 * math.degrees(polar.edge):g} degrees, cells of {polar.range_step:g} m x "
-        f"{step:g} degrees",
-    }
-    about = "One sweep of a radar to evidence on its polar grid."
-    inputs = {"features": torch.zeros(shape)}
-    return ExportParts(_Evidence(network).eval(), inputs, "evidence", None, metadata, about, facts)
+    return ExportParts(module, inputs, shapes, metadata, facts)
 
 
 class _Masses(nn.Module):
@@ -115,17 +83,6 @@ class _Masses(nn.Module):
         e = pixel_shuffle(e, 2)
         free, occupied = torch.split(e, 1, dim=1)
         return (e / (free + occupied + 2))[0].permute(1, 2, 0)  # Sec. II: b = e / S
-
-
-class _Evidence(nn.Module):
-    """Module from polar features to evidence, built of ONNX operations."""
-
-    def __init__(self, network: RadarNetwork) -> None:
-        super().__init__()
-        self.network = folded(network).cpu()
-
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
-        return pixel_shuffle(_softplus(self.network.quarters(features)), 2)[0]
 
 
 def _softplus(x: torch.Tensor) -> torch.Tensor:

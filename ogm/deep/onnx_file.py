@@ -38,7 +38,7 @@ _DATA_LOCATION = 14  # field of an initializer: 1 if its numbers are in another 
 
 @dataclass(frozen=True, eq=False)
 class OnnxFile:
-    """Content of a file with an exported lidar network.
+    """Content of a file with an exported network.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class OnnxFile:
 
 
 def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
-    """Read and check a lidar network that `ogm.deep.export.export_onnx` wrote.
+    """Read and check a network that `ogm.deep.export.export_onnx` wrote.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
     OgmError
         If the file is damaged, of another kind, or has content that no export writes.
     """
-    data, metadata = read_metadata(path, FORMAT)
+    data, metadata = _read_metadata(path)
     try:
         numbers = {name: json.loads(metadata[name]) for name in ("description", "input")}
         facts = metadata.get("weights", ""), metadata.get("precision", "float32")
@@ -93,7 +93,7 @@ def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
         raise OgmError(f"{path} describes no valid network: {error!r}; export the weights again") from error
 
 
-def read_metadata(path: str | os.PathLike[str], wanted: str) -> tuple[bytes, dict[str, str]]:
+def _read_metadata(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, str]]:
     """Return the bytes and the metadata of an exported network; for errors see `read_onnx`."""
     path = Path(path)
     if not path.is_file():
@@ -105,10 +105,10 @@ def read_metadata(path: str | os.PathLike[str], wanted: str) -> tuple[bytes, dic
         metadata = _read_model(data)
     except (IndexError, ValueError, KeyError, TypeError) as error:
         raise OgmError(f"{path} is no complete ONNX file of `ogm export`: {error}") from error
-    if (found := metadata.get("format")) != wanted:
-        kind = wanted.rpartition("/")[0] + "/"
-        way = update_hint(found, wanted) or ("; export the weights again" if str(found).startswith(kind) else "")
-        raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {wanted}{way}")
+    if (found := metadata.get("format")) != FORMAT:
+        kind = FORMAT.rpartition("/")[0] + "/"
+        way = update_hint(found, FORMAT) or ("; export the weights again" if str(found).startswith(kind) else "")
+        raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}{way}")
     if "sha256" in metadata and sealed(data[:-_SEAL]) != data:
         raise OgmError(f"{path} is damaged: its SHA-256 differs from its metadata; restore it or export again")
     return data, metadata

@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.deep.exported import Inputs
 from ogm.deep.ism import DeepISM
 from ogm.deep.onnx_engine import OnnxEngine
 from ogm.deep.onnx_file import OPERATIONS, read_onnx, sealed
+from ogm.deep.runtimes import Inputs
 from ogm.extras import import_extra
 from ogm.scan import Frame
 from ogm.storage.files import OgmError, atomic_write
@@ -117,9 +117,9 @@ def quantize_onnx(
 class _Recorder(OnnxEngine):
     """Engine that keeps its inputs."""
 
-    def _read(self, path: str | os.PathLike[str]) -> bytes:
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        super().__init__(path)
         self.samples: list[Inputs] = []
-        return super()._read(path)
 
     def _run(self, inputs: Inputs, shape: tuple[int, ...]) -> NDArray[np.float32]:
         self.samples.append(inputs)

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from ogm.deep import losses
-from ogm.deep.data import PLAIN, ROTATION, Augmentation
+from ogm.deep.data import ROTATION, Augmentation
 from ogm.deep.network import LITE, PAPER, NetworkConfig
-from ogm.deep.radar_network import RADAR, RadarConfig
 
-__all__ = ["LITE_RECIPE", "LOSSES", "PAPER_RECIPE", "PRESETS", "RADAR_RECIPE", "Recipe", "learning_rate", "mean_loss"]
+__all__ = ["LITE_RECIPE", "LOSSES", "PAPER_RECIPE", "PRESETS", "Recipe", "learning_rate", "mean_loss"]
 
 LOSSES: dict[str, Callable[[Tensor, Tensor, float], Tensor]] = {  # evidence, target, strength -> loss per cell
     "reverse-kl": losses.reverse_kl,
@@ -34,7 +33,7 @@ class Recipe:
 
     Parameters
     ----------
-    network : NetworkConfig or RadarConfig
+    network : NetworkConfig
         Network to train.
     epochs : int
         Number of passes over all frames.
@@ -66,7 +65,7 @@ class Recipe:
         Seed of weights, order, augmentation and dropout.
     """
 
-    network: NetworkConfig | RadarConfig
+    network: NetworkConfig
     epochs: int = 10
     batch: int = 8
     loss: str = "reverse-kl"
@@ -105,10 +104,7 @@ PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; learning rate and drop
     most_pillars=10_000,
     most_points=100,
 )
-RADAR_RECIPE = Recipe(  # of the shipped radar weights
-    RADAR, epochs=8, batch=8, average=0.995, augmentation=replace(PLAIN, mirror=0.5, points=0.25, gain=0.3)
-)
-PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE, "radar": RADAR_RECIPE}
+PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE}
 
 
 def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -14,8 +14,6 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 from ogm.deep.network import PillarNetwork
 from ogm.deep.pillars import Pillars, collate, pillarize, pillarize_torch
 from ogm.deep.points import Rectangle
-from ogm.deep.polar import RadarGrid
-from ogm.deep.radar_network import RadarNetwork
 from ogm.grid import GridSpec
 
 
@@ -109,37 +107,6 @@ class TorchEngine:
         return mass.cpu().numpy()
 
 
-class TorchRadarEngine:
-    """Radar network run by torch.
-
-    Parameters
-    ----------
-    network : RadarNetwork
-        See `ogm.deep.checkpoint.load_radar_network`.
-    description : mapping, optional
-        Description of the weights.
-
-    Attributes
-    ----------
-    polar : RadarGrid
-        Polar grid of the network.
-    description : dict
-        Description of the weights.
-    """
-
-    polar: RadarGrid
-    description: dict[str, Any]
-    network: RadarNetwork
-
-    def __init__(self, network: RadarNetwork, description: Mapping[str, Any] | None = None) -> None:
-        self.polar, self.description, self.network = network.spec, dict(description or {}), folded(network).cpu()
-
-    @torch.inference_mode()
-    def evidence(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return evidence for free and occupied (2, ranges, azimuths) from features (channels, ranges, azimuths)."""
-        return self.network.evidence(torch.from_numpy(features)[None])[0].contiguous().numpy()
-
-
 def _device(name: str | torch.device) -> torch.device:
     try:
         device = torch.empty(0, device=name).device
@@ -148,9 +115,6 @@ def _device(name: str | torch.device) -> torch.device:
     if device.type not in ("cpu", "cuda"):
         raise ValueError(f"device must be cpu or cuda, got {str(name)!r}")
     return device
-
-
-Network = TypeVar("Network", bound=nn.Module)
 
 
 class ConvReLU(nn.Module):
@@ -176,19 +140,7 @@ _ONEDNN = _onednn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_poi
 
 
 def fused(network: PillarNetwork) -> PillarNetwork:
-    """Return a lidar network for inference: all normalisation folded into layers, channels last in memory."""
-    result = folded(network)
-    pillar: Any = result.pillar
-    pillar.linear = fuse_linear_bn_eval(pillar.linear, pillar.norm)
-    pillar.linear.weight.data *= pillar.scale
-    pillar.scale, pillar.norm = None, nn.Identity()
-    convert: Any = result.to  # torch declares no memory_format
-    converted: PillarNetwork = convert(memory_format=torch.channels_last)
-    return converted
-
-
-def folded(network: Network) -> Network:
-    """Return a copy for inference, with batch normalisation folded into the convolutions before it."""
+    """Return a network for inference: all normalisation folded into layers, channels last in memory."""
     result = copy.deepcopy(network).eval()
     for module in result.modules():
         if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):
@@ -198,4 +150,10 @@ def folded(network: Network) -> Network:
             module[0], module[1] = conv, nn.Identity()
             if not transposed:
                 module[0], module[2] = ConvReLU(conv), nn.Identity()
-    return result
+    pillar: Any = result.pillar
+    pillar.linear = fuse_linear_bn_eval(pillar.linear, pillar.norm)
+    pillar.linear.weight.data *= pillar.scale
+    pillar.scale, pillar.norm = None, nn.Identity()
+    convert: Any = result.to  # torch declares no memory_format
+    converted: PillarNetwork = convert(memory_format=torch.channels_last)
+    return converted

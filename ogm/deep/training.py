@@ -12,7 +12,7 @@ validation frames (``epoch-NNN.png``).
 >>> train(*data, GridSpec.centered(), Path("runs/lite"), LITE_RECIPE)       # doctest: +SKIP
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,10 +21,7 @@ from typing import Any
 import torch
 
 from ogm.deep.data import PLAIN, PillarDataset, training_ranges
-from ogm.deep.network import NetworkConfig, PillarNetwork
-from ogm.deep.polar import RadarGrid, RadarNoise
-from ogm.deep.radar_data import RadarDataset
-from ogm.deep.radar_network import RadarConfig, RadarNetwork
+from ogm.deep.network import PillarNetwork
 from ogm.deep.recipe import LOSSES, Recipe
 from ogm.extras import install_line
 from ogm.grid import GridSpec
@@ -44,12 +41,11 @@ __all__ = ["train"]
 def train(
     training: Sequence[Frame],
     validation: Sequence[Frame],
-    spec: GridSpec | RadarGrid,
+    spec: GridSpec,
     out: Path,
     recipe: Recipe,
     *,
-    noise: Callable[[str], RadarNoise] | None = None,
-    initial: PillarNetwork | RadarNetwork | None = None,
+    initial: PillarNetwork | None = None,
     resume: bool = False,
     accelerator: str = "auto",
     devices: int = 1,
@@ -65,18 +61,15 @@ def train(
     Parameters
     ----------
     training, validation : sequence of Frame
-        Frames with scan, mount and truth, see ``open_dataset(path, split="training")``, with ``sensors=["radar"]`` for
-        a radar network. The best weights are chosen on `validation`.
-    spec : GridSpec or RadarGrid
-        Grid of the network around the sensor, a `RadarGrid` for a radar network.
+        Frames with scan, mount and truth, see ``open_dataset(path, split="training")``. The best weights are chosen on
+        `validation`.
+    spec : GridSpec
+        Grid of the network around the sensor.
     out : Path
         Folder of the run.
     recipe : Recipe
         Settings of the training.
-    noise : callable, optional
-        Maps the sensor name of a radar to its field of view and errors; by default `RadarNoise()` for all radars. Only
-        for radar networks.
-    initial : PillarNetwork or RadarNetwork, optional
+    initial : PillarNetwork, optional
         Network with the initial weights, by default random. The recipe's network may have further inputs.
     resume : bool
         Resume the run in `out`, or start if the folder holds no run. Recipe, grid, data and number of processes must
@@ -87,7 +80,7 @@ def train(
     workers : int, optional
         Number of processes that prepare frames, for each training process; by default half the cores, at most 12.
     picture_every : int
-        Epochs between pictures of validation frames; 0 for no pictures. Radar trainings draw no pictures.
+        Epochs between pictures of validation frames; 0 for no pictures.
     facts : mapping, optional
         Provenance, written to ``best.json``.
     progress : bool
@@ -96,7 +89,7 @@ def train(
     Raises
     ------
     ValueError
-        If there are too few frames, the grid does not fit the network or its sensor, `out` holds another run, or a
+        If there are too few frames, the grid does not fit the network, `out` holds another run, or a
         number of the recipe is out of range.
     FloatingPointError
         If the loss is not finite; the batch is saved in the folder of the run.
@@ -108,29 +101,15 @@ def train(
         If another process of the training ended; the state after the last step is saved.
     """
     _check_recipe(validation, recipe, out, resume)
-    frames = _dataset(training, spec, recipe, noise)
-    fixed: Any = replace(frames, frames=validation, augmentation=PLAIN)
+    network, limits = recipe.network, (recipe.most_pillars, recipe.most_points)
+    frames = PillarDataset(training, spec, recipe.augmentation, network.z_range, recipe.seed, *limits, network.rays)
+    fixed = replace(frames, frames=validation, augmentation=PLAIN)
     fabric = _launch(accelerator, devices, nodes, precision)
-    known, draw = dict(facts or {}), None
-    if isinstance(frames, PillarDataset):
-        known = {"seen": training_ranges(frames), **known}
-        draw = partial(draw_predictions, dataset=fixed, device=fabric.device)
+    known = {"seen": training_ranges(frames), **(facts or {})}
+    draw = partial(draw_predictions, dataset=fixed, device=fabric.device)
     run = TrainingRun(fabric, recipe, spec, out, len(frames), len(fixed), initial)
     shown: Any = {"draw": draw, "picture_every": picture_every, "progress": progress}
     return run_training(run, frames, fixed, known, resume=resume, workers=workers, **shown)
-
-
-def _dataset(
-    frames: Sequence[Frame], spec: GridSpec | RadarGrid, recipe: Recipe, noise: Callable[[str], RadarNoise] | None
-) -> PillarDataset | RadarDataset:
-    """Return the frames as a dataset for the recipe's network."""
-    network, augmentation = recipe.network, recipe.augmentation
-    if isinstance(network, NetworkConfig) and isinstance(spec, GridSpec):
-        limits = recipe.most_pillars, recipe.most_points
-        return PillarDataset(frames, spec, augmentation, network.z_range, recipe.seed, *limits, network.rays)
-    if isinstance(network, RadarConfig) and isinstance(spec, RadarGrid):
-        return RadarDataset(frames, spec, noise, augmentation, recipe.seed)
-    raise ValueError(f"spec must be a GridSpec for lidar networks, a RadarGrid for radar networks, got {spec}")
 
 
 def _launch(accelerator: str, devices: int, nodes: int, precision: Any) -> Fabric:

@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from multiprocessing.util import Finalize
@@ -17,9 +17,8 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from ogm.deep import losses
-from ogm.deep.data import PillarDataset
+from ogm.deep.data import Batch, PillarDataset
 from ogm.deep.order import EpochSampler, ShardSampler
-from ogm.deep.radar_data import RadarDataset
 from ogm.deep.recipe import Recipe, mean_loss
 from ogm.deep.training_run import TrainingRun
 from ogm.evidence import evidence_to_mass
@@ -29,9 +28,6 @@ from ogm.storage.locks import locked
 _SAVE_EVERY = 120.0  # [s] between saved states
 # Texts in errors of torch.distributed
 _PEER_ENDED = ("Connection closed by peer", "Connection reset by peer", "ncclRemoteError")
-
-
-Frames = PillarDataset | RadarDataset  # datasets that give each frame as a batch
 
 
 class ValidationScores(NamedTuple):
@@ -58,8 +54,8 @@ class ValidationScores(NamedTuple):
 
 def run_training(
     run: TrainingRun,
-    frames: Frames,
-    fixed: Frames,
+    frames: PillarDataset,
+    fixed: PillarDataset,
     facts: Mapping[str, Any],
     *,
     draw: Callable[[Path, Any], None] | None = None,
@@ -74,7 +70,7 @@ def run_training(
     ----------
     run : TrainingRun
         New run; a saved state in its folder is restored.
-    frames, fixed : PillarDataset or RadarDataset
+    frames, fixed : PillarDataset
         Training frames with keys (epoch, i), see `PillarDataset`, and validation frames.
     facts : mapping
         Provenance, written to ``best.json``.
@@ -84,7 +80,7 @@ def run_training(
         See `ogm.deep.training.train`.
     """
     recipe, fabric, out = run.recipe, run.fabric, run.out
-    place, shards = (recipe.seed, fabric.global_rank, fabric.world_size), getattr(frames, "shards", None)
+    place, shards = (recipe.seed, fabric.global_rank, fabric.world_size), frames.shards
     order = EpochSampler(len(frames), *place)
     if shards is not None:
         order = ShardSampler(shards, *place, batch=recipe.batch)
@@ -117,7 +113,7 @@ def _train_epochs(
     run: TrainingRun,
     loader: DataLoader[Any],
     order: EpochSampler,
-    fixed: Frames,
+    fixed: PillarDataset,
     pictures: tuple[Callable[[Path, Any], None] | None, int],
     facts: Mapping[str, Any],
     show: Callable[..., None],
@@ -147,7 +143,7 @@ def _train_epochs(
 
 
 @torch.no_grad()
-def validate(network: nn.Module, dataset: Frames, recipe: Recipe, device: torch.device) -> ValidationScores:
+def validate(network: nn.Module, dataset: PillarDataset, recipe: Recipe, device: torch.device) -> ValidationScores:
     """Score a network on frames, with the loss after all annealing, so that epochs are comparable."""
     network.eval()
     loss = kl = cells = 0.0
@@ -167,22 +163,18 @@ def validate(network: nn.Module, dataset: Frames, recipe: Recipe, device: torch.
     return ValidationScores(loss / max(cells, 1), kl / max(cells, 1), float(iou[1]), float(iou[2]))
 
 
-def make_loader(frames: Frames, order: EpochSampler, batch: int, workers: int | None) -> DataLoader[Any]:
+def make_loader(frames: PillarDataset, order: EpochSampler, batch: int, workers: int | None) -> DataLoader[Any]:
     """Return a loader of batches; `workers` is the number of loading processes, by default half the cores."""
     if workers is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))
     ahead: Any = 4 if workers else None
-    options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": _joined}
+    options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": Batch.joined}
     if workers and isinstance(order, ShardSampler):  # connections do not survive a fork
         options |= {"multiprocessing_context": "spawn", "persistent_workers": True, "worker_init_fn": _end_at_once}
     options["drop_last"] = True
     given: Any = frames
     return DataLoader(given, batch, sampler=order, **options)
-
-
-def _joined(batches: Sequence[Any]) -> Any:
-    return type(batches[0]).joined(batches)
 
 
 def _end_at_once(worker: int) -> None:

@@ -20,10 +20,9 @@ from torch import nn
 from ogm.deep.checkpoint import save_network
 from ogm.deep.data import Batch, PillarDataset
 from ogm.deep.network import PillarNetwork, copy_weights
-from ogm.deep.radar_data import RadarBatch
 from ogm.deep.recipe import Recipe, learning_rate, mean_loss
 from ogm.evidence import evidence_to_mass
-from ogm.grid import EvidentialGrid
+from ogm.grid import EvidentialGrid, GridSpec
 from ogm.state import Truth
 from ogm.storage.files import OgmError, atomic_write
 
@@ -39,20 +38,20 @@ class TrainingRun:
         Lightning's launcher of the processes.
     recipe : Recipe
         Settings of the training.
-    spec : GridSpec or RadarGrid
+    spec : GridSpec
         Grid of the network.
     out : Path
         Folder of the run.
     training, validation : int
         Numbers of frames.
-    initial : PillarNetwork or RadarNetwork, optional
+    initial : PillarNetwork, optional
         Network with the initial weights; see `ogm.deep.network.copy_weights`.
 
     Attributes
     ----------
     step, epoch : int
         Numbers of completed steps, and of completed and validated epochs.
-    average : PillarNetwork or RadarNetwork
+    average : PillarNetwork
         Exponential moving average of the network's weights.
     consistent : bool
         Whether network, average and step belong to the same step.
@@ -73,11 +72,11 @@ class TrainingRun:
         self,
         fabric: Fabric,
         recipe: Recipe,
-        spec: Any,
+        spec: GridSpec,
         out: Path,
         training: int,
         validation: int,
-        initial: nn.Module | None = None,
+        initial: PillarNetwork | None = None,
     ) -> None:
         self.fabric, self.recipe, self.out = fabric, recipe, out
         self.steps_per_epoch = training // fabric.world_size // recipe.batch
@@ -110,7 +109,7 @@ class TrainingRun:
         """Mean loss of the last 100 steps."""
         return sum(self._losses) / max(len(self._losses), 1)
 
-    def do_step(self, batch: Batch | RadarBatch) -> None:
+    def do_step(self, batch: Batch) -> None:
         """Update the weights by the gradient of a batch."""
         recipe, fabric = self.recipe, self.fabric
         for group in self.optimizer.param_groups:
@@ -217,7 +216,7 @@ def draw_predictions(path: Path, network: PillarNetwork, dataset: PillarDataset,
     save_picture(path, *panels)
 
 
-def nonfinite_loss_error(folder: Path, batch: Batch | RadarBatch, loss: float, step: int) -> FloatingPointError:
+def nonfinite_loss_error(folder: Path, batch: Batch, loss: float, step: int) -> FloatingPointError:
     """Return the error for a non-finite loss; the batch is saved if the loss is of this process."""
     if math.isfinite(loss):
         return FloatingPointError(f"the loss of another process is not finite at step {step}: see its message")

@@ -42,8 +42,10 @@ class RadarISM:
     `keep_moving` they mark like static detections.
 
     The masses, `extent`, `behind` and `beam` were fitted to simulated radars in training towns; `reach` and `margin`
-    were chosen there so that at most 5 % of the occupied cells are cleared. Sources: Clarke 2012, Werber 2015, Slutsky
-    and Dobkin 2019, see docs/radar.md.
+    were chosen there so that about 5 % of the occupied cells are cleared. With a `margin` of 2 m instead of 7.5 m, an
+    ARS548 clears 8.4 % instead of 4.9 %, an ARS408 8.0 % instead of 4.3 %, a corner radar 8.7 % instead of 5.4 %. A
+    radar with more detections needs less: a real 4D radar with 830 to 3800 detections clears 3.3 % instead of 1.2 %.
+    Sources: Clarke 2012, Werber 2015, Slutsky and Dobkin 2019, see docs/radar.md.
 
     Parameters
     ----------

@@ -12,7 +12,6 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from ogm.models.bounded import BoundedISM
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.depth import depth_model
 from ogm.models.fitted import Calibration, model_class
-from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, load_radar_model
+from ogm.models.radar import RADAR, RadarBySensor
 from ogm.pose import tilt_of
 from ogm.scan import InverseSensorModel, Mount, Scan, as_scan
 from ogm.storage.files import OgmError
@@ -47,7 +46,7 @@ MODELS = {  # name: description
     RELEASED: "The paper's geometric model as in its released code: 0.32 m cells, evidence up to 1, mounted at 1.61 m.",
     LITE: "The shipped network (DeepISM), trained on simulated scans.",
     COMBINED: "ray and lite, combined cell by cell (CombinedISM).",
-    **RADAR_MODELS,
+    RADAR: "Detections of a radar: occupied ellipses, free sectors (RadarISM).",
 }
 
 
@@ -135,10 +134,10 @@ def _load(
     name: str, parameters: dict[str, Any], spec: GridSpec, mount: Mount | None, drop_ego_returns: bool, device: Any
 ) -> InverseSensorModel:
     """Return a model that is no calibration; only geometric models with parameters take `parameters`."""
-    if str(device) != "cpu" and name in (*GEOMETRIC, *RADAR_MODELS):
+    if str(device) != "cpu" and name in (*GEOMETRIC, RADAR):
         raise ValueError(f"{name} runs on the CPU only, got device={str(device)!r}: leave device out or load a network")
-    if name in RADAR_MODELS:
-        return load_radar_model(name, spec, mount)
+    if name == RADAR:
+        return RadarBySensor(spec, mount)
     if name == RELEASED:
         return ReleasedISM(spec, mount)
     if name == DEPTH:
@@ -164,7 +163,7 @@ def _load(
 
 def with_radar(name: str) -> str:
     """Return the name of a model for all sensors of a vehicle, with ``+radar`` added to a lidar's model."""
-    return name if any(part in RADAR_MODELS for part in name.split("+")) else f"{name}+{RADAR}"
+    return name if RADAR in name.split("+") else f"{name}+{RADAR}"
 
 
 def for_all_kinds(name: str) -> str:
@@ -196,10 +195,9 @@ def title_of(name: str, scan: Scan, mount: Mount) -> str:
 
 def _kind_of(name: str) -> str:
     """Return the kind of scans of an additional model."""
-    if name not in (PLANAR, DEPTH, *RADAR_MODELS):
-        known = ", ".join((PLANAR, DEPTH, *RADAR_MODELS))
-        raise ValueError(f"a model after + must be one of {known}, got {name!r}")
-    return RADAR if name in RADAR_MODELS else name
+    if name not in (PLANAR, DEPTH, RADAR):
+        raise ValueError(f"a model after + must be one of {PLANAR}, {DEPTH}, {RADAR}, got {name!r}")
+    return name
 
 
 def _kind(scan: Scan) -> str:
@@ -291,9 +289,6 @@ def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
         return " ".join(description for description, _ in parts), parts[0][1]
     if name in (*GEOMETRIC, RADAR):
         return MODELS[name], None
-    if name == DEEP_RADAR:
-        data = (files("ogm") / "data" / "radar.onnx").read_bytes()
-        return MODELS[name], {"file": "radar.onnx", "sha256": hashlib.sha256(data).hexdigest()}
     if _is_fitted(name):
         fitted, path = Calibration.load(name), Path(name)
         numbers = ", ".join(f"{key} {value:g}" for key, value in fitted.parameters.items())

@@ -18,14 +18,13 @@ from commands import completed, ogm
 from ogm import Mount, OgmError, read_scan
 from ogm.deep import DeepISM, PillarNetwork
 from ogm.deep.checkpoint import save_network
-from ogm.deep.engines import SHIPPED, load_engine, weights_of
+from ogm.deep.engines import load_engine, weights_of
 from ogm.deep.export import export_onnx
-from ogm.deep.exported import default_threads
 from ogm.deep.network import NetworkConfig
 from ogm.deep.onnx_engine import OnnxEngine
-from ogm.deep.onnx_file import FORMAT, read_metadata, read_onnx, weights_sum
+from ogm.deep.onnx_file import read_onnx, weights_sum
 from ogm.deep.quantize import quantize_onnx
-from ogm.deep.radar_onnx import FORMAT as RADAR_FORMAT
+from ogm.deep.runtimes import default_threads
 from ogm.deep.torch_engine import TorchEngine
 from ogm.scan import Scan
 
@@ -44,16 +43,13 @@ def by_torch(scan: Scan) -> np.ndarray:
     return DeepISM.load("lite", mount=MOUNT, engine="torch")(scan).mass
 
 
-@each("name", SHIPPED)
-def test_the_shipped_export_is_that_of_the_shipped_weights(name: str) -> None:
+def test_the_shipped_export_is_that_of_the_shipped_weights() -> None:
     """Else `ogm export lite --out ogm/data/lite.onnx` was forgotten."""
-    wanted = {"lite": FORMAT, "radar": RADAR_FORMAT}[name]
-    with weights_of(name) as path:
-        exports = {"float32": path.with_suffix(".onnx"), "int8": path.with_suffix(".int8.onnx")}
-        for precision in ("float32", "int8") if name == "lite" else ("float32",):
-            _, metadata = read_metadata(exports[precision], wanted)
-            assert metadata["weights"] == weights_sum(path)
-            assert metadata.get("precision", "float32") == precision
+    with weights_of("lite") as path:
+        for precision, suffix in (("float32", ".onnx"), ("int8", ".int8.onnx")):
+            file = read_onnx(path.with_suffix(suffix))
+            assert file.weights_sum == weights_sum(path)
+            assert file.precision == precision
 
 
 def test_the_quantised_network_computes_masses_in_float32() -> None:

@@ -166,7 +166,7 @@ def test_what_cannot_go_to_other_processes_is_refused() -> None:
     refused("must be picklable", evaluate, {"mine": Unpicklable()}, Drives(), SPEC, error=TypeError, workers=2)
 
 
-@each("name", ["ray", "height-band-released", "radar", "ray+radar", "combined+deep-radar"])
+@each("name", ["ray", "height-band-released", "radar", "ray+radar", "combined+radar"])
 def test_models_by_name_go_to_other_processes(name: str) -> None:
     spec = GridSpec.centered(length=20.48, width=20.48, resolution=0.16)
     model = load_model(name, spec, drop_ego_returns=True)
