@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+from command_page import command_page
+
 # The public modules, by topic: what stands in their `__all__` is public, all else may change.
 REFERENCE: dict[str, tuple[str, ...]] = {
     "Types that everything shares": (
@@ -45,6 +47,8 @@ OUTSIDE = {
     "realism": "benchmarks/results/realism.md",
     "realism_gen2": "benchmarks/results/realism_gen2.md",
 }
+# Pages whose pictures begin the gallery: maps.
+MAPS_FIRST = ("index", "fusion", "dynamic", "world", "planners", "geometric", "deep", "simulation")
 NOTE = ".. Made by docs/site_pages.py at every build.\n"
 
 
@@ -167,7 +171,8 @@ def gallery_page(docs: Path) -> str:
     """Return a page with every picture of the other pages, its description, and where it stands."""
     parts = ["# Gallery\n\nEvery picture of these pages, with the page that explains it.\n"]
     seen: set[str] = set()
-    for path in sorted(docs.glob("*.md")):
+    pages = {path.stem: path for path in sorted(docs.glob("*.md"))}
+    for path in [pages.pop(name) for name in MAPS_FIRST] + list(pages.values()):
         text = path.read_text(encoding="utf-8")
         title = re.search(r"^# (.+)$", text, re.MULTILINE)
         found = {name: words for words, name in re.findall(r"!\[([^\]]+)\]\(pictures/([^)]+)\)", text)}
@@ -204,6 +209,7 @@ def write_pages(docs: Path) -> None:
     folder = docs / "generated"
     folder.mkdir(exist_ok=True)
     made = {"reference.rst": reference_page(), "gallery.md": gallery_page(docs)}
+    made["commands.rst"] = NOTE + "\n" + command_page()
     made |= {f"{name}.rst": module_page(name) for name in MODULES}
     for name, file in OUTSIDE.items():
         path = docs.parent / file
