@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 from command_page import command_page
+from record_tables import table
 
 # The public modules, by topic: what stands in their `__all__` is public, all else may change.
 REFERENCE: dict[str, tuple[str, ...]] = {
@@ -185,6 +186,27 @@ def gallery_page(docs: Path) -> str:
     return "\n".join(parts)
 
 
+def metrics_page() -> str:
+    """Return the page with the table of the metrics."""
+    from ogm.metrics import METRICS
+
+    rows = [
+        [f"`{name}`", one.title, one.better or "-", one.description.replace("|", "∣")]
+        for name, one in METRICS.items()
+        if not name.startswith("from")
+    ]
+    lower = {"from10_": "0.10 m, such as low kerbs,", "from50_": "0.50 m, such as kerbs, low walls and plants,"}
+    place = 1 + next(k for k, row in enumerate(rows) if row[0] == "`missed_obstacles`")
+    rows[place:place] = [
+        [f"`{prefix}...`", METRICS[f"{prefix}iou_free"].title.replace("IoU free", "..."), "",
+         f"{', '.join(name.removeprefix(prefix) for name in METRICS if name.startswith(prefix))} without occupied "
+         f"cells whose obstacle is lower than {low}"]
+        for prefix, low in lower.items()
+    ]  # fmt: skip
+    text = "# Metrics\n\nKeys of `ogm.metrics.METRICS`; definitions of [terms](../evaluation.md#metrics).\n\n"
+    return text + table(["key", "title", "better", "definition"], rows, left=4) + "\n"
+
+
 def with_links(text: str, folder: Path, docs: Path, below: str) -> str:
     """Return Markdown whose links to pages lead to pages of the site, seen from a folder below docs/ ("" or "../")."""
     pages = {(docs.parent / file).resolve(): f"generated/{name}.md" for name, file in OUTSIDE.items()}
@@ -209,6 +231,7 @@ def write_pages(docs: Path) -> None:
     folder = docs / "generated"
     folder.mkdir(exist_ok=True)
     made = {"reference.rst": reference_page(), "gallery.md": gallery_page(docs)}
+    made["metrics.md"] = metrics_page()
     made["commands.rst"] = NOTE + "\n" + command_page()
     made |= {f"{name}.rst": module_page(name) for name in MODULES}
     for name, file in OUTSIDE.items():
