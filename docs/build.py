@@ -180,10 +180,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "rules": with_source("world_rules", *rule_tables(record("world_rules"))),
         "build": with_source("world_build", *build_tables(record("world_build"))),
     },
-    "docs/evaluation.md": lambda: {
-        "coverage": coverage(),
-        "beams": with_source("beams", maps.beams()),
-    },
+    "docs/evaluation.md": lambda: {"coverage": coverage(), "beams": with_source("beams", maps.beams())},
 }
 
 

@@ -180,7 +180,7 @@ def gallery_page(docs: Path) -> str:
         found = {name: words for name, words in found.items() if name not in seen}
         if found and title:
             seen.update(found)
-            parts += [f"## {title[1]}\n", f"[{path.stem}](../{path.name})\n", ":::{container} gallery\n"]
+            parts += [f"## [{title[1]}](../{path.name})\n", ":::{container} gallery\n"]
             parts += [f"![{words}](../pictures/{name})\n" for name, words in found.items()]
             parts += [":::\n"]
     return "\n".join(parts)
