@@ -61,29 +61,6 @@ def simulation() -> str:
     return table(["", "measured"], rows)
 
 
-def metrics() -> str:
-    """Return the table of the metrics."""
-    from ogm.metrics import METRICS
-
-    def cell(text: str) -> str:
-        return text.replace("|", "∣")
-
-    rows = [
-        [f"`{name}`", one.title, one.better or "-", cell(one.description)]
-        for name, one in METRICS.items()
-        if not name.startswith("from")
-    ]
-    lower = {"from10_": "0.10 m, such as low kerbs", "from50_": "0.50 m, such as kerbs, low walls and plants"}
-    place = 1 + next(k for k, row in enumerate(rows) if row[0] == "`missed_obstacles`")
-    rows[place:place] = [
-        [f"`{prefix}...`", METRICS[f"{prefix}iou_free"].title.replace("IoU free", "..."), "",
-         f"{', '.join(name.removeprefix(prefix) for name in METRICS if name.startswith(prefix))}, but occupied cells "
-         f"whose obstacle is lower than {what} are left out"]
-        for prefix, what in lower.items()
-    ]  # fmt: skip
-    return table(["key", "title", "better", "what it is"], rows, left=4)
-
-
 def pythons() -> str:
     """Return the table of extras with wheels by version of Python."""
     found = record("pythons")
@@ -203,11 +180,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "rules": with_source("world_rules", *rule_tables(record("world_rules"))),
         "build": with_source("world_build", *build_tables(record("world_build"))),
     },
-    "docs/evaluation.md": lambda: {
-        "metrics": metrics(),
-        "coverage": coverage(),
-        "beams": with_source("beams", maps.beams()),
-    },
+    "docs/evaluation.md": lambda: {"coverage": coverage(), "beams": with_source("beams", maps.beams())},
 }
 
 

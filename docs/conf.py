@@ -48,9 +48,10 @@ html_theme = "pydata_sphinx_theme"
 html_title = f"ogm {version}"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_favicon = "static/icon.svg"
+html_context = {"default_mode": "auto"}
 html_show_sourcelink = False
 html_copy_source = False
-html_show_search_summary = False  # it fetches pages, which browsers refuse to pages of the disk
 html_theme_options = {
     "navigation_with_keys": False,
     "show_prev_next": True,

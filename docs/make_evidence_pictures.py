@@ -20,6 +20,10 @@ from ogm import evidence
 
 PICTURES = Path(__file__).parent / "pictures"
 A, B = np.array([0.5, 0.2]), np.array([0.1, 0.6])
+RULES = (
+    *("conjunctive", "dempster", "yager", "disjunctive", "cautious", "pcr5", "murphy", "cumulative"),
+    *("cumulative_epistemic", "averaging", "weighted", "consensus_compromise"),
+)
 STEPS = np.linspace(0, 1, 101)
 BLUE, ORANGE, DARK, LIGHT = "#1f77b4", "#d55e00", "#222222", "#999999"
 
@@ -61,16 +65,27 @@ def save(figure: Any, name: str) -> None:
     plt.close(figure)
 
 
-def picture_of_a_rule(name: str, rule: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+def draw_rule(axes: Any, name: str) -> None:
     """Draw A, B, their combination, and the path from A to it."""
-    figure, axes = plt.subplots(figsize=(2.4, 2.1), layout="constrained")
     triangle(axes)
+    rule: Callable[..., Any] = getattr(evidence, name)
     discounted = evidence.discount(np.broadcast_to(B, (len(STEPS), 2)), STEPS)
-    axes.plot(*place(rule(np.broadcast_to(A, discounted.shape), discounted)), color=LIGHT, linewidth=1.5)
+    path, end = rule(np.broadcast_to(A, discounted.shape), discounted), rule(A, B)
+    if name == "conjunctive":
+        path, end = evidence.close_world(path), evidence.close_world(end)
+    axes.plot(*place(path), color=LIGHT, linewidth=1.5)
     dot(axes, A, "A", BLUE)
     dot(axes, B, "B", ORANGE)
-    axes.plot(*place(rule(A, B)), "*", color=DARK, markersize=12)
-    save(figure, name)
+    axes.plot(*place(end), "*", color=DARK, markersize=12)
+    axes.set_title(name, fontsize=9, family="monospace")
+
+
+def picture_of_the_rules() -> None:
+    """Draw twelve rules."""
+    figure, axes = plt.subplots(3, 4, figsize=(9.6, 7.2), layout="constrained")
+    for place_of_rule, name in zip(axes.flat, RULES, strict=True):
+        draw_rule(place_of_rule, name)
+    save(figure, "rules")
 
 
 def picture_of_discounting() -> None:
@@ -132,12 +147,7 @@ def picture_of_the_maximal_unknown() -> None:
 def main() -> None:
     """Make all pictures."""
     plt.rcParams["font.family"] = "DejaVu Sans"
-    for name in (
-        *("dempster", "yager", "disjunctive", "pcr5", "murphy", "cumulative", "cumulative_epistemic"),
-        *("averaging", "weighted", "consensus_compromise", "cautious"),
-    ):
-        picture_of_a_rule(name, getattr(evidence, name))
-    picture_of_a_rule("conjunctive", lambda a, b: evidence.close_world(evidence.conjunctive(a, b)))
+    picture_of_the_rules()
     picture_of_discounting()
     picture_of_the_maximal_unknown()
     picture_of_times(record("evidence"))

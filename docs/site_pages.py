@@ -9,6 +9,9 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
+from command_page import command_page
+from record_tables import table
+
 # The public modules, by topic: what stands in their `__all__` is public, all else may change.
 REFERENCE: dict[str, tuple[str, ...]] = {
     "Types that everything shares": (
@@ -45,6 +48,8 @@ OUTSIDE = {
     "realism": "benchmarks/results/realism.md",
     "realism_gen2": "benchmarks/results/realism_gen2.md",
 }
+# Pages whose pictures begin the gallery: maps.
+MAPS_FIRST = ("index", "fusion", "dynamic", "world", "planners", "geometric", "deep", "simulation")
 NOTE = ".. Made by docs/site_pages.py at every build.\n"
 
 
@@ -167,17 +172,39 @@ def gallery_page(docs: Path) -> str:
     """Return a page with every picture of the other pages, its description, and where it stands."""
     parts = ["# Gallery\n\nEvery picture of these pages, with the page that explains it.\n"]
     seen: set[str] = set()
-    for path in sorted(docs.glob("*.md")):
+    pages = {path.stem: path for path in sorted(docs.glob("*.md"))}
+    for path in [pages.pop(name) for name in MAPS_FIRST] + list(pages.values()):
         text = path.read_text(encoding="utf-8")
         title = re.search(r"^# (.+)$", text, re.MULTILINE)
         found = {name: words for words, name in re.findall(r"!\[([^\]]+)\]\(pictures/([^)]+)\)", text)}
         found = {name: words for name, words in found.items() if name not in seen}
         if found and title:
             seen.update(found)
-            parts += [f"## {title[1]}\n", f"[{path.stem}](../{path.name})\n", ":::{container} gallery\n"]
+            parts += [f"## [{title[1]}](../{path.name})\n", ":::{container} gallery\n"]
             parts += [f"![{words}](../pictures/{name})\n" for name, words in found.items()]
             parts += [":::\n"]
     return "\n".join(parts)
+
+
+def metrics_page() -> str:
+    """Return the page with the table of the metrics."""
+    from ogm.metrics import METRICS
+
+    rows = [
+        [f"`{name}`", one.title, one.better or "-", one.description.replace("|", "∣")]
+        for name, one in METRICS.items()
+        if not name.startswith("from")
+    ]
+    lower = {"from10_": "0.10 m, such as low kerbs,", "from50_": "0.50 m, such as kerbs, low walls and plants,"}
+    place = 1 + next(k for k, row in enumerate(rows) if row[0] == "`missed_obstacles`")
+    rows[place:place] = [
+        [f"`{prefix}...`", METRICS[f"{prefix}iou_free"].title.replace("IoU free", "..."), "",
+         f"{', '.join(name.removeprefix(prefix) for name in METRICS if name.startswith(prefix))} without occupied "
+         f"cells whose obstacle is lower than {low}"]
+        for prefix, low in lower.items()
+    ]  # fmt: skip
+    text = "# Metrics\n\nKeys of `ogm.metrics.METRICS`; definitions of [terms](../evaluation.md#metrics).\n\n"
+    return text + table(["key", "title", "better", "definition"], rows, left=4) + "\n"
 
 
 def with_links(text: str, folder: Path, docs: Path, below: str) -> str:
@@ -204,6 +231,8 @@ def write_pages(docs: Path) -> None:
     folder = docs / "generated"
     folder.mkdir(exist_ok=True)
     made = {"reference.rst": reference_page(), "gallery.md": gallery_page(docs)}
+    made["metrics.md"] = metrics_page()
+    made["commands.rst"] = NOTE + "\n" + command_page()
     made |= {f"{name}.rst": module_page(name) for name in MODULES}
     for name, file in OUTSIDE.items():
         path = docs.parent / file

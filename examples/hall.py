@@ -1,10 +1,11 @@
 """A hall with two pillars and what a planar laser measures in it, to try maps of buildings without any data.
 
-from hall import AZIMUTH, distances, drive, noisy
+from hall import drive, write_log, write_robot_log
 """
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,3 +70,27 @@ def write_log(path: Path, poses: NDArray[np.float64], seed: int = 0) -> Path:
         lines.append(f"FLASER {len(ranges)} {beams} {place} {place} {0.5 * k + 100:.3f} host {0.5 * k:.3f}")
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def write_robot_log(path: str, count: int = 200) -> None:
+    """Write the log of a robot, .mcap, .db3 or .bag: LaserScans at 10 Hz, and odometry with noise."""
+    from ogm.io.logs import LogWriter  # only now: the hall needs no packages of logs
+    from ogm.io.messages import StampedTransform, tf_message
+
+    TF, LASER = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/LaserScan"
+    T_base_laser, rng = pose(z=0.3), np.random.default_rng(1)
+    poses = drive(count)
+    with LogWriter(path) as log:
+        mount = StampedTransform("base_link", "laser", 100.0, T_base_laser)
+        log.write("/tf_static", TF, tf_message([mount]), 100.0)
+        for k, (T, T_odom_laser) in enumerate(zip(poses, noisy(poses, rng), strict=True)):
+            stamp = 100.0 + 0.1 * k
+            moved = StampedTransform("odom", "base_link", stamp, T_odom_laser @ inverse(T_base_laser))
+            log.write("/tf", TF, tf_message([moved]), stamp)
+            time = SimpleNamespace(sec=int(stamp), nanosec=round(stamp % 1 * 1e9))
+            scan = SimpleNamespace(
+                header=SimpleNamespace(stamp=time, frame_id="laser"), ranges=distances(T, rng).astype(np.float32),
+                angle_min=AZIMUTH[0], angle_max=AZIMUTH[-1], angle_increment=AZIMUTH[1] - AZIMUTH[0],
+                time_increment=0.0, scan_time=0.1, range_min=0.1, range_max=30.0, intensities=np.empty(0, np.float32),
+            )  # fmt: skip
+            log.write("/scan", LASER, scan, stamp)

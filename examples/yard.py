@@ -1,8 +1,9 @@
 """A drive to try maps on, without any data: a lidar moves through a round yard, and a car crosses its way.
 
-    from yard import CAR_SPEED, MOUNT, frames
+    from yard import CAR_SPEED, MOUNT, frames, write_log
 
-`frames` yields what every data set of ogm yields; in its place could be ``ogm.open_dataset("drive/")``.
+`frames` yields the frames of a dataset; in its place could be ``ogm.open_dataset("drive/")``.
+`write_log` writes them as ROS messages.
 """
 
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import Boxes, Frame, Mount, Scan
-from ogm.pose import pose
+from ogm.pose import inverse, pose
 
 MOUNT = Mount(sensor_height=1.8)
 YARD, EGO_SPEED, CAR_SPEED, RATE = 15.0, 1.0, 5.0, 10.0  # radius [m], [m/s] along x, [m/s] along y, [Hz]
@@ -47,3 +48,20 @@ def frames(count: int = 30) -> Iterator[Frame]:
         scan = Scan(np.concatenate(rings).astype(np.float32), stamp)
         T_map_sensor = pose(x=x, z=MOUNT.sensor_height)
         yield Frame(scan, MOUNT, boxes, None, T_map_sensor=T_map_sensor, stamp=stamp, name=f"{k:03}", sequence="yard")
+
+
+def write_log(path: str, count: int = 30) -> None:
+    """Write the drive as a log, .mcap, .db3 or .bag: points, the mount of the lidar, poses of the vehicle."""
+    from ogm.io.logs import LogWriter  # only now: frames need no packages of logs
+    from ogm.io.messages import StampedTransform, point_cloud2, tf_message
+
+    TF, CLOUD = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/PointCloud2"
+    T_base_lidar = pose(z=MOUNT.sensor_height)
+    with LogWriter(path) as log:
+        mount = StampedTransform("base_link", "lidar", 100.0, T_base_lidar)
+        log.write("/tf_static", TF, tf_message([mount]), 100.0)
+        for frame in frames(count):
+            stamp = 100.0 + frame.stamp
+            moved = StampedTransform("map", "base_link", stamp, frame.T_map_sensor @ inverse(T_base_lidar))
+            log.write("/tf", TF, tf_message([moved]), stamp)
+            log.write("/points", CLOUD, point_cloud2(frame.scan, frame_id="lidar", stamp=stamp), stamp)

@@ -31,6 +31,9 @@ INTERNAL = {  # modules with __all__ that are not for users
 }  # fmt: skip
 
 
+sys.path.insert(0, str(DOCS))  # of modules that those of the site import
+
+
 def load(file: Path) -> ModuleType:
     """Import a program by its file."""
     spec = importlib.util.spec_from_file_location(file.stem, file)
@@ -146,6 +149,21 @@ def test_commands_of_the_documentation_have_the_options_that_they_are_given() ->
             assert given <= options, f"{page.name}: ogm {line}"
             count += 1
     assert count > 50
+
+
+def test_every_command_and_option_is_on_the_page_of_the_command_line() -> None:
+    page = load(DOCS / "command_page.py").command_page()
+    top = get_command(app)
+    groups = {f"ogm {name}": command for name, command in top.commands.items()}
+    groups |= {f"ogm world {name}": command for name, command in groups.pop("ogm world").commands.items()}
+    assert len(groups) > 15
+    for name, command in groups.items():
+        text = page.partition(f"\n\n{name}\n---")[2].partition(".. _ogm-")[0]
+        assert f"   {name} [OPTIONS]" in text
+        options = {option for one in command.params for option in one.opts if option.startswith("-")}
+        listed = re.findall(r"(?:^\.\. option:: |, )(-[\w-]+)", text, re.MULTILINE)
+        assert options <= set(listed), name
+    assert "[default: 10.0]" in page
 
 
 def test_broken_links_of_the_site_are_found(tmp_path: Path) -> None:
