@@ -6,7 +6,7 @@
 >>> guarantee(open_dataset("drives/"), "combined", limit=0.01).save("combined.json")               # doctest: +SKIP
 """
 
+from ogm.calibration.drives import guarantee
 from ogm.calibration.fit import calibrate
-from ogm.calibration.guarantee import guarantee
 
 __all__ = ["calibrate", "guarantee"]

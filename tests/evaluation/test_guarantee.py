@@ -8,7 +8,7 @@ from cases import each, refused
 from typer.testing import CliRunner
 
 from ogm.calibration import guarantee
-from ogm.calibration.guarantee import chosen_factor, exceeded, largest_factor
+from ogm.calibration.drives import chosen_factor, exceeded, largest_factor
 from ogm.cli import app
 from ogm.fusion import EvidentialMapper, rolling_window
 from ogm.geometric import RayISM
@@ -173,7 +173,9 @@ def test_other_weights_are_refused(tmp_path: Path) -> None:
     Calibration("lite", {}, guarantee=Guarantee(0.01, 0.9, 0.6, 12, weights["sha256"])).save(path)
     assert isinstance(load_model(str(path), spec), BoundedISM)
     Calibration("lite", {}, guarantee=Guarantee(0.01, 0.9, 0.6, 12, "0" * 64)).save(path)
-    refused("lite with weights of SHA-256 0{12}, got .*: repeat `ogm calibrate --guarantee`", load_model, str(path), spec)
+    refused(
+        "lite with weights of SHA-256 0{12}, got .*: repeat `ogm calibrate --guarantee`", load_model, str(path), spec
+    )
 
 
 def test_bad_input_is_refused(frames: list[Frame]) -> None:
