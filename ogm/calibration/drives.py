@@ -69,7 +69,8 @@ def guarantee(
     Notes
     -----
     The probability is over calibrated and further drives together. Drives of another sensor, mount or place are not
-    exchangeable, and may exceed the limit. Drives of one street on one day count as one: give such drives one sequence.
+    exchangeable, and may exceed the limit. Drives of a street on a day are no separate drives: give them
+    the same sequence.
     """
     spec = GridSpec.centered() if spec is None else spec
     Guarantee(limit, confidence, 1.0, 0)  # checks the numbers before the scans are mapped
