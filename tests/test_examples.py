@@ -374,7 +374,7 @@ def test_no_example_is_left_out_and_none_is_long() -> None:
         "nav2_costmap", "path_query", "planner_loop",
         "hall", "own_sensor_model", "read_live_map", "yard",  # tests/test_tutorials.py
     }  # fmt: skip
-    for path in set(EXAMPLES.glob("*.py")) - {EXAMPLES / "ego_motion.py"}:  # a filter, its data and its comparison
+    for path in set(EXAMPLES.glob("*.py")) - {EXAMPLES / "ego_motion.py", EXAMPLES / "hall.py"}:  # with their data
         assert sum(bool(line.strip()) for line in path.read_text().splitlines()) <= 60, path.name
 
 

@@ -135,6 +135,6 @@ def _print(fitted: "Calibration") -> None:
         table.add_row(name, f"{fitted.before[name]:.4f}", f"{value:.4f}", "")
     out.print(table)
     if fitted.guarantee is not None:
-        out.print(f"mass of free times {fitted.guarantee.factor:.4f}: {fitted.guarantee}", markup=False)
+        out.print(f"mass of free times {fitted.guarantee.factor:.4f}: {fitted.guarantee}", markup=False, soft_wrap=True)
     else:
         out.print("(+- standard error over drives)")
