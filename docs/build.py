@@ -99,6 +99,23 @@ def coverage() -> str:
     return marked("interval_coverage", table(["[%]", *heads], rows))
 
 
+def guarantee() -> str:
+    """Return the coverage and the price of the bound of false free, by model and bound."""
+    shift = "every fourth layer"
+    rows = []
+    for model, bounds in record("guarantee")["models"].items():
+        for bound, found in bounds.items():
+            shares = [found["within"], found["found free"], found["found free without"]]
+            elsewhere = found["false free elsewhere"][shift]
+            rows.append([
+                f"`{model}`, {float(bound):.0%}", *(f"{100 * share:.0f} %" for share in shares),
+                f"{100 * sum(elsewhere) / len(elsewhere):.1f} %",
+                f"{sum(value <= float(bound) for value in elsewhere)} of {len(elsewhere)}",
+            ])  # fmt: skip
+    head = ["model, bound", "drives within", "free found", "without the bound", f"{shift}: false free", "within"]
+    return table(head, rows)
+
+
 def results() -> dict[str, str]:
     """Return the tables of the page of results."""
     scores = f"{deep.extent()}; {record('deep_quality')['intervals']}.", deep.deep_quality(), deep.deep_occupied()
@@ -180,7 +197,11 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "rules": with_source("world_rules", *rule_tables(record("world_rules"))),
         "build": with_source("world_build", *build_tables(record("world_build"))),
     },
-    "docs/evaluation.md": lambda: {"coverage": coverage(), "beams": with_source("beams", maps.beams())},
+    "docs/evaluation.md": lambda: {
+        "coverage": coverage(),
+        "beams": with_source("beams", maps.beams()),
+        "guarantee": with_command("guarantee", guarantee()),
+    },
 }
 
 
