@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from ogm.storage.files import atomic_write
 
-OURS, PEER, TWIN, FLOOR = "#1b7837", "#2c5f9e", "#8c8c8c", "#c9c9c9"  # ogm, other libraries, slow twins, copies
+OURS, PEER, SECOND_PEER = "#1b7837", "#2c5f9e", "#b5651d"  # ogm, other libraries
+TWIN, FLOOR = "#8c8c8c", "#c9c9c9"  # slow twins, copies
 
 
 def caption(record: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Which returns are ground, which are obstacles? ogm beside Patchwork++, on labelled scans.
+"""Which returns are ground, which are obstacles? ogm beside Patchwork++ and TRAVEL, on labelled scans.
 
     python benchmarks/ground.py [--repeats N] [--quick]
 
@@ -12,12 +12,12 @@ from _labelled_scans import BOXED, LABELS, SPEC, LabelledScan, boxed_scans, rang
 
 # isort: split
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _charts import OURS, PEER, TWIN, caption, save_picture
+from _charts import OURS, PEER, SECOND_PEER, TWIN, caption, save_picture
 from _timing import Contender, measure
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -29,7 +29,9 @@ from ogm.geometric import RayISM, flat_ground, ground_height, local_ground
 COARSE = GridSpec(1.0, (82, 57), SPEC.origin)  # [m] the cells that RayISM estimates the ground on
 OBSTACLE_HEIGHT = RayISM.obstacle_height  # [m]
 THRESHOLDS = np.arange(0.05, 0.401, 0.025)  # [m]
-LOCAL, FLAT = "local_ground", "flat_ground"
+LOCAL, FLAT, TRAVEL = "local_ground", "flat_ground", "TRAVEL"
+PEERS = {PATCHWORK: ("pypatchworkpp", "s", PEER), TRAVEL: ("travel_seg", "^", SECOND_PEER)}
+Segmenter = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
 OVER_THRESHOLD, AT_RECALL = f"{LOCAL} over obstacle_height", f"{LOCAL} at the obstacle recall of {PATCHWORK}"
 
 SEEN, UNSEEN = "seen while choosing", "not seen while choosing"
@@ -50,13 +52,22 @@ def heights(estimate: Callable[..., NDArray[np.float32]], scan: LabelledScan) ->
     return xyz[:, 2] - ground_height(ground, COARSE, xyz)
 
 
-def patchwork_obstacles(scan: LabelledScan) -> NDArray[np.bool_]:
-    """Return the points that Patchwork++ does not take for ground. Each scan is its first: none depends on another."""
-    estimator = patchwork_estimator(scan.sensor_height)
-    estimator.estimateGround(scan.points)
-    obstacle = np.ones(len(scan.points), bool)
-    obstacle[np.asarray(estimator.getGroundIndices(), np.int64)] = False
-    return obstacle
+def segmenter(peer: str, sensor_height: float) -> Segmenter:
+    """Return a function of points that returns those a peer does not take for ground, with the peer's defaults."""
+    if peer == PATCHWORK:
+        estimator = patchwork_estimator(sensor_height)
+
+        def obstacles(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+            estimator.estimateGround(points)
+            obstacle = np.ones(len(points), bool)
+            obstacle[np.asarray(estimator.getGroundIndices(), np.int64)] = False
+            return obstacle
+
+        return obstacles
+    import travel_seg
+
+    ground = travel_seg.TravelGroundSeg(travel_seg.GroundSegConfig())
+    return lambda points: ~np.asarray(ground.estimate_ground(points)[0], bool)
 
 
 def count(obstacle: NDArray[np.bool_], ground: NDArray[np.bool_], predicted: NDArray[np.bool_]) -> NDArray:
@@ -82,14 +93,14 @@ def score(counts: NDArray[np.int64]) -> dict[str, float]:
     return found | {"obstacle points": hit + missed, "ground points": ground + false}
 
 
-def evaluate(scans: list[LabelledScan], with_patchwork: bool) -> dict[str, Any]:
+def evaluate(scans: list[LabelledScan], peers: Mapping[str, Any]) -> dict[str, Any]:
     """Score all methods on each scan, on all together, and over the threshold."""
     each: dict[str, dict[str, NDArray]] = {}
     high = [heights(local_ground, scan) for scan in scans]
     for scan, above in zip(scans, high, strict=True):
         predicted = {LOCAL: above > OBSTACLE_HEIGHT, FLAT: heights(flat_ground, scan) > OBSTACLE_HEIGHT}
-        if with_patchwork:
-            predicted[PATCHWORK] = patchwork_obstacles(scan)
+        for peer in peers:  # a new one for each scan: none depends on another
+            predicted[peer] = segmenter(peer, scan.sensor_height)(scan.points)
         each[scan.name] = {who: count(scan.obstacle, scan.ground, p) for who, p in predicted.items()}
     together = {who: score(sum(counts[who] for counts in each.values())) for who in predicted}
     obstacle, ground = (np.concatenate([getattr(s, kind) for s in scans]) for kind in ("obstacle", "ground"))
@@ -109,19 +120,17 @@ def evaluate(scans: list[LabelledScan], with_patchwork: bool) -> dict[str, Any]:
     return result
 
 
-def timing(scans: list[LabelledScan], rounds: int, with_patchwork: bool) -> dict[str, dict[str, float]]:
+def timing(scans: list[LabelledScan], rounds: int, peers: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """Return the median time per scan [ms]: ground and a prediction for every point."""
     runs: dict[str, Contender] = {}
     for scan in scans:
         runs[f"{LOCAL}, {scan.name}"] = Contender(lambda _, s=scan: heights(local_ground, s) > OBSTACLE_HEIGHT)
-        if with_patchwork:
-            estimator = patchwork_estimator(scan.sensor_height)
-            runs[f"{PATCHWORK}, {scan.name}"] = Contender(
-                lambda _, e=estimator, s=scan: (e.estimateGround(s.points), e.getGroundIndices())
-            )
+        for peer in peers:
+            segment = segmenter(peer, scan.sensor_height)
+            runs[f"{peer}, {scan.name}"] = Contender(lambda _, f=segment, s=scan: f(s.points))
     times = measure(runs, rounds)
     result: dict[str, dict[str, float]] = {}
-    for who in (LOCAL, PATCHWORK) if with_patchwork else (LOCAL,):
+    for who in (LOCAL, *peers):
         medians = [t.median for key, t in times.items() if key.startswith(who)]
         points = int(np.median([len(scan.points) for scan in scans]))
         result[who] = {"median [ms]": float(np.median(medians)), "slowest frame [ms]": max(medians), "points": points}
@@ -162,7 +171,9 @@ def _tradeoff(ax: Axes, result: dict[str, Any], group: str) -> None:
         text, place = threshold.replace("0 m", " m"), _place(curve[threshold])
         ax.annotate(text, place, (4, 5), textcoords="offset points", fontsize=8, color=OURS)
     default = f"... at {OBSTACLE_HEIGHT:g} m, RayISM's default"
-    for who, sign, colour, label in ((LOCAL, "o", OURS, default), (PATCHWORK, "s", PEER, f"{PATCHWORK}, {group}")):
+    signs = [(LOCAL, "o", OURS, default)]
+    signs += [(peer, sign, colour, f"{peer}, {group}") for peer, (_, sign, colour) in PEERS.items()]
+    for who, sign, colour, label in signs:
         if who in result["together"]:
             fill = colour if dark else "white"
             place = _place(result["together"][who])
@@ -170,9 +181,10 @@ def _tradeoff(ax: Axes, result: dict[str, Any], group: str) -> None:
 
 
 def _boxes(ax: Axes, boxes: dict[str, Any]) -> None:
-    for n, (who, colour) in enumerate(((LOCAL, OURS), (PATCHWORK, PEER), (FLAT, TWIN))):
+    colours = {LOCAL: OURS} | {peer: colour for peer, (_, _, colour) in PEERS.items()} | {FLAT: TWIN}
+    for n, (who, colour) in enumerate(colours.items()):
         recalls = [100 * one["together"].get(who, {}).get("obstacle recall", 0) for one in boxes.values()]
-        bars = ax.bar(np.arange(len(boxes)) + (n - 1) * 0.27, recalls, 0.25, color=colour, label=who)
+        bars = ax.bar(np.arange(len(boxes)) + (n - 1.5) * 0.22, recalls, 0.2, color=colour, label=who)
         ax.bar_label(bars, fmt="%.1f", fontsize=8)
     names = [name.replace(", ", "\n").replace("24 consecutive", "24 consecutive\n") for name in boxes]
     ax.set_xticks(range(len(names)), names, fontsize=8)
@@ -185,9 +197,9 @@ def main() -> None:
     parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--repeats", type=int, default=5, help="rounds of the timing (default 5)")
     options = parser.parse_args()
-    with_patchwork = importlib.util.find_spec("pypatchworkpp") is not None
-    if not with_patchwork:
-        print(f"left out: {PATCHWORK}: pypatchworkpp is not installed")
+    peers = {peer: package for peer, (package, *_) in PEERS.items() if importlib.util.find_spec(package)}
+    for peer in PEERS.keys() - peers.keys():
+        print(f"left out: {peer}: {PEERS[peer][0]} is not installed")
     record = run.environment("ray")
     record["obstacle_height [m]"] = OBSTACLE_HEIGHT
     record["labelled"], record["boxes"], record["time"] = {}, {}, {}
@@ -199,11 +211,11 @@ def main() -> None:
         groups = {UNSEEN: [], SEEN: []}
         for k, scan in enumerate(scans):
             groups[SEEN if k in CHOSEN_ON[name] else UNSEEN].append(scan)
-        record["labelled"][name] = {group: evaluate(some, with_patchwork) for group, some in groups.items()}
-        record["time"][name] = timing(scans, 1 if options.quick else options.repeats, with_patchwork)
+        record["labelled"][name] = {group: evaluate(some, peers) for group, some in groups.items()}
+        record["time"][name] = timing(scans, 1 if options.quick else options.repeats, peers)
     for name, folder in BOXED.items():
         if scans := boxed_scans(name, 2 if options.quick else None):
-            record["boxes"][name] = evaluate(scans, with_patchwork)
+            record["boxes"][name] = evaluate(scans, peers)
         else:
             print(f"left out: boxes of {name}: no {folder}/ under {run.DATA}")
     if not record["labelled"]:

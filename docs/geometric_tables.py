@@ -95,7 +95,7 @@ def ground() -> str:
             scores = groups["not seen while choosing"]["together"]
             cells = [
                 " / ".join(f"{100 * scores[who][f'{kind} {what}']:.1f}" for what in ("precision", "recall", "F1"))
-                for who in ("local_ground", "Patchwork++")
+                for who in ("local_ground", "Patchwork++", "TRAVEL")
             ]
             rows.append([f"{kind}, {name}", *cells])
-    return table(["precision / recall / F1 [%]", "`local_ground`", "Patchwork++"], rows)
+    return table(["precision / recall / F1 [%]", "`local_ground`", "Patchwork++", "TRAVEL"], rows)
