@@ -1,6 +1,7 @@
 """How long does one scan take? ogm's two geometric models beside OctoMap, KISS-SLAM, and plain Python.
 
     python benchmarks/speed.py [--scan FILE] [--repeats N] [--quick]
+    python benchmarks/speed.py --table      # the table of docs/speed.md: prints it, and writes nothing
 
 All get the same points, the same origin and cells of the same size on one core, in one run. benchmarks/README.md
 states what is compared, and what is not comparable about it. Writes benchmarks/results/speed.json and
@@ -16,6 +17,7 @@ import itertools
 import json
 import math
 import os
+import sys
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -278,9 +280,18 @@ def _curves(axes: Axes, costs: dict[str, Any], sizes: list[int], labels: list[st
 def main() -> None:
     parser = run.Parser(__doc__, picture=True, quick=True)
     parser.add_argument("--scan", type=Path, help="measure on this scan, beside the synthetic one")
-    parser.add_argument("--repeats", type=int, default=9, help="rounds; at least 3 for what takes seconds")
+    parser.add_argument("--repeats", type=int, help="rounds (default 9; 1 with --table); at least 3 for slow peers")
+    parser.add_argument("--table", action="store_true", help="measure the table of docs/speed.md alone, and print it")
     options = parser.parse_args()
-    rounds = 1 if options.quick else options.repeats
+    if options.table:
+        shipped = make.real_scans(None)[-1]
+        found = [compare(shipped, size, options.repeats or 1) for size in SIZES]
+        sys.path.append(str(run.ROOT / "docs"))
+        from speed_tables import speed  # only now: it is no module of the benchmarks
+
+        print(f"\n{speed(_named(found))}")
+        return
+    rounds = 1 if options.quick else options.repeats or 9
     record = run.environment("ray", "height-band")
     real = make.real_scans(options.scan) if options.scan or not options.quick else []
     synthetic = {

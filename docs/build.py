@@ -18,6 +18,7 @@ from pathlib import Path
 import deep_tables as deep
 import geometric_tables as geometric
 import map_tables as maps
+import speed_tables as speed
 from data_store_tables import data_store_tables
 from dynamic_tables import dynamic_tables
 from evidence_tables import evidence_tables
@@ -124,10 +125,6 @@ def results() -> dict[str, str]:
         "objects": with_command("objects", deep.objects()),
         "maps": with_command("fusion_quality", maps.fusion(maps.LISTED_MAPS)),
         "ground": with_command("ground", geometric.ground()),
-        "speed": with_command("speed", geometric.speed()),
-        "peers": with_command("peers", maps.peers()),
-        "network": with_command("deep_speed", deep.deep_speed()),
-        "update": with_command("fusion_speed", maps.fusion_speed()),
         "logs": with_command("logs", maps.logs()),
         "live": with_command("live", verdicts("live", "`ogm serve`, a viewer receives all")),
         "truth": with_command("truth_modes", truth_modes()),
@@ -160,21 +157,16 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": deep.headline()},
     "docs/lite.md": lambda: {"results": deep.headline()},
     "docs/deep.md": lambda: {"heads": deep.deep_heads(), "training": deep.deep_training(), "combined": deep.combined()},
-    "docs/dynamic.md": lambda: {
-        "dynamic": with_source("dynamic", *dynamic_tables(record("dynamic"))),
-        "speed": with_source("dynamic_speed", verdicts("dynamic_speed", "one core, 512 x 352 cells")),
-    },
+    "docs/dynamic.md": lambda: {"dynamic": with_source("dynamic", *dynamic_tables(record("dynamic")))},
     "docs/evidence.md": lambda: evidence_tables(record("evidence")),
     "docs/fusion.md": lambda: {
         "simulated": with_source("fusion_quality", maps.fusion(maps.MAIN_MAPS, maps.MAIN_COLUMNS)),
-        "speed": maps.fusion_speed_sentences(),
         "planar_odometry": with_source("planar_odometry", maps.planar_odometry()),
     },
     "docs/geometric.md": lambda: {
         "calibration": geometric.calibration(),
         "silence": geometric.silence(),
         "steps": marked("scenes", geometric.steps()),
-        "time": geometric.speed_steps(),
     },
     "docs/planners.md": lambda: {
         "heights": with_source("heights", maps.heights()),
@@ -192,6 +184,15 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     ),
     "docs/results.md": results,
     "docs/simulation.md": lambda: {"data_store": with_source("data_store", *data_store_tables(record("data_store")))},
+    "docs/speed.md": lambda: {
+        "scan": with_command("speed", speed.speed(record("speed")["comparisons"])),
+        "update": with_command("fusion_speed", maps.fusion_speed_sentences(), maps.fusion_speed()),
+        "network": with_command("deep_speed", deep.deep_speed()),
+        "dynamic": with_command("dynamic_speed", verdicts("dynamic_speed", "one core, 512 x 352 cells")),
+        "peers": with_command("peers", maps.peers()),
+        "steps": speed.steps(),
+        "growth": speed.growth(),
+    },
     "docs/world.md": lambda: {
         "world": with_source("world", *world_tables(record("world"))),
         "rules": with_source("world_rules", *rule_tables(record("world_rules"))),

@@ -1,40 +1,6 @@
-"""Tables of the geometric models: time, scenes, silence, calibration, ground."""
+"""Tables of the geometric models: scenes, silence, calibration, ground."""
 
 from record_tables import record, table, with_source
-
-
-def speed() -> str:
-    """Return the time per scan of ogm's models, of peers and of a copy."""
-    times = {one["size"]: one["times"] for one in record("speed")["comparisons"] if one["scan"].startswith("KITTI")}
-    octomap = min(
-        (name for name in times["120k"] if name.startswith("OctoMap")),
-        key=lambda name: times["120k"][name]["median [ms]"],
-    )
-    names = {
-        "copy of the bytes it must read and write": "copy of the bytes",
-        "HeightBandISM": "**`HeightBandISM`**",
-        "RayISM": "**`RayISM`**, with ground",
-        "local_ground": "`local_ground` alone",
-        "Patchwork++": "Patchwork++ (ground alone)",
-        "KISS-SLAM mapper": "KISS-SLAM's native mapper (3D)",
-        octomap: f"{octomap}, the fastest of five ways (3D)",
-    }
-    rows = []
-    for name, title in names.items():
-        cells = [times[size][name]["median [ms]"] if name in times[size] else None for size in times]
-        copies = times["120k"]["copy of the bytes it must read and write"]["median [ms]"]
-        ratio = "" if cells[-1] is None else f"{cells[-1] / copies:.3g}"
-        rows.append([title, *("" if one is None else f"{one:.3g} ms" for one in cells), ratio])
-    return table(["KITTI scan, HDL-64E", "57,600 points", "120,000 points", "x copy"], rows)
-
-
-def speed_steps() -> str:
-    """Return the time of each step of `RayISM`, and what two threads gain."""
-    found = record("speed")
-    timed, threads = found["steps of RayISM"], found["two threads"]
-    rows = [[name, f"{one['median [ms]']:.2g} ms"] for name, one in timed["times"].items()]
-    gain = f"Two threads map {threads['ratio']:.2f} times as many scans per second as one, with the same result."
-    return with_source("speed", table([f"step, {timed['scan']}, 120,000 points", "time"], rows), gain)
 
 
 def steps() -> str:

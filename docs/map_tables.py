@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from record_tables import record, table, with_source
+from record_tables import record, table
 
 TITLES = {  # of maps; the others keep the names of the record
     "classical Bayes": "classical Bayes (0.12 to 0.97, never forgets)",
@@ -126,13 +126,12 @@ def fusion_speed_sentences() -> str:
     update, drive = times["update, default"], found["long drive"]
     chains = {"`ray`": "RayISM + update", "`combined`, the default": "combined + update"}
     rates = [f"{1e3 / times[chain]:.0f} with {name}" for name, chain in chains.items() if chain in times]
-    text = (
-        f"An update takes {update:.2g} ms on one core ({times['update, numpy reference']:.3g} in numpy), "
+    return (
+        f"An update takes {update:.2g} ms ({times['update, numpy reference']:.3g} in numpy), "
         f"{update / times['copy']:.2g} times copying what it touches. Scans per second, mapped and fused: "
-        f"{', '.join(rates)} ([all times](results.md#time-of-a-map-update)). Over {drive['km']:.0f} km the last "
-        f"hundred updates take {drive['last / first']:.2f} times the first."
+        f"{', '.join(rates)}. Over {drive['km']:.0f} km the last hundred updates take {drive['last / first']:.2f} "
+        "times the first."
     )
-    return with_source("fusion_speed", text)
 
 
 def logs() -> str:

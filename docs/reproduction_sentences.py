@@ -98,7 +98,7 @@ def _sentence_of_speed(record: Record) -> str:
     times = {name: f"{one['median']:.3g} ms" for name, one in record["times [ms]"].items()}
     shipped = 1000 / record["times [ms]"]["lite by onnxruntime"]["median"]
     return (
-        f"- **Ours** ([table](results.md#time-of-the-network)): on two CPU cores `lite` maps\n  {shipped:.3g} scans "
+        f"- **Ours** ([table](speed.md#the-network)): on two CPU cores `lite` maps\n  {shipped:.3g} scans "
         "per second by ONNX Runtime, the network of the paper's size "
         f"{record['summary']['paper']['scans per second']:.3g} by torch; baseline "
         f"{times['HeightBandISM']}, `RayISM` {times['RayISM']}. No GPU was measured."
