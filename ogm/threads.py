@@ -1,12 +1,14 @@
-"""Loops divided among threads, for kernels that release the GIL."""
+"""Loops divided among threads, for kernels that release the GIL, and iteration one item ahead."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
+from itertools import islice
 from types import TracebackType
 from typing import Self, TypeVar
 
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
@@ -58,3 +60,16 @@ def shared_threads(count: int) -> Threads:
 
 if hasattr(os, "register_at_fork"):  # a child process has no threads of its parent
     os.register_at_fork(after_in_child=shared_threads.cache_clear)
+
+
+def one_ahead(items: Iterable[Item]) -> Iterator[Item]:
+    """Yield items in order, while another thread takes the next one from the iterable.
+
+    An error of the iterable is raised after the items before it. Closing the iterator waits for the thread.
+    """
+    iterator = iter(items)
+    with ThreadPoolExecutor(1, "ogm-ahead") as pool:
+        coming = pool.submit(lambda: list(islice(iterator, 1)))  # empty at the end
+        while item := coming.result():
+            coming = pool.submit(lambda: list(islice(iterator, 1)))
+            yield from item

@@ -4,6 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from ogm.geometric.doppler import radial_velocities
 from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse
 from ogm.scan import Frame, LazyFrame, Scan, SensorModels, of_sensor, run_model
+from ogm.threads import one_ahead
 
 _DAMAGED = (ValueError, TypeError, OSError)  # errors of a single frame; others are errors of the program
 MAX_TURN = math.radians(2.0)  # within a scan: points at 20 m are then off by 0.7 m
@@ -97,6 +99,7 @@ def fuse(
     deskew: bool | Trajectory = False,
     reliability: Reliability = 1.0,
     on_error: OnError = log_error,
+    read_ahead: bool = False,
 ) -> Iterator[FusionStep]:
     """Fuse the scans of a drive into a map, one step per frame.
 
@@ -121,6 +124,9 @@ def fuse(
         Reliability, [0, 1], by which masses are discounted: for all sensors, or by `Scan.sensor`, with "" for others.
     on_error : function
         Called with every skipped frame and its error; by default the error is logged.
+    read_ahead : bool
+        Iterate over `frames` and read the next scan in another thread, while this one maps a scan. Other code must
+        not read from the dataset meanwhile.
 
     Yields
     ------
@@ -146,9 +152,9 @@ def fuse(
         )
     trajectory = _trajectory(frames, deskew)
     jumps, sequence = _Jumps(), None
-    for frame in frames:
-        if trajectory is not None:
-            frame = deskew_frame(frame, trajectory)
+    if trajectory is not None:
+        frames = (deskew_frame(frame, trajectory) for frame in frames)
+    for frame in one_ahead(_read(frames)) if read_ahead else frames:
         restart, previous = "", None
         try:
             T_map_grid = grid_pose(frame)
@@ -176,6 +182,15 @@ def fuse(
         jumps.clear()
         sequence = frame.sequence
         yield FusionStep(frame, grid, T_map_grid, None, restart, previous, seconds)
+
+
+def _read(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """Yield frames; scan and mount of frames with a pose are read. A damaged one raises its error again when used."""
+    for frame in frames:
+        if frame.T_map_sensor is not None:
+            with suppress(*_DAMAGED):
+                frame.scan, frame.mount  # noqa: B018
+        yield frame
 
 
 class _Jumps:

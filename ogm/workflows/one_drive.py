@@ -110,7 +110,7 @@ def fuse_drive(
     model = o.load_model()
     if outputs.page is not None and isinstance(mapper, EvidentialMapper):
         model = ExplainedISM(model)  # the page shows causes of unknown cells
-    steps = fuse(dataset, model, mapper, deskew=times, reliability=reliability, on_error=run.skip)
+    steps = fuse(dataset, model, mapper, deskew=times, reliability=reliability, on_error=run.skip, read_ahead=True)
     is_log = outputs.map is not None and outputs.map.suffix.lower() in LOG_ENDINGS
     log = GridLog(outputs.map, o.message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]
     titles = ("points by height", *run.titles)

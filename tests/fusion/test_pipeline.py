@@ -1,6 +1,7 @@
 """The pipelines: frames in, grids and maps out, with any callable as sensor model."""
 
 import math
+import threading
 from dataclasses import replace
 from functools import partial
 
@@ -110,6 +111,51 @@ def test_an_error_of_the_program_is_not_taken_for_a_damaged_frame() -> None:
     mapper = EvidentialMapper(SPEC)
     refused("device", list, fuse(frames, Marks(), mapper), error=RuntimeError)
     assert mapper.scans == 1  # the map so far is kept
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError("the program"), None], ids=repr)
+def test_reading_ahead_changes_no_step_and_leaves_no_thread(error: BaseException | None) -> None:
+    """Each scan is read by the other thread, at most one ahead, and every error comes at its frame."""
+    read = list[tuple[int, str]]()
+
+    def broken() -> Scan:
+        raise error or ValueError("the file is cut off")
+
+    def logged(frame: Frame) -> Scan:
+        read.append((int(frame.name.split()[1]), threading.current_thread().name))
+        return frame.scan
+
+    def frames() -> list[Frame]:
+        made = [changed(frame, scan=partial(logged, frame)) for frame in drive()]
+        made[1] = changed(made[1], scan=damaged)
+        made[2] = changed(made[2], T_map_sensor=None)
+        made[4] = changed(made[4], scan=broken)
+        return made
+
+    results = []
+    for ahead in (False, True):
+        read.clear()
+        found, mapper = list[tuple[object, ...]](), EvidentialMapper(SPEC)
+        try:
+            for k, step in enumerate(fuse(frames(), Marks(), mapper, on_error=lambda *_: None, read_ahead=ahead)):
+                found.append(
+                    (step.frame.name, str(step.error), None if step.grid is None else step.grid.mass.tobytes())
+                )
+                assert max(number for number, _ in read) <= k + ahead
+        except BaseException as raised:  # KeyboardInterrupt is none of Exception
+            found.append((type(raised), str(raised)))
+        assert {name[:9] for _, name in read} == {"ogm-ahead" if ahead else "MainThrea"}
+        results.append((found, mapper.scans, mapper.grid.mass.tobytes()))
+    assert results[0] == results[1]
+    assert not any(thread.name.startswith("ogm-ahead") for thread in threading.enumerate())
+
+
+def test_a_loop_that_ends_early_ends_the_thread_that_reads_ahead() -> None:
+    steps = fuse(drive(), Marks(), EvidentialMapper(SPEC), read_ahead=True)
+    next(steps)
+    assert any(thread.name.startswith("ogm-ahead") for thread in threading.enumerate())
+    steps.close()
+    assert not any(thread.name.startswith("ogm-ahead") for thread in threading.enumerate())
 
 
 def test_skipped_frames_leave_the_map_as_it_was() -> None:
@@ -316,6 +362,9 @@ def test_deskewing_by_the_poses_of_the_frames() -> None:
         mapper = EvidentialMapper(GridSpec.centered(length=32.0, width=32.0, resolution=0.5))
         assert all(step.error is None for step in fuse(frames, Marks(), mapper, deskew=way))
         maps.append(mapper.grid.mass)
+        mapper.reset()
+        list(fuse(frames, Marks(), mapper, deskew=way, read_ahead=True))
+        np.testing.assert_array_equal(mapper.grid.mass, maps[-1])
     np.testing.assert_allclose(maps[1], maps[0], atol=1e-5)
     np.testing.assert_allclose(maps[2], maps[0], atol=1e-5)
     assert np.abs(maps[3] - maps[0]).max() > 0.5
