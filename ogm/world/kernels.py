@@ -41,7 +41,7 @@ def _compiled_packed(value: Any, steps: Any, row: Any) -> Any:
 @vector
 def _write_pairs(known: Any, pairs: Any, steps: Any, first: Any, second: Any) -> None:
     """Write pairs to two rows of a tile, in cells that the scan observes."""
-    for k in range(first.size):  # selected in variables, then stored: LLVM makes no vector code of a conditional store
+    for k in range(first.size):  # chosen in variables and stored always: a conditional store prevents vector code
         a, b = first[k], second[k]
         packed_a, packed_b = _packed(pairs[2 * k], steps, first), _packed(pairs[2 * k + 1], steps, first)
         has = known[2 * k] + known[2 * k + 1] > np.float32(0)

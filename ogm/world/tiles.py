@@ -151,13 +151,12 @@ class TileStore:
 
     def read(self, box: Box, level: int = 0, layers: slice = slice(None)) -> NDArray[Any]:
         """Return the layers of a box of cells in stored form, (L, nx, ny)."""
-        array, offset = self.array(level), self.layout.cells >> (level + 1)
+        array, offset = self.array(level), self.layout.cells >> (level + 1)  # raises if its description is invalid
         with reading(self._place(box, level), _REPAIR if level == 0 else "WorldMap.build_overviews makes it again"):
-            if self._folder is not None:
-                found = read_shards(self.layout, level, box, layers, self._folder / str(level))
-            else:
-                found = array[layers, box[0] + offset : box[1] + offset, box[2] + offset : box[3] + offset]
-            return checked_layers(np.asarray(found), layers)
+            if self._folder is None:
+                rows, columns = slice(box[0] + offset, box[1] + offset), slice(box[2] + offset, box[3] + offset)
+                return checked_layers(np.asarray(array[layers, rows, columns]), layers)
+            return checked_layers(read_shards(self.layout, level, box, layers, self._folder / str(level)), layers)
 
     def read_tile(self, index: TileIndex, level: int = 0) -> NDArray[Any]:
         """Return a tile in stored form, (L, tile, tile); zeros if it does not exist."""
