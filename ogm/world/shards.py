@@ -76,7 +76,7 @@ def _checked(content: bytes) -> NDArray[np.uint8]:
     import google_crc32c
 
     found = np.frombuffer(content, np.uint8)
-    computed, stated = google_crc32c.value(found[:-4]), int.from_bytes(content[-4:], "little")  # type: ignore[arg-type]
+    computed, stated = google_crc32c.value(found[:-4]), int.from_bytes(content[-4:], "little")
     if computed != stated:
         raise ValueError(f"its checksum is {stated:08x}, computed {computed:08x}")
     return found[:-4]
