@@ -105,8 +105,9 @@ def integrate_grid(
     T = check_pose(T_map_sensor, "T_map_sensor")
     box = layout.around(corners(grid.spec, T))
     layout.check_box(box)
-    base = affine_between(layout.spec(box), grid.spec, T)
-    mass, samples = np.ascontiguousarray(grid.mass, np.float32), samples_per_axis(layout.spec(box), grid.spec)
+    target = layout.spec(box)
+    base, samples = affine_between(target, grid.spec, T), samples_per_axis(target, grid.spec)
+    mass = np.ascontiguousarray(grid.mass, np.float32)
     rule, max_known, total = WORLD_RULES[layout.rule], 1 - layout.min_unknown, 0
     for index in layout.tiles_of(box):
         affine, at = base.copy(), layout.box_of(index)

@@ -41,12 +41,13 @@ def _compiled_packed(value: Any, steps: Any, row: Any) -> Any:
 @vector
 def _write_pairs(known: Any, pairs: Any, steps: Any, first: Any, second: Any) -> None:
     """Write pairs to two rows of a tile, in cells that the scan observes."""
-    for k in range(first.size):
-        a = _packed(pairs[2 * k], steps, first)
-        first[k] = a if known[2 * k] + known[2 * k + 1] > np.float32(0) else first[k]
-    for k in range(first.size):
-        b = _packed(pairs[2 * k + 1], steps, first)
-        second[k] = b if known[2 * k] + known[2 * k + 1] > np.float32(0) else second[k]
+    for k in range(first.size):  # chosen in variables and stored always: a conditional store prevents vector code
+        a, b = first[k], second[k]
+        packed_a, packed_b = _packed(pairs[2 * k], steps, first), _packed(pairs[2 * k + 1], steps, first)
+        has = known[2 * k] + known[2 * k + 1] > np.float32(0)
+        a = packed_a if has else a
+        b = packed_b if has else b
+        first[k], second[k] = a, b
 
 
 @vector

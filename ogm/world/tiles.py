@@ -16,7 +16,8 @@ from ogm.storage.files import OgmError, update_hint
 from ogm.storage.remote import is_remote
 from ogm.world.kernels import MASS_STEPS
 from ogm.world.layout import LAYERS, TILES, Box, TileIndex, WorldLayout, checked_array, checked_layers, codecs, mass_of
-from ogm.world.stores import Mode, Url, erase, keys, local_path, open_store, reading, writing
+from ogm.world.shards import read_shards
+from ogm.world.stores import Mode, Url, erase, is_zip, keys, local_path, open_store, reading, writing
 from ogm.world.writer import WRITER, check_writer
 
 FORMAT = "ogm.world/1"
@@ -45,6 +46,7 @@ class TileStore:
         self.url, self.root, self.store = str(url), root, root.store
         self.layout = WorldLayout(**{field.name: attributes[field.name] for field in fields(WorldLayout)})
         self.crs = attributes["crs"]
+        self._folder = None if is_remote(url) or is_zip(url) else local_path(url)
         self._arrays: dict[str, Any] = {}
 
     @classmethod
@@ -149,10 +151,12 @@ class TileStore:
 
     def read(self, box: Box, level: int = 0, layers: slice = slice(None)) -> NDArray[Any]:
         """Return the layers of a box of cells in stored form, (L, nx, ny)."""
-        array, offset = self.array(level), self.layout.cells >> (level + 1)
+        array, offset = self.array(level), self.layout.cells >> (level + 1)  # raises if its description is invalid
         with reading(self._place(box, level), _REPAIR if level == 0 else "WorldMap.build_overviews makes it again"):
-            found = array[layers, box[0] + offset : box[1] + offset, box[2] + offset : box[3] + offset]
-            return checked_layers(np.asarray(found), layers)
+            if self._folder is None:
+                rows, columns = slice(box[0] + offset, box[1] + offset), slice(box[2] + offset, box[3] + offset)
+                return checked_layers(np.asarray(array[layers, rows, columns]), layers)
+            return checked_layers(read_shards(self.layout, level, box, layers, self._folder / str(level)), layers)
 
     def read_tile(self, index: TileIndex, level: int = 0) -> NDArray[Any]:
         """Return a tile in stored form, (L, tile, tile); zeros if it does not exist."""

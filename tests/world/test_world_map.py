@@ -1,5 +1,6 @@
 """Maps in tiles: what comes in stands where it belongs, in memory, on disk and in a bucket."""
 
+import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zarr
 from cases import each, refused
 from world_reference import SlowMap
 
@@ -214,6 +216,56 @@ def test_a_zip_archive_has_all_of_the_map(place: Place, tmp_path: Path, make_gri
             assert packed.levels == world.levels
     refused("zip archive, which cannot be changed", WorldMap.open, tmp_path / "map.zip", "r+")
     assert len(set(zipfile.ZipFile(tmp_path / "map.zip").namelist())) > 10
+
+
+@each("tile", [16, 512])
+def test_a_folder_is_read_as_zarr_reads_it(tmp_path: Path, make_grid: MakeGrid, tile: int) -> None:
+    with WorldMap.create(tmp_path / "map", 0.5, tile) as world:
+        for k, T in enumerate(POSES):
+            world.integrate(make_grid(k), T, stamp=10.0 + 7.5 * k)
+        world.build_overviews()
+        world.forget_tiles()
+        for level in (0, 1):
+            array, half = zarr.open_group(tmp_path / "map", mode="r")[str(level)], world.layout.cells >> (level + 1)
+            for i, k, j, n in ((-30, 41, -29, 17), (-300, 300, -40, 44), (3, 4, -1, 0), (256, 257, 900, 901)):
+                for layers in (slice(0, 2), slice(None)) if level else (slice(0, 2), slice(2, 7), slice(None)):
+                    found = world.store.read((i, k, j, n), level, layers)
+                    np.testing.assert_array_equal(found, array[layers, i + half : k + half, j + half : n + half])
+                    assert found.any() or i >= 3
+
+
+def test_a_tile_that_is_read_is_from_before_or_after_a_write(tmp_path: Path) -> None:
+    with WorldMap.create(tmp_path / "map", 0.5, 512) as world:
+        noise = np.random.default_rng(0).integers(0, 60, (7, 512, 512), np.uint16)
+        tiles = [np.full_like(noise, 7), noise % 50]  # whose shards differ in size
+        world.store.write_tile((0, 0), tiles[0])
+        reader, ended, found = WorldMap.open(tmp_path / "map"), threading.Event(), set()
+
+        def write() -> None:
+            for k in range(12):
+                world.store.write_tile((0, 0), tiles[k % 2])
+            ended.set()
+
+        thread = threading.Thread(target=write)
+        thread.start()
+        while not ended.is_set():
+            box = reader.store.read((200, 300, 200, 300), 0, slice(0, 2))
+            same = [bool(np.array_equal(box, tile[:2, 200:300, 200:300])) for tile in tiles]
+            assert sum(same) == 1
+            found.add(same[0])
+        thread.join()
+    assert found == {True, False}
+
+
+def test_a_tile_that_is_cut_off_is_refused(tmp_path: Path, make_grid: MakeGrid) -> None:
+    with made({"url": tmp_path / "map"}, make_grid) as world:
+        index = world.tiles()[0]
+    path = tmp_path / "map" / world.store.key(index)
+    data = path.read_bytes()
+    with WorldMap.open(tmp_path / "map") as world:
+        for size in (0, 50, len(data) // 2, len(data) - 1):
+            path.write_bytes(data[:size])
+            refused(rf"tile \({index[0]}, {index[1]}\)", world.tile, index, error=OgmError)
 
 
 @pytest.mark.slow
