@@ -233,9 +233,11 @@ def test_the_named_model_combines_ray_and_lite():
     pytest.importorskip("torch")
     spec, mount = GridSpec.centered(length=12.8, width=12.8, resolution=0.16), Mount(1.9)
     scan = Scan(np.random.default_rng(0).uniform((-6, -6, -1.9, 0), (6, 6, 0, 0.2), (9000, 4)).astype(np.float32))
-    whole = load_model("combined", spec, mount)(scan)
+    model = load_model("combined", spec, mount)
+    whole = model(scan)
     parts = [load_model(name, spec, mount) for name in ("ray", "lite")]
     np.testing.assert_allclose(whole.mass, CombinedISM(parts, **COMBINATION)(scan).mass, atol=1e-5)
+    assert model.models[1].takes_rays_of(model.models[0])  # computed once
     EvidentialGrid(spec, whole.mass)
 
 

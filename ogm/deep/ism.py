@@ -164,7 +164,9 @@ class DeepISM:
 
     def takes_rays_of(self, model: "InverseSensorModel") -> bool:
         """Return whether the masses of another model are the masses of rays that the network takes as input."""
-        return bool(self.engine.rays) and type(model) is RayISM and vars(model) == vars(RayISM(self.spec, self.mount))
+        if not self.engine.rays or type(model) is not RayISM:
+            return False
+        return vars(model) == vars(RayISM(self.spec, self.mount, threads=model.threads))
 
     def batch(
         self, scans: Sequence[Scan | NDArray[np.float32]], rays: Sequence[NDArray[np.float32]] | None = None

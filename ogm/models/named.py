@@ -143,8 +143,11 @@ def _load(
     if name == DEPTH:
         return depth_model(spec, mount)
     if name == COMBINED:
-        models = [load_model(RAY, spec, mount), load_model(LITE, spec, mount, device=device)]
-        return CombinedISM(models, **COMBINATION)
+        from ogm.deep.runtimes import default_threads
+        from ogm.geometric import RayISM
+
+        rays = RayISM(spec, mount, threads=min(default_threads(), 2))
+        return CombinedISM([rays, load_model(LITE, spec, mount, device=device)], **COMBINATION)
     if name in GEOMETRIC:
         if name == HEIGHT_BAND:
             parameters["drop_ego_returns"] = drop_ego_returns
