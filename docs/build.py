@@ -180,7 +180,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     },
     "docs/reproduction.md": lambda: (
         sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed", "objects")))
-        | {"losses": deep.losses_of_the_paper(), "divergence": deep.divergences()}
+        | {"divergence": deep.divergences()}
     ),
     "docs/results.md": results,
     "docs/simulation.md": lambda: {"data_store": with_source("data_store", *data_store_tables(record("data_store")))},

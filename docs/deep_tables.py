@@ -56,7 +56,7 @@ def combined() -> str:
     for name, one in (simulated | found["real"]).items():
         place = f"{name}, frames: {one['frames']}, drives: {one['drives']}"
         for model, mean in one["means"].items():
-            if model.endswith("float32"):
+            if model.endswith(("float32", "hits kept")):
                 continue
             cells = ["–" if mean[metric] is None else f"{mean[metric]:.3f}" for metric in titles]
             rows.append([place if model == "ray" else "", f"`{model}`" if " " not in model else model, *cells])
@@ -130,22 +130,6 @@ def deep_losses() -> str:
     titles = [record("deep_quality")["metrics"][metric]["title"] for metric in metrics]
     rows = [[name, *(f"{one[metric]['value']:.3f}" for metric in metrics)] for name, one in scores.items()]
     return table(["loss, one seed each", *titles], rows)
-
-
-def losses_of_the_paper() -> str:
-    """Return the losses of the paper, of its code, and our default."""
-    scores = record("deep_losses")["scores"]
-    names = {
-        "squares as printed": "as printed, α / S", "squares as released": "as released, e / S",
-        "squares as released, occupied x 100": "as released, occupied x 100",
-        "reverse KL": "reverse KL, our default",
-    }  # fmt: skip
-    metrics = {
-        "brier": "Brier", "iou_free": "IoU free", "iou_occupied": "IoU occupied",
-        "auroc_unknown": "AUROC unknown", "ece": "ECE", "kl_e10": "KL, E = 10",
-    }  # fmt: skip
-    rows = [[title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)] for name, title in names.items()]
-    return marked("deep_losses", table(["", *metrics.values()], rows))
 
 
 def divergences() -> str:
