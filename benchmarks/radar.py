@@ -42,7 +42,7 @@ from ogm.plot.panels import dots_panel
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.exchange import truth_panel
-from ogm.simulation.mounts import PLACES
+from ogm.simulation.mounts import RADAR_POSITIONS
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.radar import Origin, RadarSweep, sweep
 from ogm.simulation.radars import RADARS, RadarSpec
@@ -53,7 +53,7 @@ from ogm.truth import TRUTH_SPEC
 
 SPEC: GridSpec = TRUTH_SPEC
 AHEAD = GridSpec(0.16, (312, 350), (0.0, -28.0))  # of the picture
-AT = pose(*PLACES["front"][:3])  # of the radar on the vehicle
+AT = pose(*RADAR_POSITIONS["front"][:3])  # of the radar on the vehicle
 TRAINING = DatasetPlan(seed=1, towns=5)
 TEST = DatasetPlan(seed=3, samples=0, validation=0, test=240, drives=24, test_towns=6, spacing=10.0)
 FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")

@@ -24,7 +24,7 @@ from dynamic_tables import dynamic_tables
 from evidence_tables import evidence_tables
 from quality_tables import quality_tables
 from radar_tables import far_tables, fusion_tables, radar_tables
-from record_tables import RESULTS, link, marked, outdated, record, table, verdicts, with_command, with_source
+from record_tables import RESULTS, link, marked, outdated, record, table, verdicts, with_command
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
 from world_tables import build_tables, rule_tables, world_tables
@@ -123,7 +123,7 @@ def results() -> dict[str, str]:
     made = {
         "models": with_command("deep_quality", *scores),
         "objects": with_command("objects", deep.objects()),
-        "maps": with_command("fusion_quality", maps.fusion(maps.LISTED_MAPS)),
+        "maps": with_command("fusion_quality", maps.fusion()),
         "ground": with_command("ground", geometric.ground()),
         "logs": with_command("logs", maps.logs()),
         "live": with_command("live", verdicts("live", "`ogm serve`, a viewer receives all")),
@@ -157,20 +157,17 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": deep.headline()},
     "docs/lite.md": lambda: {"results": deep.headline()},
     "docs/deep.md": lambda: {"heads": deep.deep_heads(), "training": deep.deep_training(), "combined": deep.combined()},
-    "docs/dynamic.md": lambda: {"dynamic": with_source("dynamic", *dynamic_tables(record("dynamic")))},
+    "docs/dynamic.md": lambda: {"dynamic": with_command("dynamic", *dynamic_tables(record("dynamic")))},
     "docs/evidence.md": lambda: evidence_tables(record("evidence")),
-    "docs/fusion.md": lambda: {
-        "simulated": with_source("fusion_quality", maps.fusion(maps.MAIN_MAPS, maps.MAIN_COLUMNS)),
-        "planar_odometry": with_source("planar_odometry", maps.planar_odometry()),
-    },
+    "docs/fusion.md": lambda: {"planar_odometry": with_command("planar_odometry", maps.planar_odometry())},
     "docs/geometric.md": lambda: {
         "calibration": geometric.calibration(),
         "silence": geometric.silence(),
         "steps": marked("scenes", geometric.steps()),
     },
     "docs/planners.md": lambda: {
-        "heights": with_source("heights", maps.heights()),
-        "planning": with_source("planning", maps.planning()),
+        "heights": with_command("heights", maps.heights()),
+        "planning": with_command("planning", maps.planning()),
     },
     "docs/project.md": lambda: {"pythons": pythons()},
     "docs/radar.md": lambda: {
@@ -183,7 +180,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         | {"divergence": deep.divergences()}
     ),
     "docs/results.md": results,
-    "docs/simulation.md": lambda: {"data_store": with_source("data_store", *data_store_tables(record("data_store")))},
+    "docs/simulation.md": lambda: {"data_store": with_command("data_store", *data_store_tables(record("data_store")))},
     "docs/speed.md": lambda: {
         "scan": with_command("speed", speed.speed(record("speed")["comparisons"])),
         "update": with_command("fusion_speed", maps.fusion_speed_sentences(), maps.fusion_speed()),
@@ -194,13 +191,13 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         "growth": speed.growth(),
     },
     "docs/world.md": lambda: {
-        "world": with_source("world", *world_tables(record("world"))),
-        "rules": with_source("world_rules", *rule_tables(record("world_rules"))),
-        "build": with_source("world_build", *build_tables(record("world_build"))),
+        "world": with_command("world", *world_tables(record("world"))),
+        "rules": with_command("world_rules", *rule_tables(record("world_rules"))),
+        "build": with_command("world_build", *build_tables(record("world_build"))),
     },
     "docs/evaluation.md": lambda: {
         "coverage": coverage(),
-        "beams": with_source("beams", maps.beams()),
+        "beams": with_command("beams", maps.beams()),
         "guarantee": with_command("guarantee", guarantee()),
     },
 }

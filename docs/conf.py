@@ -24,6 +24,7 @@ version = release = ogm.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build", "pictures"]
+smartquotes_action = "qe"  # quotes and ellipses: the two hyphens of --option stay
 default_role = "py:obj"  # `name` in a docstring links where there is such a name
 nitpicky = False  # types of other packages are no links: the site is built without a network
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from record_tables import change, marked, record, table, with_source
+from record_tables import change, marked, record, table, with_command
 
 MODELS = {  # and titles in the README; the released baseline predicts no cell
     "height-band": "paper's baseline", "ray": "`RayISM`", "lite": "`lite`", "combined": "**`combined`, the default**",
@@ -89,7 +89,7 @@ def combined() -> str:
         f"{cost['combined']:.1f} ms, of which combining {cost['combining alone']:.2f} ms (copying both grids: "
         f"{cost['copy of both grids']:.2f} ms)."
     )
-    return with_source("combined", *tables, text)
+    return with_command("combined", *tables, text)
 
 
 def deep_quality() -> str:
@@ -177,7 +177,7 @@ def deep_heads() -> str:
     for name, title in titles.items():
         rows.append([title, *(change(found["minus shipped"][name][m]) for m in shown), telling.get(name, "")])
     heads = ["", "log loss", "false free", "IoU occupied", "telling wrong cells (AUROC) by"]
-    return with_source("deep_heads", table(heads, rows))
+    return with_command("deep_heads", table(heads, rows))
 
 
 def deep_training() -> str:
@@ -190,7 +190,7 @@ def deep_training() -> str:
         rows.append([by, "`aimed`", *(f"{found['means']['aimed'][one]:.3f}" for one in shown)])
         rows += [["", title, *(change(found["minus aimed"][name][m]) for m in shown)] for name, title in titles.items()]
     heads = ["evaluated by", "trained on", "log loss", "false free", "IoU free", "IoU occupied"]
-    return with_source("deep_training", table(heads, rows))
+    return with_command("deep_training", table(heads, rows))
 
 
 def deep_speed() -> str:

@@ -10,6 +10,7 @@ __all__ = ["dynamic_tables"]
 
 HYBRID, PLAIN, NUSS = "hybrid, matching, 200k", "hybrid, 200k", "Nuss, 1M"
 TITLES = {HYBRID: "**`DynamicMapper`**", PLAIN: "no matching", NUSS: "Nuss' filter"}
+STATIC_MAPS = ("conflict layer", "EvidentialMapper", "classical Bayes")  # without velocities
 Column = tuple[str, int, int, bool]  # heading, digits, factor, whether all drives are taken together
 MOTION: dict[str, Column] = {
     "motion_ap": ("AP", 3, 1, False),
@@ -50,7 +51,7 @@ def dynamic_tables(found: Mapping[str, Any]) -> list[str]:
         "**Simulated drives** (means of 12 drives ± half of the 95 % interval; Nuss' filter with a million particles):"
     ]
     parts += [_table(MOTION, simulated), _table(STATES, simulated, False)]
-    parts += ["**KITTI**, with all layers and with fewer:", _table(RECORDED, _rows(runs, real, ("conflict layer",)))]
+    parts += ["**KITTI**, with all layers and with fewer:", _table(RECORDED, _rows(runs, real, STATIC_MAPS))]
     later = _rows(runs, [run for run in runs if run not in real[1:]], (PLAIN,), "recall_0.5")
     parts += [
         "**Predictions** of the cells of moving objects, one cell of tolerance (64 layers: KITTI; at 70 % precision):",
@@ -64,28 +65,34 @@ def dynamic_tables(found: Mapping[str, Any]) -> list[str]:
             title = re.sub(r"^\w+", lambda key: WORDS.get(key[0], key[0]), name)
             missed.append([f"`{run}`", title, f"{value:.3f}{half}", limit])
     parts.append(f"**Targets**, set beforehand: {reached} of {len(found['targets'])} reached.")
-    return [*parts, table(["target, behind", "missed", "measured", "wanted"], missed, left=2)]
+    return [*parts, table(["behind", "missed", "measured", "wanted"], _once(missed), left=2)]
 
 
 def _rows(
     runs: Mapping[str, Any], names: Sequence[str], without: Sequence[str], needed: str = "motion_ap"
-) -> dict[str, Any]:
-    """Return the maps of some runs by "run: map"; readings of a map by speed alone stay in the record."""
+) -> dict[tuple[str, str], Any]:
+    """Return the maps of some runs by run and map; readings of a map by speed alone stay in the record."""
     return {
-        f"{f'`{run}`' if run.islower() else run.removeprefix('KITTI, ')}: {TITLES.get(name, name)}": one
+        (f"`{run}`" if run.islower() else run.removeprefix("KITTI, "), TITLES.get(name, name)): one
         for run in names
         for name, one in runs[run].items()
         if name not in without and "speed alone" not in name and one["pooled"].get(needed) is not None
     }
 
 
-def _table(columns: Mapping[str, Column], maps: Mapping[str, Any], intervals: bool = True) -> str:
+def _table(columns: Mapping[str, Column], maps: Mapping[tuple[str, str], Any], intervals: bool = True) -> str:
     values = {name: [_cell(one, key, *column[1:]) for key, column in columns.items()] for name, one in maps.items()}
     if not intervals:
         values = {name: [text.partition("\xa0")[0] for text in row] for name, row in values.items()}
     some = [k for k in range(len(columns)) if any(row[k] for row in values.values())]
     heads = [list(columns.values())[k][0] for k in some]
-    return table(["map", *heads], [[name, *(row[k] for k in some)] for name, row in values.items() if any(row)])
+    rows = [[*names, *(row[k] for k in some)] for names, row in values.items() if any(row)]
+    return table(["behind", "map", *heads], _once(rows), left=2)
+
+
+def _once(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return rows with the first cell empty where it equals that of the row above."""
+    return [["" if k and rows[k - 1][0] == row[0] else row[0], *row[1:]] for k, row in enumerate(rows)]
 
 
 def _cell(one: Mapping[str, Any], key: str, digits: int, factor: int, together: bool) -> str:

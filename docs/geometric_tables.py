@@ -1,6 +1,6 @@
 """Tables of the geometric models: scenes, silence, calibration, ground."""
 
-from record_tables import record, table, with_source
+from record_tables import record, table, with_command
 
 
 def steps() -> str:
@@ -27,7 +27,7 @@ def silence() -> str:
             ]
             rows.append([f"{sky}: {what}", *cells])
     head = ("before / now / echoes alone", "false free", "log loss", "IoU free", "IoU occupied")
-    return with_source("silence", table(head, rows))
+    return with_command("silence", table(head, rows))
 
 
 def calibration() -> str:
@@ -50,7 +50,7 @@ def calibration() -> str:
         for name, title in names.items()
     ]
     parts.append(table(["mean", "default", "fitted", "difference (95 %)"], rows))
-    return with_source("calibration", *parts)
+    return with_command("calibration", *parts)
 
 
 def ground() -> str:

@@ -1,23 +1,15 @@
 """Tables of maps over time: quality, time, logs, live."""
 
-from collections.abc import Sequence
-
 from record_tables import record, table
 
 TITLES = {  # of maps; the others keep the names of the record
     "classical Bayes": "classical Bayes (0.12 to 0.97, never forgets)",
     "EvidentialMapper, default": "**`EvidentialMapper` with its defaults**",
 }
-MAIN_MAPS = (  # those that docs/fusion.md compares
-    *("scan alone", "classical Bayes", "EvidentialMapper, default", "Dempster, 2 s"),
-    *("cautious, 2 s, models combined before", "cautious, 2 s", "Yager, 2 s", "PCR6, 2 s"),
-    *("cumulative, 1 s", "Bayes by plausibility, limits as Dempster, 0.5 s"),
-)
 LISTED_MAPS = (  # on the page of results
     *("scan alone", "classical Bayes", "EvidentialMapper, default", "cautious, 2 s", "Dempster, 2 s"),
     "Yager, 2 s",
 )
-MAIN_COLUMNS = ("view_nll", "view_false_free", "view_iou_occupied_known", "body_free", "ghost_area", "view_ece")
 MAP_COLUMNS = {
     "static_iou_occupied": "IoU of static occupied",
     "static_false_free": "false free (P < 1/4)",
@@ -34,19 +26,19 @@ MAP_COLUMNS = {
 }
 
 
-def fusion(names: Sequence[str], columns: Sequence[str] = tuple(MAP_COLUMNS)) -> str:
+def fusion() -> str:
     """Return the scores of maps on simulated test drives, a table for each sensor model."""
     parts = []
     for model, maps in record("fusion_quality")["maps"].items():
         rows = []
         for name, one in maps.items():
-            if name not in names:
+            if name not in LISTED_MAPS:
                 continue
             means = one["mean and 95 % interval"]
-            digits = {key: 2 if key in ("ghost_area", "appears", "body_recall") else 3 for key in columns}
-            cells = [f"{means[key][0]:.{digits[key]}f}" for key in columns]
+            digits = {key: 2 if key in ("ghost_area", "appears", "body_recall") else 3 for key in MAP_COLUMNS}
+            cells = [f"{means[key][0]:.{digits[key]}f}" for key in MAP_COLUMNS]
             rows.append([TITLES.get(name, name), *cells])
-        heads = ["map", *(MAP_COLUMNS[key] for key in columns)]
+        heads = ["map", *MAP_COLUMNS.values()]
         parts.append(f"Behind `{model}`:\n\n{table(heads, rows)}")
     return "\n\n".join(parts)
 

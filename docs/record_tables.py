@@ -91,11 +91,6 @@ def verdicts(name: str, head: str) -> str:
     return table([head, "measured", "limit", ""], rows)
 
 
-def with_source(name: str, *parts: str) -> str:
-    """Return tables and texts with the source of the record below them."""
-    return "\n\n".join([*parts, source(name)])
-
-
 def with_command(name: str, *parts: str) -> str:
     """Return tables and texts with the command, the date and the machine of the record below them."""
     found = record(name)
@@ -103,14 +98,6 @@ def with_command(name: str, *parts: str) -> str:
     cpu = re.sub(r"\((R|TM)\)| Processor| @.*", "", facts["cpu"])
     cores = "1 core" if facts["cores used"] == 1 else f"{facts['cores used']} cores"
     return "\n\n".join([*parts, f"*`{facts['command']}`, {facts['date'].split()[0]}, {cpu}, {cores}.*{mark(name)}"])
-
-
-def source(name: str) -> str:
-    """Return command, date and machine of a record, a link to it, and its mark if it is outdated."""
-    found = record(name)
-    facts = found.get("environment", found)
-    machine = f"{facts['cpu']}, {facts['cores used']} of {facts['cores']} cores"
-    return f"*`{facts['command']}`, {facts['date'].split()[0]}, {machine}; {link(name)}.*{mark(name)}"
 
 
 def link(name: str) -> str:

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "LATEST", "Trajectory", "check_pose", "check_stamp", "inverse", "levelling", "matrix_to_quaternion",
+    "MAX_STAMP", "Trajectory", "check_pose", "check_stamp", "inverse", "levelling", "matrix_to_quaternion",
     "matrix_to_vector", "pose", "quaternion_to_matrix", "rotate", "tilt_of", "transform_points", "vector_to_matrix",
 ]  # fmt: skip
 
-LATEST = 1e11  # [s], year 5138: larger stamps are in a smaller unit, and float64 does not resolve microseconds there
+MAX_STAMP = 1e11  # [s], year 5138: larger stamps are in a smaller unit, and float64 does not resolve microseconds there
 _MAX_STEP = 1e-3  # [s] between two stamps of a type; with larger steps maps do not age and speeds are unknown
 _LAST_ROW, _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
 _TOLERANCE = 1e-4  # departure of R'R from the identity, met by a text file with four decimals
@@ -103,7 +103,7 @@ def check_stamp(stamp: float, name: str = "stamp") -> float:
     Raises
     ------
     ValueError
-        If it is no real number, not finite, or beyond `LATEST` (milliseconds or nanoseconds), or if its type
+        If it is no real number, not finite, or beyond `MAX_STAMP` (milliseconds or nanoseconds), or if its type
         (float32, float16) does not resolve a millisecond at this value.
     """
     if isinstance(stamp, bool | np.bool_) or not isinstance(stamp, int | float | np.integer | np.floating):
@@ -113,9 +113,9 @@ def check_stamp(stamp: float, name: str = "stamp") -> float:
             f"{name} must resolve a millisecond, got {stamp} s as {stamp.dtype}, in steps of "
             f"{float(np.spacing(abs(stamp))):g} s: give a float64"
         )
-    if not abs(stamp) <= LATEST:
+    if not abs(stamp) <= MAX_STAMP:
         way = "divide nanoseconds by 1e9" if stamp == stamp and abs(stamp) < 10**30 else "give a finite time"
-        raise ValueError(f"{name} must be finite, a time in seconds up to {LATEST:g}, got {_short(stamp)}: {way}")
+        raise ValueError(f"{name} must be finite, a time in seconds up to {MAX_STAMP:g}, got {_short(stamp)}: {way}")
     return float(stamp)
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.sample import OBJECT_DTYPE, RANGE_STEP, Beams, SimulatedSample
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
 
@@ -31,7 +31,8 @@ def flat_sample(split: str, index: int, steps: np.ndarray, state: Any = 0, **fac
     """Return a sample with these ranges and cell states, by default without objects, at the origin and at rest."""
     states = np.ascontiguousarray(np.broadcast_to(np.asarray(state, np.uint8), TRUTH_SPEC.shape))
     facts = {
-        "beams": BEAMS, "intensities": np.where(steps > 0, 30, 0).astype(np.uint8), "objects": np.zeros(0, OBJECT),
+        "beams": BEAMS, "intensities": np.where(steps > 0, 30, 0).astype(np.uint8),
+        "objects": np.zeros(0, OBJECT_DTYPE),
         "T_world_sensor": np.eye(4), "T_vehicle_sensor": np.eye(4), "velocity": np.zeros(3), "yaw_rate": 0.0,
         "stamp": 0.0, "scenario": 0,
     } | facts  # fmt: skip

@@ -41,7 +41,7 @@ def test_maps_are_evaluated_by_beams_that_were_left_out(tmp_path: Path) -> None:
     [
         (("evaluate", "{log}", "--beams", "--grids", "{log}"), "--beams needs no truth and evaluates maps of models"),
         (("evaluate", "{log}", "--beams", "--fused", "dynamic"), "must be of a static map"),
-        (("evaluate", "{log}", "--resolution", "0.1"), "--resolution belongs to --beams"),
+        (("evaluate", "{log}", "--resolution", "0.1"), "--resolution needs --beams"),
         (("fuse", "{log}", "--match", "--odometry", "kiss-icp"), "--match and --odometry exclude each other"),
     ],
 )

@@ -271,7 +271,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--poses", "{poses}", "--page", "{folder}/x.htm"), "the page must end in .html"),
         (("{scans}", "--poses", "{poses}", "--save-poses", "{poses}"), "would overwrite"),
         (("{scans}", "--poses", "{folder}/none.txt"), "none.txt"),
-        (("{scans}", "--calib", "{poses}"), "--calib belongs to --poses"),
+        (("{scans}", "--calib", "{poses}"), "--calib needs --poses"),
         (("{scans}", "--poses", "{far}", "--window", "fixed"), "give --window rolling, or a coarser --resolution"),
         (("{folder}", "--poses", "{poses}"), "holds no scans"),
         (("{scans}", "--sequence", "1"), "--sequence must be one of drive"),

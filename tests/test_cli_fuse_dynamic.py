@@ -94,7 +94,7 @@ def test_nuss_is_a_rule_of_dynamic_maps(drive: tuple[object, ...], tmp_path: Pat
 
 @each("words, message", [
         (("--dynamic", "--rule", "yager"), "needs the rule dynamic or nuss: leave out --rule yager"),
-        (("--particles", "100"), "--particles belongs to --dynamic, which is missing"),
+        (("--particles", "100"), "--particles needs --dynamic: give both, or leave out --particles"),
         (("--dynamic", "--particles", "0"), "particles must be a whole number from 1"),
         (("--dynamic", "--half-life", "0"), "half_life"),
     ])  # fmt: skip

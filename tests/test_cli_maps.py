@@ -293,7 +293,7 @@ def test_maps_are_merged_cut_and_made_coarser(tmp_path: Path) -> None:
     values = occupancy_values(read_grid(tmp_path / "d.yaml"))[:9]
     np.testing.assert_array_equal(values, np.rint(100 * (1 - grid().free)))
     for message, words in (
-        ("--merge-pose and --rule belong to --merge", ("--rule", "dempster")),
+        ("--merge-pose and --rule need --merge", ("--rule", "dempster")),
         ("there is no layer 'step'", ("--layer", "step")),
         ("--rule must be one of", ("--merge", tmp_path / "a.npz", "--rule", "bayes")),
         ("touches no cell of the map", ("--extent", 50, 60, 0, 1)),

@@ -89,14 +89,14 @@ def test_calibrations(path: Path) -> None:
 
 def sample(index: int, **changes: Any) -> Any:
     """Return a sample of numbers that a sine makes."""
-    from ogm.simulation.sample import OBJECT, Beams, SimulatedSample, Weather
+    from ogm.simulation.sample import OBJECT_DTYPE, Beams, SimulatedSample, Weather
     from ogm.state import Truth
     from ogm.truth import TRUTH_SPEC
 
     beams = Beams("tiny", (-0.2, 0.1), (0.0, 0.01), 0.5, 12, 10.0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.1)))
     state = np.zeros(TRUTH_SPEC.shape, np.uint8)
     state[100:200, 50:90], state[300, 300 + index : 400], state[10:20] = 1, 2, 3
-    objects = np.zeros(1, OBJECT)
+    objects = np.zeros(1, OBJECT_DTYPE)
     objects["label"], objects["x"], objects["length"], objects["track"], objects["returns"] = 1, 5.5, 4.25, 7 + index, 3
     steps = (np.arange(24).reshape(2, 12) * 97 + index).astype(np.uint16)
     heights = {"height_cm": ((state == 2) * 35).astype(np.uint8)} if changes.pop("heights", True) else {}

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.overview import FULL_MASS, Steps, halve_mass, halve_numbers, mass_to_bytes
 
 SHAPES = st.tuples(st.integers(1, 5), st.integers(1, 5))
 
@@ -19,13 +19,13 @@ def byte_masses(draw: st.DrawFn) -> np.ndarray:
     shape = draw(SHAPES)
     some = st.sampled_from([0, 1, 85, 127, 128, 254, 255]) | st.integers(0, 255)
     occupied = draw(arrays(np.uint8, shape, elements=some))
-    free = np.minimum(draw(arrays(np.uint8, shape, elements=some)), FULL - occupied)
+    free = np.minimum(draw(arrays(np.uint8, shape, elements=some)), FULL_MASS - occupied)
     return np.stack([free, occupied], axis=-1)
 
 
 def is_occupied(free: int, occupied: int) -> bool:
     """Return the rule of `ogm.state.predict_state`, in whole numbers."""
-    return occupied > FULL - free - occupied and occupied >= free
+    return occupied > FULL_MASS - free - occupied and occupied >= free
 
 
 def blocks(cells: np.ndarray) -> dict[tuple[int, int], list[tuple[int, ...]]]:
@@ -60,7 +60,7 @@ def test_a_block_is_its_most_occupied_cell_or_the_mean(cells: np.ndarray) -> Non
             assert half[at].tolist() in [list(one) for one in occupied if one[1] == max(o for _, o in occupied)]
         else:
             assert half[at].tolist() == [sum(one[k] for one in four) // 4 for k in (0, 1)]
-    assert half.astype(int).sum(axis=-1).max() <= FULL
+    assert half.astype(int).sum(axis=-1).max() <= FULL_MASS
 
 
 def test_one_occupied_cell_is_seen_from_afar() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ogm import EvidentialGrid, GridSpec, Scan
 from ogm.fusion import EvidentialMapper
 from ogm.io import PlacedGrid
-from ogm.pose import LATEST, Trajectory, check_pose, check_stamp, inverse, pose, transform_points
+from ogm.pose import MAX_STAMP, Trajectory, check_pose, check_stamp, inverse, pose, transform_points
 
 angles = st.floats(-1.5, 1.5)
 lengths = st.floats(-100, 100)
@@ -57,7 +57,7 @@ def test_what_is_not_rigid_is_refused() -> None:
 
 
 def test_stamps_are_numbers_of_seconds() -> None:
-    for stamp in (0, -3, 1.5e9, np.float32(2), np.int64(7), LATEST):
+    for stamp in (0, -3, 1.5e9, np.float32(2), np.int64(7), MAX_STAMP):
         assert type(check_stamp(stamp)) is float
         assert check_stamp(stamp) == stamp
     grid = EvidentialGrid.vacuous(GridSpec(0.5, (8, 6), (0.0, 0.0)))

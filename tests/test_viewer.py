@@ -282,7 +282,7 @@ def test_every_layer_has_the_colours_of_its_panel(shown: Page, grid: EvidentialG
         "unknown": plot.unknown_panel(grid),
         "probability": plot.probability_panel(grid),
         "state": plot.mass_panel(EvidentialGrid(SPEC, sure)),
-        "velocity": plot.velocity_panel(layers, fastest=max(float(np.abs(layers[n]).max()) for n in VELOCITY_LAYERS)),
+        "velocity": plot.velocity_panel(layers, max_speed=max(float(np.abs(layers[n]).max()) for n in VELOCITY_LAYERS)),
         "conflict": plot.conflict_panel(layers),
         "height": plot.layer_panel(layers, "height"),
     }

@@ -44,7 +44,7 @@ def check(
         if len(checks) > 1:
             out.print(drive.name, markup=False)
         for finding in drive.findings:
-            way = f"\n{'':11}-> {finding.way}" if finding.way else ""
+            way = f"\n{'':11}-> {finding.remedy}" if finding.remedy else ""
             line = f"{finding.severity:9}  {finding.kind}: {finding.text}{way}"
             out.print(line, markup=False, soft_wrap=True)
     if write is not None:

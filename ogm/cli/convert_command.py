@@ -86,7 +86,7 @@ def convert(
     if out.resolve() in (grid.resolve(), same, merge and merge.resolve()):
         raise ValueError(f"{out} would overwrite {grid}, its image or --merge; give another name")
     if (merge is None and (merge_pose, rule) != (None, None)) or (layer is None and layer_values is not None):
-        raise ValueError("--merge-pose and --rule belong to --merge, --layer-values to --layer, which is missing")
+        raise ValueError("--merge-pose and --rule need --merge, and --layer-values needs --layer: give them, too")
     placed = read_placed_grid(grid, _area(length, width, resolution), topic=topic, free_thresh=free_thresh)
     if merge is not None or extent is not None or side is not None:
         from ogm import fusion  # takes long

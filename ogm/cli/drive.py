@@ -18,7 +18,7 @@ def check_pose_options(
     if poses is not None and odometry is not None:
         raise ValueError("--poses and --odometry exclude each other; give one of them")
     if calib is not None and poses is None:
-        raise ValueError("--calib belongs to --poses, which is missing")
+        raise ValueError("--calib needs --poses: give both, or leave out --calib")
     check_first(first)
     for path in filter(None, (poses, calib)):
         if save_poses is not None and save_poses.resolve() == path.resolve():

@@ -166,7 +166,7 @@ def evaluate(
             **unused,
         )
     elif resolution is not None:
-        raise ValueError("--resolution belongs to --beams; other evaluations use cells of 0.16 m")
+        raise ValueError("--resolution needs --beams: other evaluations use cells of 0.16 m")
     if agreement:
         _check_needless("--agreement needs no truth and compares methods with each other", **unused)
     spec = GridSpec.centered()

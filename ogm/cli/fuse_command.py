@@ -205,7 +205,7 @@ def fuse(
         dataset,
         outputs,
         replace(options, match=False),
-        tell=complain,
+        warn=complain,
         progress=lambda steps: ticked(steps, "mapping", len(dataset)),
     )
     print_facts(run.facts())
@@ -221,7 +221,7 @@ def _checked_rule(rule: str | None, dynamic: bool, particles: int | None) -> str
     if dynamic and chosen not in (DYNAMIC, NUSS):
         raise ValueError(f"--dynamic needs the rule {DYNAMIC} or {NUSS}: leave out --rule {rule}")
     if particles is not None and chosen not in (DYNAMIC, NUSS):
-        raise ValueError("--particles belongs to --dynamic, which is missing")
+        raise ValueError("--particles needs --dynamic: give both, or leave out --particles")
     return chosen
 
 

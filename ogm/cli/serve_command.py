@@ -101,7 +101,7 @@ def serve(
         raise ValueError("give either SCANS to play, or --listen to receive scans of a driver")
     import_extra("foxglove", "live")  # before kernels are compiled
     if inflation_radius is None and (inscribed_radius, cost_scaling) != (0.0, 10.0):
-        raise ValueError("--inscribed-radius and --cost-scaling belong to --inflation-radius [m], which is missing")
+        raise ValueError("--inscribed-radius and --cost-scaling need --inflation-radius [m]: give it, too")
     costs = None
     if inflation_radius is not None:
         costs = partial(

@@ -272,7 +272,7 @@ function curves() {
   place.replaceChildren();
   const diagonal = [{ x: [0, 1], y: [0, 1] }];
   for (const [which, text] of [["all", "P(occupied) = occupied + unknown / 2 on known cells: the predicted against the observed share."], ["relative", "occupied / (free + occupied) on known cells: the same without the mass of unknown."]]) {
-    const series = lines(c => { const r = c.reliability?.[which]; return r && { x: r.claimed, y: r.happened, dots: 5, note: i => `${r.cells[i]} cells` }; });
+    const series = lines(c => { const r = c.reliability?.[which]; return r && { x: r.predicted, y: r.observed, dots: 5, note: i => `${r.cells[i]} cells` }; });
     tile(place, `Reliability, ${which}`, text, { x: { ...UNIT, label: "predicted P(occupied)" }, y: { ...UNIT, label: "share occupied" }, series, guides: diagonal });
   }
   const risks = lines(c => c.risk_coverage && { x: c.risk_coverage.coverage, y: c.risk_coverage.risk });
@@ -292,7 +292,7 @@ function curves() {
   for (const m of shownMethods()) {
     const c = D.curves[m.k].intervals;
     if (!c) continue;
-    const seen = c.happened.map((v, i) => v === null || !c.cells[i] ? null : v);
+    const seen = c.observed.map((v, i) => v === null || !c.cells[i] ? null : v);
     tile(spans, m.name, "", { x: { ...UNIT, label: "mean Bel(occupied)" }, y: { ...UNIT, label: "share occupied" }, height: 200, guides: diagonal,
       series: [{ m, x: c.belief, y: seen, line: false, dots: 7, note: i => `belief ${format(c.belief[i])}, plausibility ${format(c.plausibility[i])}, ${c.cells[i]} cells` }],
       bars: c.belief.flatMap((v, i) => v === null || seen[i] === null ? [] : [{ m, x: v, low: v, high: c.plausibility[i] }]) });

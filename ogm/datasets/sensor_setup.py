@@ -217,13 +217,13 @@ def merged(setups: Sequence[SensorSetup], **given: Any) -> tuple[SensorSetup, ..
 
 def _parsed(entry: Mapping[str, Any]) -> SensorSetup:
     if unknown := [key for key in entry if key not in _KEYS]:
-        raise ValueError(f"got an unknown key {unknown[0]!r}")
+        raise ValueError(f"unknown key {unknown[0]!r}, wanted {', '.join(_KEYS)}")
     low, high = entry.get("range") or (0.0, math.inf)
     place: Mapping[str, Any] | None = entry.get("mount")
     mount = None
     if place is not None:
         if unknown := [key for key in place if key not in _MOUNT]:
-            raise ValueError(f"mount has an unknown key {unknown[0]!r}, wanted {', '.join(_MOUNT)}")
+            raise ValueError(f"unknown key {unknown[0]!r} of mount, wanted {', '.join(_MOUNT)}")
         numbers = [float(place.get(key, 0.0)) for key in _MOUNT]
         mount = (*numbers[:3], *map(math.radians, numbers[3:]))
     height, box, scale = entry.get("height"), entry.get("footprint"), entry.get("depth_scale")

@@ -3,8 +3,8 @@
 The augmentation of a frame depends only on the seed, the epoch and the frame's number. A resumed training, or a
 training on more processes, therefore gets the same data.
 
->>> from ogm.deep.data import PLAIN, Augmentation
->>> PLAIN.turn, Augmentation().turn, Augmentation(sector=0.25).sector       # shares of frames
+>>> from ogm.deep.data import NO_AUGMENTATION, Augmentation
+>>> NO_AUGMENTATION.turn, Augmentation().turn, Augmentation(sector=0.25).sector       # shares of frames
 (0, 0.5, 0.25)
 """
 
@@ -25,7 +25,7 @@ from ogm.jit import kernel
 from ogm.scan import Frame, Scan
 from ogm.state import CellState
 
-__all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "PillarDataset", "augment", "training_ranges"]
+__all__ = ["NO_AUGMENTATION", "ROTATION", "Augmentation", "Batch", "PillarDataset", "augment", "training_ranges"]
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Augmentation:
 
 
 ROTATION = Augmentation(1, 0, 0, 0, 0, 0, 0, 0, 0, 0)  # van Kempen et al. 2021: only rotation
-PLAIN = Augmentation(0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+NO_AUGMENTATION = Augmentation(0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 class Batch(NamedTuple):
@@ -130,7 +130,7 @@ class PillarDataset(Dataset[Any]):
 
     frames: Sequence[Frame]
     spec: GridSpec
-    augmentation: Augmentation = PLAIN
+    augmentation: Augmentation = NO_AUGMENTATION
     z_range: tuple[float, float] = (-3.0, 8.0)
     seed: int = 0
     most_pillars: int = 0
@@ -185,7 +185,7 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
         chosen = np.flatnonzero(np.isin(shards, every[np.linspace(0, len(every) - 1, several).astype(int)]))[:count]
     for i in np.unique(chosen).tolist():
         frame = dataset.frames[i]
-        batch = PillarDataset([frame], dataset.spec, PLAIN, dataset.z_range)[0]
+        batch = PillarDataset([frame], dataset.spec, NO_AUGMENTATION, dataset.z_range)[0]
         intensity = batch.pillars.features[:, 3]
         mean = float(intensity.mean()) if len(intensity) else 0.0
         rows.append((frame.mount.sensor_height, len(frame.scan), mean, shows_ground(frame.scan, frame.mount)))

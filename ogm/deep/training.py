@@ -20,7 +20,7 @@ from typing import Any
 
 import torch
 
-from ogm.deep.data import PLAIN, PillarDataset, training_ranges
+from ogm.deep.data import NO_AUGMENTATION, PillarDataset, training_ranges
 from ogm.deep.network import PillarNetwork
 from ogm.deep.recipe import LOSSES, Recipe
 from ogm.extras import install_line
@@ -103,7 +103,7 @@ def train(
     _check_recipe(validation, recipe, out, resume)
     network, limits = recipe.network, (recipe.most_pillars, recipe.most_points)
     frames = PillarDataset(training, spec, recipe.augmentation, network.z_range, recipe.seed, *limits, network.rays)
-    fixed = replace(frames, frames=validation, augmentation=PLAIN)
+    fixed = replace(frames, frames=validation, augmentation=NO_AUGMENTATION)
     fabric = _launch(accelerator, devices, nodes, precision)
     known = {"seen": training_ranges(frames), **(facts or {})}
     draw = partial(draw_predictions, dataset=fixed, device=fabric.device)

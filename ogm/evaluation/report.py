@@ -93,7 +93,7 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
     """Return all results of an evaluation, ready for JSON: NaN becomes None."""
     spec = result.spec
     record = {
-        "format": "ogm.evaluation/5",
+        "format": "ogm.evaluation/6",
         "versions": package_versions(),
         "machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "grid": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},

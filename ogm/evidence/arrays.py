@@ -304,7 +304,7 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
 def renormalize(mass: Array) -> Array:
     """Set negative numbers to 0, and divide masses with a sum above 1 by the sum.
 
-    For external data with rounding or resampling errors. No function of this package repairs data implicitly.
+    Use it for external data with rounding or resampling errors. No function of this package repairs data implicitly.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from ogm.evidence.probability import mass_to_probability, plausibility_transform
 def conflict(a: Array, b: Array) -> Array:
     """Return the conflict of two sources, free_a occupied_b + occupied_a free_b, in [0, 1].
 
-    The mass of the empty set before normalisation (Shafer, 1976).
+    It is the mass of the empty set before normalisation (Shafer, 1976).
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def vacuity(mass: Array) -> Array:
 def dissonance(mass: Array) -> Array:
     """Return the uncertainty from contradicting evidence, 2 min(free, occupied), in [0, 1].
 
-    The binary case of sum_i b_i Bal_i with Bal = 1 - |b_i - b_j| / (b_i + b_j) (Jøsang, Cho and Chen, 2018).
+    This is the binary case of sum_i b_i Bal_i with Bal = 1 - |b_i - b_j| / (b_i + b_j) (Jøsang, Cho and Chen, 2018).
     """
     free, occupied, _ = split(mass)
     return per_cell(2 * namespace(mass).minimum(free, occupied), mass)

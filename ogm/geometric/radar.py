@@ -128,8 +128,8 @@ class RadarISM:
     def trace(self, scan: Scan | NDArray[np.float32]) -> SectorTrace:
         """Map one scan, and keep the causes of unknown cells; see `ogm.geometric.causes`.
 
-        The cause is no echo up to `margin` before the first detection in a direction, or everywhere without detection.
-        Beyond, it is an obstacle, or clearance if the first detection is above clearance.
+        In a direction without detection, the cause is no echo. In other directions it is no echo up to `margin` before
+        the first detection. Behind that it is an obstacle, or clearance if the detection lies above the clearance.
         """
         grid, mount, first, above = self._map(as_scan(scan))
         polar = polar_grid(self.spec, (float(mount.origin[0]), float(mount.origin[1])), mount.ego_footprint, SECTOR)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import numbers, read_lines, rigid
-from ogm.pose import LATEST, check_pose, inverse
+from ogm.pose import MAX_STAMP, check_pose, inverse
 from ogm.scan import Boxes
 from ogm.storage.files import FilePath, OgmError
 
@@ -178,7 +178,7 @@ def read_kitti_stamps(path: FilePath) -> NDArray[np.float64]:
                 raise ValueError("a time zone")
             else:
                 stamp = np.datetime64("T".join(words), "ns").astype(np.int64) * 1e-9
-            if not abs(stamp) <= LATEST:
+            if not abs(stamp) <= MAX_STAMP:
                 raise ValueError("not finite, or not in seconds")
         except ValueError as error:
             wanted = "a time without a zone, such as 2011-09-26 13:02:25.964389445, or seconds"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.io.g2o import read_g2o
 from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lines
-from ogm.pose import LATEST, Trajectory, check_pose, inverse, matrix_to_quaternion
+from ogm.pose import MAX_STAMP, Trajectory, check_pose, inverse, matrix_to_quaternion
 from ogm.storage.files import FilePath, OgmError, atomic_write, update_hint
 
 log: logging.Logger = logging.getLogger(__name__)
@@ -272,7 +272,7 @@ def _frame_numbers(where: _Where, column: NDArray[np.float64]) -> NDArray[np.int
 
 def _stamps(where: _Where, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
     k = int(np.argmax(np.abs(stamps)))
-    if np.abs(stamps[k]) > LATEST:
+    if np.abs(stamps[k]) > MAX_STAMP:
         raise OgmError(f"stamps must be seconds, got {stamps[k]:g} in {where(k)}: divide nanoseconds by 1e9")
     _check_increasing(where, stamps, "stamps")
     return stamps

@@ -75,7 +75,7 @@ class RadarScenes(NamedTuple):
             raise OgmError(f"{where} has detections of another sensor, wanted only {sweep.sensor}")
         distance, azimuth = rows["range_sc"].astype(np.float64), rows["azimuth_sc"].astype(np.float64)
         if (distance < 0).any():
-            raise OgmError(f"{where} has ranges below 0, down to {distance.min():.3g} m")
+            raise OgmError(f"{where} must have ranges of 0 m or more, got {distance.min():.3g} m: restore the file")
         with np.errstate(invalid="ignore", over="ignore"):
             x, y = distance * np.cos(azimuth), distance * np.sin(azimuth)
         columns = {"x": x, "y": y, "z": np.zeros(len(x)), "doppler": rows["vr"], "rcs": rows["rcs"]}
@@ -163,9 +163,9 @@ def _vehicle(path: Path, stamps: NDArray[np.float64]) -> tuple[NDArray[np.float6
     time = table["timestamp"].astype(np.float64)
     values = [table[name].astype(np.float64) for name in ("x_seq", "y_seq", "yaw_seq")]
     if not len(table) or not (np.diff(time) > 0).all():
-        raise OgmError(f"the odometry of {path} must have increasing timestamps, got {len(table)} rows")
+        raise OgmError(f"the odometry of {path} must have rows with increasing timestamps: restore the file")
     if not np.isfinite(values).all() or np.abs(values).max() > 1e9:
-        raise OgmError(f"the odometry of {path} must be finite, in metres and radians")
+        raise OgmError(f"the odometry of {path} must be finite and below 1e9 m: restore the file")
     x, y, yaw = values[0], values[1], np.unwrap(values[2])
     return tuple(np.interp(stamps, time, values, left=math.nan, right=math.nan) for values in (x, y, yaw))
 

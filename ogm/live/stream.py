@@ -37,7 +37,7 @@ from ogm.storage.files import OgmError, error_context
 MAGIC = b"OGM1"
 HEADER = struct.Struct("<4sI13d")
 MAX_POINTS = 2**22
-LATEST = 2**31  # [s] limit of stamps in ROS and Foxglove
+MAX_STAMP = 2**31  # [s] limit of stamps in ROS and Foxglove
 POLL = 0.1  # [s] between checks of `stop`
 MAX_SILENT = 16  # open connections without a header; with more, the oldest is closed
 _COLUMNS = ("x", "y", "z", "intensity")
@@ -53,7 +53,7 @@ def frame_bytes(scan: Scan, T_map_sensor: ArrayLike) -> bytes:  # noqa: N803
     ValueError
         If the scan has too many points or no valid stamp, or the pose is not rigid.
     """
-    if scan.stamp is None or not 0 <= scan.stamp < LATEST or len(scan) > MAX_POINTS:
+    if scan.stamp is None or not 0 <= scan.stamp < MAX_STAMP or len(scan) > MAX_POINTS:
         raise ValueError(f"a message needs a stamp from 0 to 2**31 s and at most {MAX_POINTS} points, got {scan!r}")
     rows = check_pose(T_map_sensor, "T_map_sensor")[:3].ravel()
     return HEADER.pack(MAGIC, len(scan), scan.stamp, *rows) + scan.points.astype("<f4").tobytes()
@@ -185,7 +185,7 @@ class _Connection:
             raise OgmError(f"a message must begin with {MAGIC!r}, got {magic!r}: see ogm.live.stream for the format")
         if count > MAX_POINTS:
             raise OgmError(f"a message must have at most {MAX_POINTS} points, got {count}")
-        if not (0 <= numbers[0] < LATEST and all(map(math.isfinite, numbers))):
+        if not (0 <= numbers[0] < MAX_STAMP and all(map(math.isfinite, numbers))):
             raise OgmError(f"a message must have a finite pose and a stamp from 0 to 2**31 s, got {numbers[0]} s")
         self.sends = True
         self._points = np.empty(4 * count, "<f4")

@@ -15,8 +15,8 @@ from ogm.metrics.counts import BINS, ConfusionSums
 
 def interval_violation(counts: ConfusionSums) -> float:
     """Return the mean distance of shares of occupied cells outside [Bel, Pl], over bins of known cells."""
-    cells, belief, plausibility, happened = counts.intervals.T  # sums over the cells of a bin
-    outside = np.maximum(np.maximum(belief - happened, happened - plausibility), 0.0)
+    cells, belief, plausibility, observed = counts.intervals.T  # sums over the cells of a bin
+    outside = np.maximum(np.maximum(belief - observed, observed - plausibility), 0.0)
     return float(outside.sum() / cells.sum()) if cells.any() else float("nan")
 
 

@@ -20,15 +20,15 @@ class Reliability(NamedTuple):
 
     Attributes
     ----------
-    claimed : (bins,)
+    predicted : (bins,)
         Mean P(occupied).
-    happened : (bins,)
+    observed : (bins,)
         Share of occupied cells.
     cells : (bins,)
     """
 
-    claimed: NDArray[np.float64]
-    happened: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+    observed: NDArray[np.float64]
     cells: NDArray[np.float64]
 
 
@@ -39,14 +39,14 @@ class Intervals(NamedTuple):
     ----------
     belief, plausibility : (bins,)
         Means of Bel(occupied) = m(occupied) and Pl(occupied) = 1 - m(free).
-    happened : (bins,)
+    observed : (bins,)
         Share of occupied cells; the grid is consistent if it lies between belief and plausibility.
     cells : (bins,)
     """
 
     belief: NDArray[np.float64]
     plausibility: NDArray[np.float64]
-    happened: NDArray[np.float64]
+    observed: NDArray[np.float64]
     cells: NDArray[np.float64]
 
 
@@ -117,14 +117,14 @@ def reliability(counts: ConfusionSums, which: Literal["all", "predicted_known", 
     if which not in WHICH:
         raise ValueError(f"which must be one of {', '.join(WHICH)}, got {which!r}")
     bins = counts.reliability[WHICH.index(which)]
-    cells, claimed, happened = bins[bins[:, 0] > 0].T
-    return Reliability(claimed / cells, happened / cells, cells)
+    cells, predicted, observed = bins[bins[:, 0] > 0].T
+    return Reliability(predicted / cells, observed / cells, cells)
 
 
 def intervals(counts: ConfusionSums) -> Intervals:
     """Return the share of occupied cells among known cells, by bins of Bel(occupied). See `Intervals`."""
-    cells, belief, plausibility, happened = counts.intervals[counts.intervals[:, 0] > 0].T
-    return Intervals(belief / cells, plausibility / cells, happened / cells, cells)
+    cells, belief, plausibility, observed = counts.intervals[counts.intervals[:, 0] > 0].T
+    return Intervals(belief / cells, plausibility / cells, observed / cells, cells)
 
 
 def risk_coverage(counts: ConfusionSums) -> RiskCoverage:

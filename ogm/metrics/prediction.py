@@ -121,11 +121,11 @@ def accumulate_prediction(
     probability = (predicted.occupied.astype(np.float64) + 1.0 - predicted.free) / 2
     touched = moving if moving_now is None else moving | moving_now
     for row, cells in enumerate((truth.known, truth.known & touched)):
-        p, happened = probability[cells], truth.state[cells] == CellState.OCCUPIED
+        p, observed = probability[cells], truth.state[cells] == CellState.OCCUPIED
         level = np.clip((p * BINS).astype(np.intp), 0, BINS - 1)
-        columns = (None, p, happened.astype(np.float64))
+        columns = (None, p, observed.astype(np.float64))
         sums.reliability[row] = np.stack([np.bincount(level, column, BINS) for column in columns], axis=-1)
-        sums.squared_error[row] = ((p - happened) ** 2).sum()
+        sums.squared_error[row] = ((p - observed) ** 2).sum()
     return sums
 
 
@@ -135,9 +135,9 @@ def score_prediction(sums: PredictionSums) -> dict[str, float]:
     at = LEVELS - 1 - int(np.floor(MASS * (LEVELS - 1))) - 1  # the lowest level above the threshold
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
     valid, there = precision >= PRECISION, bool(sums.found_hist.any())
-    cells, claimed, happened = np.moveaxis(sums.reliability, -1, 0)  # (2, 15) each
+    cells, predicted, observed = np.moveaxis(sums.reliability, -1, 0)  # (2, 15) each
     total = cells.sum(axis=-1)
-    brier, ece = parts(sums.squared_error, total), parts(np.abs(claimed - happened).sum(axis=-1), total)
+    brier, ece = parts(sums.squared_error, total), parts(np.abs(predicted - observed).sum(axis=-1), total)
     values = {
         "recall": recall[at] if there else np.nan,
         "precision": precision[at],

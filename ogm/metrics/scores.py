@@ -131,8 +131,8 @@ def score(counts: ConfusionSums) -> dict[str, float]:
         The threshold of free_recall is chosen on the evaluated cells: with fewer than 1000 occupied cells, at most
         0.1 % means no cell. The pooled (micro) value has one threshold for all frames.
     Second order
-        The expected Brier score is (P - occupied)**2 + P (1 - P) / (S + 1) with S the Dirichlet strength. It is least
-        at infinite evidence and no proper score of it (Bengs et al. 2023), hence not in the headline.
+        The expected Brier score is (P - occupied)**2 + P (1 - P) / (S + 1) with S the Dirichlet strength. It is
+        least at infinite evidence, so it is not a proper score of evidence (Bengs et al. 2023) and not in the headline.
     MapScore
         Martin and Moravec (1996): sum over cells of 1 + log2(P_a P_b + (1 - P_a)(1 - P_b)); here with the truth
         as b, 0 or 1 on known cells (others add 0), and P(true state) of at least 1e-5. It is 1 - nll / ln 2.
@@ -234,8 +234,8 @@ def _without_low(counts: ConfusionSums) -> dict[str, float]:
 
 
 def _calibration_error(bins: NDArray[Any]) -> float:
-    count, claimed, happened = bins.T
-    return float(parts(np.abs(claimed - happened).sum(), count.sum()))
+    count, predicted, observed = bins.T
+    return float(parts(np.abs(predicted - observed).sum(), count.sum()))
 
 
 def distances(spec: GridSpec) -> NDArray[np.float32]:

@@ -18,7 +18,7 @@ from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colours import colours
 from ogm.plot.moving import moving_groups
-from ogm.plot.overview import FULL, Steps, halve_codes, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.overview import FULL_MASS, Steps, halve_codes, halve_mass, halve_numbers, mass_to_bytes
 from ogm.plot.panels import CAUSE_LAYER, CONFLICT_LAYERS, VELOCITY_LAYERS
 from ogm.plot.view_layers import CAUSE_STEPS
 from ogm.scan import Scan
@@ -45,7 +45,7 @@ def html(value: object) -> str:
 def _grid_png(grid: EvidentialGrid) -> bytes:
     """Return a picture of belief, in the colours of `ogm.plot.colours`."""
     mass, spec = _shrunk(grid.spec, lambda rows: mass_to_bytes(grid.mass[rows]), halve_mass)
-    shares = np.divide(mass, FULL, dtype=np.float32)
+    shares = np.divide(mass, FULL_MASS, dtype=np.float32)
     return _png([plot.mass_panel(EvidentialGrid.trusted(spec, shares))])
 
 

@@ -21,9 +21,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FULL", "Steps", "halve_codes", "halve_mass", "halve_numbers", "mass_to_bytes"]
+__all__ = ["FULL_MASS", "Steps", "halve_codes", "halve_mass", "halve_numbers", "mass_to_bytes"]
 
-FULL = 255  # the byte of a mass of 1
+FULL_MASS = 255  # the byte of a mass of 1
 
 
 def mass_to_bytes(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -39,9 +39,9 @@ def mass_to_bytes(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
     (..., 2) uint8
         Their sum is at most 255.
     """
-    steps: NDArray[np.uint8] = np.rint(mass * np.float32(FULL)).astype(np.uint8)
+    steps: NDArray[np.uint8] = np.rint(mass * np.float32(FULL_MASS)).astype(np.uint8)
     free, occupied = steps[..., 0], steps[..., 1]
-    np.minimum(free, FULL - occupied, out=free)  # both of (0.5, 0.5) are rounded up
+    np.minimum(free, FULL_MASS - occupied, out=free)  # both of (0.5, 0.5) are rounded up
     return steps
 
 
@@ -64,7 +64,7 @@ def halve_mass(mass: NDArray[np.uint8]) -> NDArray[np.uint8]:
     for cell in cells:
         total += cell
         free, occupied = cell[..., 0], cell[..., 1]
-        rest = FULL - occupied  # free and unknown, without overflow of bytes
+        rest = FULL_MASS - occupied  # free and unknown, without overflow of bytes
         better = (occupied >= free) & (occupied > rest - free) & (occupied > greatest[..., 1])
         np.copyto(greatest, cell, where=better[..., None])
     mean = (total >> 2).astype(np.uint8)

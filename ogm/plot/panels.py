@@ -18,7 +18,7 @@ NO_VALUE = NO_CONFLICT = (0.16, 0.17, 0.19)  # not black, which is unknown
 
 
 class Panel(NamedTuple):
-    """One picture from above.
+    """Picture of a grid or point cloud, seen from above.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ def cause_colours(codes: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.array([CAUSE_COLOURS[cause] for cause in UnknownCause], np.float32)[codes]
 
 
-def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None = None) -> Panel:
+def velocity_panel(layers: LayeredGrid, title: str = "", max_speed: float | None = None) -> Panel:
     """Draw velocities: direction by colour, speed by brightness; black without motion or velocity.
 
     Parameters
@@ -153,16 +153,16 @@ def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None =
     layers : LayeredGrid
         Layers ``velocity_x`` (forward) and ``velocity_y`` (left) [m/s].
     title : str
-    fastest : float, optional
+    max_speed : float, optional
         Speed of full brightness [m/s]; by default the greatest speed.
     """
     x, y = (np.nan_to_num(layers[name]) for name in VELOCITY_LAYERS)
     speed = np.hypot(x, y)
-    fastest = float(speed.max()) if fastest is None else fastest
-    brightness = np.sqrt(np.clip(speed / (fastest or 1.0), 0, 1))
+    max_speed = float(speed.max()) if max_speed is None else max_speed
+    brightness = np.sqrt(np.clip(speed / (max_speed or 1.0), 0, 1))
     colours = heading_colours(np.arctan2(y, x)) * brightness[..., None]
     return cells_panel(
-        colours, layers.spec, title or f"velocity, up to {fastest:.3g} m/s", heading_legend() | {"none": BLACK}
+        colours, layers.spec, title or f"velocity, up to {max_speed:.3g} m/s", heading_legend() | {"none": BLACK}
     )
 
 

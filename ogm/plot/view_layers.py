@@ -12,7 +12,7 @@ from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colours import CAUSE_COLOURS, colours
 from ogm.plot.moving import moving_arrows
-from ogm.plot.overview import FULL, Steps
+from ogm.plot.overview import FULL_MASS, Steps
 from ogm.plot.panels import CAUSE_LAYER, CONFLICT_LAYERS, NO_CONFLICT, NO_VALUE, VELOCITY_LAYERS, colour_bytes
 from ogm.unknown_cause import UnknownCause
 
@@ -30,11 +30,11 @@ def mass_layers(stored: int) -> list[Layer]:
     stored : int
         Index of its masses in the stored numbers of the page.
     """
-    mass = np.arange(FULL + 1) / FULL
+    mass = np.arange(FULL_MASS + 1) / FULL_MASS
     none = np.zeros_like(mass)
     free, occupied = plot.mass_panel(_masses(mass, none)), plot.mass_panel(_masses(none, mass))
     unknown = plot.unknown_panel(_masses(1 - mass, none))
-    probability = np.arange(2 * FULL + 1) / (2 * FULL)  # occupied + unknown / 2: half steps
+    probability = np.arange(2 * FULL_MASS + 1) / (2 * FULL_MASS)  # occupied + unknown / 2: half steps
     grey = plot.probability_panel(_masses(1 - probability, probability))
     state = plot.mass_panel(_masses(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])))  # in the order of CellState
     both, scale = [[stored, 0], [stored, 1]], ["0", "0.5", "1"]
@@ -67,7 +67,7 @@ def conflict_layer(stored: Sequence[tuple[int, Steps]]) -> Layer:
     """Return the layer of both kinds of conflict, by the index and the steps of each."""
     panels = []
     for name, (_, steps) in zip(CONFLICT_LAYERS, stored, strict=True):
-        numbers = {other: np.zeros(FULL + 1) for other in CONFLICT_LAYERS}
+        numbers = {other: np.zeros(FULL_MASS + 1) for other in CONFLICT_LAYERS}
         panels.append(plot.conflict_panel(_cells(numbers | {name: np.nan_to_num(steps.numbers)})))
     grey = colour_bytes(np.array(NO_CONFLICT) / 2)  # the page adds both colours
     panels = [panel._replace(image=np.maximum(panel.image, grey) - grey) for panel in panels]
@@ -86,7 +86,7 @@ def motion_layer(masses: int, dynamic: int, velocity: int, grid: DynamicGrid) ->
         Grid for the arrows.
     """
     legend = plot.dynamic_panel(grid, seconds=0.0).legend
-    mass = np.arange(FULL + 1) / FULL
+    mass = np.arange(FULL_MASS + 1) / FULL_MASS
     free, static = (plot.mass_panel(_masses(*parts)) for parts in ((mass, 0 * mass), (0 * mass, mass)))
     text = f"mixed by the masses of the cell; {_AXES}; an arrow shows the motion of a group in 1 s"
     of = [[masses, 0], [masses, 1], [dynamic, 0], [velocity, 0], [velocity, 1]]

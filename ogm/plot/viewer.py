@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, LayeredGrid
-from ogm.plot.overview import FULL, Steps, halve_codes, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.overview import FULL_MASS, Steps, halve_codes, halve_mass, halve_numbers, mass_to_bytes
 from ogm.plot.panels import CAUSE_LAYER, CONFLICT_LAYERS, VELOCITY_LAYERS, upright
 from ogm.plot.view_layers import (
     CAUSE_STEPS,
@@ -44,10 +44,10 @@ from ogm.pose import check_pose
 from ogm.storage.files import atomic_write
 from ogm.unknown_cause import UnknownCause
 
-__all__ = ["ROUGHEST", "TILE", "page_of_tiles", "write_view"]
+__all__ = ["COARSEST_SIDE", "TILE", "page_of_tiles", "write_view"]
 
 TILE = 512  # [cells] along a side; even, so that blocks of 2 x 2 cells lie within a tile
-ROUGHEST = 64  # [cells] along the longer side of the last level, whose cells are wider than a pixel on any screen
+COARSEST_SIDE = 64  # [cells] along the longer side of the last level, whose cells are wider than a pixel on any screen
 MAX_TRACK = 2000  # positions of a path
 _TILES = "<!-- tiles -->"  # position of the tiles in the page
 
@@ -115,7 +115,7 @@ def write_view(
     else:
         grid.check()
         masses = grid.to_evidential() if isinstance(grid, DynamicGrid) else grid
-        stored.append(_Stored(("free", "occupied"), partial(_mass_rows, masses), halve_mass, 0, 0.0, 1 / FULL))
+        stored.append(_Stored(("free", "occupied"), partial(_mass_rows, masses), halve_mass, 0, 0.0, 1 / FULL_MASS))
         shown += mass_layers(0)
     if isinstance(grid, DynamicGrid):
         layers = _moving_layers(grid, layers)
@@ -125,11 +125,11 @@ def write_view(
         index = {name: k for k, numbers in enumerate(stored) for name in numbers.names}
         shown.insert(0, motion_layer(0, index["dynamic"], index["velocity_x"], grid))
     if not shown:
-        raise ValueError("there is nothing to show: the grid has no layers")
+        raise ValueError("the grid has no layers to show, wanted at least one")
     title = "; ".join([title or "grid", *(grid.meta.values() if isinstance(grid, EvidentialGrid) else ())])
     facts = {"title": title, "made": f"{datetime.now():%Y-%m-%d %H:%M}", "tile": TILE, "layers": shown}
     spec = grid.spec
-    facts |= {"roughest": ROUGHEST, "resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin}
+    facts |= {"roughest": COARSEST_SIDE, "resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin}
     if T_grid_vehicle is not None:
         T = check_pose(T_grid_vehicle, "T_grid_vehicle")
         facts["vehicle"] = [float(T[0, 3]), float(T[1, 3]), math.atan2(T[1, 0], T[0, 0])]
@@ -186,7 +186,7 @@ def page_of_tiles(**facts: Any) -> bytes:
     **facts
         ``title, tile, layers, resolution, shape, origin, stored``, see `write_view`.
     """
-    facts |= {"made": f"{datetime.now():%Y-%m-%d %H:%M}", "roughest": ROUGHEST}
+    facts |= {"made": f"{datetime.now():%Y-%m-%d %H:%M}", "roughest": COARSEST_SIDE}
     parts = _parts()
     streamed = Markup((resources.files("ogm") / "data" / "view_streamed.js").read_text("utf-8"))  # noqa: S704
     return b"".join(render(facts, streamed) for render in parts)
@@ -223,7 +223,7 @@ def _write_page(file: IO[bytes], facts: dict[str, Any], stored: Sequence[_Stored
                 if packed:
                     file.write(b'<script type="text/plain" id="%d/%d/%d/%d">' % (number, level, row, column))
                     file.write(packed + b"</script>\n")
-        facts["stored"][number]["means"] = list(totals / (np.prod(facts["shape"]) * FULL))
+        facts["stored"][number]["means"] = list(totals / (np.prod(facts["shape"]) * FULL_MASS))
     file.write(tail(facts))
 
 
@@ -235,7 +235,7 @@ def _strips(stored: _Stored, shape: tuple[int, int]) -> Iterator[tuple[int, int,
         for row, strip in enumerate(strips):
             yield level, row, [strip[:, start : start + TILE] for start in range(0, strip.shape[1], TILE)]
             smaller.append(stored.halve(strip))
-        if size <= ROUGHEST:
+        if size <= COARSEST_SIDE:
             return
         cells, level, size = np.concatenate(smaller), level + 1, -(-size // 2)
         strips = (cells[start : start + TILE] for start in range(0, len(cells), TILE))

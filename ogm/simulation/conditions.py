@@ -40,7 +40,7 @@ class Conditions(NamedTuple):
     dust: Floats
 
     @property
-    def seeing(self) -> Mask:
+    def active(self) -> Mask:
         """Beams that are measured and not blocked."""
         return self.measured & ~self.hidden
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.plan import PERIOD
 from ogm.simulation.radars import RADARS
-from ogm.simulation.sample import DETECTION, OBJECT, Beams
+from ogm.simulation.sample import DETECTION, OBJECT_DTYPE, Beams
 from ogm.truth import TRUTH_SPEC
 
 SHARD = 10  # samples per shard: a shard becomes complete as a whole
@@ -109,7 +109,7 @@ class Contents:
             "intensities": ((rays,), "uint8"),
             "truth": (TRUTH_SPEC.shape, "uint8"),
             "heights": (TRUTH_SPEC.shape, "uint8"),
-            "objects": ((OBJECTS, len(OBJECT.names or ())), "float32"),
+            "objects": ((OBJECTS, len(OBJECT_DTYPE.names or ())), "float32"),
             **(of_radars if self.radars else {}),
             "checksums": ((len(self.checked),), "uint32"),
             "facts": ((len(self.facts),), "float64"),

@@ -26,12 +26,12 @@ from ogm.simulation.conditions import draw_weather
 from ogm.simulation.mesh import Array, Ints
 from ogm.simulation.plan import DatasetPlan, moment, sample_rng
 from ogm.simulation.robot_sensors import sensor_spec
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.sample import LABELS, OBJECT_DTYPE, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.sensors import beams_of, hd_directions
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, swept, workers_that_fit
 from ogm.state import Truth
-from ogm.storage.files import FilePath, naming
+from ogm.storage.files import FilePath, errors_with_path
 from ogm.storage.locks import locked
 from ogm.truth import TRUTH_SPEC, cells_in_boxes
 from ogm.truth.boxes import boxes_seen_from
@@ -39,7 +39,7 @@ from ogm.truth.boxes import boxes_seen_from
 try:
     from ogm.simulation.cells import measure_ground
     from ogm.simulation.kernels import View, make_view
-    from ogm.simulation.lidar import air_of, scan
+    from ogm.simulation.lidar import air_optics, scan
     from ogm.simulation.moments import SceneSetup, World, sample_sweeps, set_up, the_ego_body
     from ogm.simulation.survey import Known, Limits, aimed_truth, hd_truth
 except ImportError as error:
@@ -98,7 +98,7 @@ def simulate(
     if folder.is_file():
         raise ValueError(f"{folder} is a file; give a new or empty folder")
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder), naming(folder), swept(folder, alone=scheduler is None):
+    with locked(folder), errors_with_path(folder), swept(folder, alone=scheduler is None):
         if not resume and Store.exists(folder):
             raise ValueError(f"{folder} already holds a dataset; continue it with resume, or give a new folder")
         store = begin(folder, plan, beams, versions())
@@ -130,10 +130,10 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     speed, turn = here.state.ego_velocity, here.state.ego_yaw_rate
     if not (rng.random() < plan.in_motion if chosen is None else chosen.in_motion):
         speed, turn = np.zeros(3), 0.0
-    coats = [(at.traffic << 20) + thing.track for thing in here.objects]
+    paints = [(at.traffic << 20) + thing.track for thing in here.objects]
     place = (here.world.scene, here.spec, here.T_world_sensor)
-    gaps: Any = {} if chosen is None else {"seeing": chosen.seeing, "dust": chosen.dust}
-    image = scan(*place, rng, velocity=speed, yaw_rate=turn, weather=weather, coats=coats, **gaps)
+    gaps: Any = {} if chosen is None else {"active": chosen.active, "dust": chosen.dust}
+    image = scan(*place, rng, velocity=speed, yaw_rate=turn, weather=weather, paints=paints, **gaps)
     returns = np.bincount(image.object[(image.object >= 0) & (image.range > 0)], minlength=len(here.objects))
     steps = np.round(image.range / np.float32(RANGE_STEP)).astype(np.uint16)
     intensities = np.round(image.intensity * 255).astype(np.uint8)
@@ -187,7 +187,7 @@ def _view(here: SceneSetup) -> View | None:
         return make_view(ways, np.ones(ways.shape[:2], np.bool_), reach, 0.0, np.zeros((0, 5)))
     if chosen is None:
         return None
-    return make_view(spec.directions(), chosen.seeing, reach, air_of(chosen.weather).extinction, chosen.dust)
+    return make_view(spec.directions(), chosen.active, reach, air_optics(chosen.weather).extinction, chosen.dust)
 
 
 def _boxes(here: SceneSetup) -> Boxes:
@@ -197,8 +197,8 @@ def _boxes(here: SceneSetup) -> Boxes:
 
 
 def _listed(here: SceneSetup, returns: Ints) -> Array:
-    """Return rows of `OBJECT` for the objects within `LISTED`, nearest first."""
-    rows = np.zeros(len(here.objects), OBJECT)
+    """Return rows of `OBJECT_DTYPE` for the objects within `LISTED`, nearest first."""
+    rows = np.zeros(len(here.objects), OBJECT_DTYPE)
     T, boxes = inverse(here.T_world_sensor), _boxes(here)
     rows["x"], rows["y"], rows["z"] = boxes.center.T
     rows["length"], rows["width"], rows["yaw"] = boxes.size[:, 0], boxes.size[:, 1], boxes.yaw

@@ -25,7 +25,7 @@ SMEARED = 0.15  # share of such returns that are merged
 SPECKLE = 0.18  # standard deviation of the logarithm of a return's strength
 LOST = 0.015  # share of returns, except those from ground, that are lost at random
 WAVER = 0.3  # standard deviation of the detection threshold, relative to it
-FOLIAGE, NOTHING = int(Material.FOLIAGE), 255
+FOLIAGE, NO_MATERIAL = int(Material.FOLIAGE), 255
 
 
 class Device(NamedTuple):
@@ -111,7 +111,7 @@ def _patch(x: float, y: float, z: float, size: float) -> int:
 
 
 @kernel
-def reflect(directions: Array, T: Array, hits: Hits, optics: Array, coats: Array, strength: Array) -> None:
+def reflect(directions: Array, T: Array, hits: Hits, optics: Array, paints: Array, strength: Array) -> None:
     """Fill in the undisturbed strength of each ray's return.
 
     Parameters
@@ -123,7 +123,7 @@ def reflect(directions: Array, T: Array, hits: Hits, optics: Array, coats: Array
     hits : Hits
     optics : (materials, 5) float32
         See `ogm.simulation.materials.table`.
-    coats : (K,) int64
+    paints : (K,) int64
         Seed of each moving object, which determines the brightness of its materials.
     strength : (N,) float32
         Output [percent]; 0 without a hit.
@@ -145,7 +145,7 @@ def reflect(directions: Array, T: Array, hits: Hits, optics: Array, coats: Array
             patch += 0.7 * _normal(_patch(wx, wy, wz, COARSE), 128 + m)
             spread += VARIETY
         else:  # one coat of paint per object
-            patch = _normal(coats[thing] if thing >= 0 else 0, m)
+            patch = _normal(paints[thing] if thing >= 0 else 0, m)
         share = min(1.0, reflectivity * math.exp(spread * patch))
         c = min(max(hits.cosine[i], 1e-3), 1.0)
         matt = share * (c + ROUGH * (1 - specular) * (1 - c * c))
@@ -252,7 +252,7 @@ def receive(hits: Hits, strength: Array, device: Device, air: Air, steady: Array
     """
     near, far = device.near, device.far
     for i in range(device.layers * device.columns):
-        image.range[i], image.intensity[i], image.object[i], image.material[i] = 0, 0, -1, NOTHING
+        image.range[i], image.intensity[i], image.object[i], image.material[i] = 0, 0, -1, NO_MATERIAL
         layer = i // device.columns
         d, p, source = _share_light(i, hits, strength, device, seed)
         m, owner = hits.material[source], hits.object[source]
@@ -265,14 +265,14 @@ def receive(hits: Hits, strength: Array, device: Device, air: Air, steady: Array
         if air.drops > 0 and uniform(8 * i + 1, seed + 2) < 1 - math.exp(-air.drops):
             first = near - air.depth * math.log(1 - uniform(8 * i + 2, seed + 2))
             if first < d:
-                d, p, m, owner = first, 4.0 * uniform(8 * i + 3, seed + 2), NOTHING, -1
+                d, p, m, owner = first, 4.0 * uniform(8 * i + 3, seed + 2), NO_MATERIAL, -1
         p *= math.exp(SPECKLE * _normal(4 * i + 2, seed + 2))
         # Detection.
         threshold = 100 * (d / device.reach) ** 2
         lost = not near <= d <= far or p < threshold * (1 + WAVER * _normal(4 * i + 3, seed + 2))
         if not steady[m] and uniform(i, seed + 5) < LOST:
             lost = True
-        if m == NOTHING and d < far:  # `drops` counts detected returns only
+        if m == NO_MATERIAL and d < far:  # `drops` counts detected returns only
             lost = False
         if lost or p <= 0:
             continue

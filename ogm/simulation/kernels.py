@@ -61,7 +61,7 @@ class Answer(NamedTuple):
         Index of the triangle.
     normals : (n, 3) float32
         Unit normal of the triangle; 0 without a hit.
-    materials : (T,) uint8; things : (T,) int32
+    materials : (T,) uint8; objects : (T,) int32
         `Hits.material` and `Hits.object` of each triangle.
     """
 
@@ -69,7 +69,7 @@ class Answer(NamedTuple):
     primitive: NDArray[np.uint32]
     normals: Floats32
     materials: Bytes
-    things: Ints32
+    objects: Ints32
 
 
 @inline
@@ -111,7 +111,7 @@ def keep_nearer(hits: Hits, index: Ints32, rays: Floats32, base: Floats32, answe
             normal = answer.normals[i]
             hits.distance[k] = reach
             hits.material[k] = answer.materials[answer.primitive[i]]
-            hits.object[k] = answer.things[answer.primitive[i]]
+            hits.object[k] = answer.objects[answer.primitive[i]]
             hits.cosine[k] = abs(rays[i, 3] * normal[0] + rays[i, 4] * normal[1] + rays[i, 5] * normal[2])
             if len(normals):
                 for c in range(3):
@@ -176,14 +176,14 @@ class View(NamedTuple):
     dust: Floats
 
 
-def make_view(directions: Floats32, seeing: Mask, limits: tuple[float, float, float], air: float, dust: Floats) -> View:
+def make_view(directions: Floats32, active: Mask, limits: tuple[float, float, float], air: float, dust: Floats) -> View:
     """Return the visibility of a scan.
 
     Parameters
     ----------
     directions : (layers, columns, 3) float32
         Unit directions of all beams in the sensor's frame.
-    seeing : (layers, columns) bool
+    active : (layers, columns) bool
         Beams that are not blocked or missing.
     limits : (near, far, reach)
         See `View` [m].
@@ -193,7 +193,7 @@ def make_view(directions: Floats32, seeing: Mask, limits: tuple[float, float, fl
     """  # fmt: skip
     low, high = np.full(BINS, 2, np.float32), np.full(BINS, -2, np.float32)
     half = max(1, math.ceil(BINS / directions.shape[1] / 2))  # bins covered by half a column
-    _widen(low, high, directions, seeing, half)
+    _widen(low, high, directions, active, half)
     return View(low, high, *limits, air, dust)
 
 
@@ -203,11 +203,11 @@ def _bin(x: float, y: float) -> int:
 
 
 @kernel
-def _widen(low: Floats32, high: Floats32, directions: Floats32, seeing: Mask, half: int) -> None:
-    layers, columns = seeing.shape
+def _widen(low: Floats32, high: Floats32, directions: Floats32, active: Mask, half: int) -> None:
+    layers, columns = active.shape
     for i in range(layers):
         for j in range(columns):
-            if not seeing[i, j]:
+            if not active[i, j]:
                 continue
             z, middle = directions[i, j, 2], _bin(directions[i, j, 0], directions[i, j, 1])
             for k in range(middle - half, middle + half + 1):

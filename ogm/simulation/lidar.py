@@ -27,15 +27,15 @@ from ogm.simulation.kernels import beams_in_dust
 from ogm.simulation.materials import GROUND, Material, table
 from ogm.simulation.mesh import Floats, Floats32, Ints, Mask
 from ogm.simulation.sample import Weather
-from ogm.simulation.scene import NOTHING, STATIC, Scene
+from ogm.simulation.scene import NO_MATERIAL, STATIC, Scene
 from ogm.simulation.sensors import LidarSpec
 
-__all__ = ["CLEAR", "RangeImage", "Weather", "air_of", "scan", "to_points"]
+__all__ = ["CLEAR_WEATHER", "RangeImage", "Weather", "air_optics", "scan", "to_points"]
 
 
-CLEAR = Weather()
+CLEAR_WEATHER = Weather()
 _STEADY = np.zeros(256, np.bool_)  # materials without random losses
-_STEADY[[*GROUND, NOTHING]] = True
+_STEADY[[*GROUND, NO_MATERIAL]] = True
 
 
 def scan(
@@ -46,9 +46,9 @@ def scan(
     *,
     velocity: ArrayLike = (0.0, 0.0, 0.0),
     yaw_rate: float = 0.0,
-    weather: Weather = CLEAR,
-    coats: ArrayLike | None = None,
-    seeing: Mask | None = None,
+    weather: Weather = CLEAR_WEATHER,
+    paints: ArrayLike | None = None,
+    active: Mask | None = None,
     dust: Floats | None = None,
 ) -> RangeImage:
     """Simulate one turn of a lidar.
@@ -66,10 +66,10 @@ def scan(
     yaw_rate : float
         Yaw rate about the sensor's z axis, positive to the left [rad/s].
     weather : Weather
-    coats : (K,) integers, optional
+    paints : (K,) integers, optional
         Number of each moving object's paint: equal numbers have equal paint in all scans. By default the index of the
         object.
-    seeing : (layers, columns) bool, optional
+    active : (layers, columns) bool, optional
         Beams that are not blocked or missing; by default all.
     dust : (P, 5) float64, optional
         Balls of dust, see `ogm.simulation.conditions.Conditions`.
@@ -91,28 +91,29 @@ def scan(
     rays = spec.aims().reshape(-1, 3)
     moving = spec.origins or motion.any() or yaw_rate
     origins, directions = _moving_rays(spec, T, motion, yaw_rate) if moving else (T, rays)
-    if seeing is None:
+    if active is None:
         hits = scene.cast(origins, directions, salt=seed % 2**31)
     else:
-        index = np.flatnonzero(seeing)
+        index = np.flatnonzero(active)
         starts = origins[index] if moving else origins
         hits = scene.cast(starts, directions[index], salt=seed % 2**31).spread(index, len(rays))
-    paint = np.arange(scene.things) if coats is None else np.asarray(coats)
-    if paint.shape != (scene.things,) or (paint.size and paint.dtype.kind not in "iu"):
-        raise ValueError(f"coats must be one integer per object in the scene, {scene.things}, got {coats!r}")
+    paint = np.arange(scene.object_count) if paints is None else np.asarray(paints)
+    if paint.shape != (scene.object_count,) or (paint.size and paint.dtype.kind not in "iu"):
+        raise ValueError(f"paints must be one integer per object in the scene, {scene.object_count}, got {paints!r}")
     strength = np.empty(len(rays), np.float32)
     reflect(rays, T, hits, _optics(weather.wet), paint.astype(np.int64), strength)
     if dust is not None and len(dust):
         scattered = np.zeros(len(rays), np.bool_)
         beams_in_dust(hits.distance, strength, rays, dust, rng.random((len(rays), 3), np.float32), scattered)
-        hits.material[scattered], hits.object[scattered], hits.cosine[scattered] = NOTHING, STATIC, 1
+        hits.material[scattered], hits.object[scattered], hits.cosine[scattered] = NO_MATERIAL, STATIC, 1
     image = RangeImage._make(np.empty(len(rays), dtype) for dtype in ("f4", "f4", "i4", "u1"))
-    receive(hits, strength, _device(spec), air_of(weather), _STEADY, seed, image)
+    receive(hits, strength, _device(spec), air_optics(weather), _STEADY, seed, image)
     if spec.noise_growth:
         _blur_depths(image, rays, spec, rng)
-    if seeing is not None:  # remove drops in front of the sensor, and returns from neighbouring beams
-        blind = ~seeing.ravel()
-        image.range[blind], image.intensity[blind], image.object[blind], image.material[blind] = 0, 0, STATIC, NOTHING
+    if active is not None:  # remove drops in front of the sensor, and returns from neighbouring beams
+        blind = ~active.ravel()
+        image.range[blind], image.intensity[blind] = 0, 0
+        image.object[blind], image.material[blind] = STATIC, NO_MATERIAL
     return RangeImage._make(column.reshape(spec.shape) for column in image)
 
 
@@ -124,7 +125,7 @@ def _blur_depths(image: RangeImage, rays: Floats32, spec: LidarSpec, rng: Genera
     distance = np.round(depth / along / spec.range_step) * spec.range_step
     lost = (image.range == 0) | (distance < spec.range_min) | (distance > spec.range_max)
     image.range[:] = np.where(lost, 0, distance)
-    image.intensity[lost], image.object[lost], image.material[lost] = 0, STATIC, NOTHING
+    image.intensity[lost], image.object[lost], image.material[lost] = 0, STATIC, NO_MATERIAL
 
 
 def _moving_rays(spec: LidarSpec, T: Floats, velocity: Floats, yaw_rate: float) -> tuple[Floats32, Floats32]:
@@ -176,7 +177,7 @@ def _optics(wet: float) -> Floats32:
     return optics
 
 
-def air_of(weather: Weather) -> Air:
+def air_optics(weather: Weather) -> Air:
     """Return the optical properties of the air in some weather.
 
     Extinction follows Koschmieder's law for fog, and a power law of the rate for rain (order of magnitude of published

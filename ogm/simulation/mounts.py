@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ogm.simulation.radars import RADARS
 from ogm.simulation.robot_sensors import sensor_spec
 
-__all__ = ["FULL_TURN", "MOUNTS", "PLACES", "LidarMount", "RadarMount", "single_sensor", "radars_at"]
+__all__ = ["FULL_TURN", "MOUNTS", "RADAR_POSITIONS", "LidarMount", "RadarMount", "single_sensor", "radars_at"]
 
 FULL_TURN = 2 * math.pi
 
@@ -134,7 +134,7 @@ class RadarMount:
 
 
 _HALF, _SIDE = 2.45, 1.0  # [m] from the middle of the ego vehicle to its bumpers and to its corners
-PLACES = {  # x, y, z [m], yaw [degrees]
+RADAR_POSITIONS = {  # x, y, z [m], yaw [degrees]
     "front": (_HALF, 0.0, 0.5, 0.0),
     "rear": (-_HALF, 0.0, 0.5, 180.0),
     "front-left": (_HALF - 0.2, _SIDE, 0.6, 60.0),
@@ -142,7 +142,7 @@ PLACES = {  # x, y, z [m], yaw [degrees]
     "rear-left": (-_HALF + 0.2, _SIDE, 0.6, 120.0),
     "rear-right": (-_HALF + 0.2, -_SIDE, 0.6, -120.0),
 }
-_CORNERS = tuple(place for place in PLACES if "-" in place)
+_CORNERS = tuple(place for place in RADAR_POSITIONS if "-" in place)
 
 
 def radars_at(names: Iterable[str]) -> tuple[RadarMount, ...]:
@@ -151,8 +151,8 @@ def radars_at(names: Iterable[str]) -> tuple[RadarMount, ...]:
     Parameters
     ----------
     names : iterable of str
-        Names in `RADARS`, each optionally followed by ``@`` and a name in `PLACES`. Without a place, ``corner`` gives
-        one radar at each of the four corners, and any other name one radar at the front.
+        Names in `RADARS`, each optionally followed by ``@`` and a name in `RADAR_POSITIONS`. Without a position,
+        ``corner`` gives one radar at each of the four corners, and any other name one radar at the front.
 
     Raises
     ------
@@ -162,13 +162,13 @@ def radars_at(names: Iterable[str]) -> tuple[RadarMount, ...]:
     result = []
     for word in names:
         radar, _, place = word.partition("@")
-        if radar not in RADARS or place not in ("", *PLACES):
+        if radar not in RADARS or place not in ("", *RADAR_POSITIONS):
             raise ValueError(
-                f"a radar must be one of {', '.join(RADARS)}, optionally followed by @ and one of {', '.join(PLACES)}; "
-                f"got {word!r}"
+                f"a radar must be one of {', '.join(RADARS)}, optionally followed by @ and one of "
+                f"{', '.join(RADAR_POSITIONS)}; got {word!r}"
             )
         places = (place,) if place else _CORNERS if radar == "corner" else ("front",)
         for position in places:
-            x, y, z, degrees = PLACES[position]
+            x, y, z, degrees = RADAR_POSITIONS[position]
             result.append(RadarMount(f"{radar}-{position}", radar, x, y, z, math.radians(degrees)))
     return tuple(result)

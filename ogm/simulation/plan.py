@@ -202,7 +202,7 @@ class DatasetPlan:
         return cls(**(dict(numbers) | {"mounts": mounts, "radars": radars}))
 
     def grown(self, before: "DatasetPlan") -> "DatasetPlan":
-        """Return this plan, with the counts of `before` that are larger.
+        """Return this plan, with each count at least as large as in `before`.
 
         Raises
         ------

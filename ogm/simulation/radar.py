@@ -128,10 +128,11 @@ def sweep(
     """
     T = check_pose(T_world_sensor, "T_world_sensor")
     own = np.asarray(velocity, np.float64)
-    moving = np.zeros((scene.things, 3)) if velocities is None else np.asarray(velocities, np.float64)
-    if own.shape != (3,) or moving.shape != (scene.things, 3) or not np.isfinite(np.r_[own, moving.ravel()]).all():
+    shape = (scene.object_count, 3)
+    moving = np.zeros(shape) if velocities is None else np.asarray(velocities, np.float64)
+    if own.shape != (3,) or moving.shape != shape or not np.isfinite(np.r_[own, moving.ravel()]).all():
         raise ValueError(
-            f"velocity must be 3 finite numbers, and velocities 3 for each of the {scene.things} objects in the scene, "
+            f"velocity must be 3 finite numbers, and velocities 3 for each of the {shape[0]} objects in the scene, "
             f"got shapes {own.shape} and {moving.shape}"
         )
     salt = int(rng.integers(2**31))

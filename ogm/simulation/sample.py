@@ -20,7 +20,7 @@ from ogm.scan import Scan
 from ogm.simulation.mesh import Array, Bytes, Floats, Floats32, Ints32, Mask
 from ogm.state import Truth
 
-__all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "SimulatedSample", "Weather"]
+__all__ = ["LABELS", "OBJECT_DTYPE", "RANGE_STEP", "Beams", "SimulatedSample", "Weather"]
 
 # Columns of a stored detection, in this order; x, y and z are in the sensor's frame.
 DETECTION = ("x", "y", "z", "doppler", "compensated", "rcs", "snr", "origin", "object")
@@ -113,7 +113,7 @@ _BOX = ("x", "y", "z", "length", "width", "height", "yaw", "vx", "vy")
 # length, width, height [m]; yaw: direction of the forward axis about the sensor's z axis [rad]; vx, vy: velocity over
 # ground along the sensor's x and y axes [m/s]; track: number of the participant, constant within a scenario;
 # returns: number of this sample's points on it.
-OBJECT = np.dtype(
+OBJECT_DTYPE = np.dtype(
     [("label", np.uint8), *((name, np.float32) for name in _BOX), ("track", np.int32), ("returns", np.int32)]
 )
 
@@ -264,7 +264,7 @@ class SimulatedSample:
         Intensities 0 to 255, calibrated as Velodyne's.
     truth : Truth
         True cell states in the sensor's x and y, with heights if the dataset has them.
-    objects : (K,) array of `OBJECT`
+    objects : (K,) array of `OBJECT_DTYPE`
         Traffic participants nearby.
     T_world_sensor, T_vehicle_sensor : (4, 4) float64
         Pose of the sensor in the world, and in the vehicle.

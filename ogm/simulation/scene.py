@@ -24,10 +24,10 @@ from ogm.simulation.kernels import Answer, Hits
 from ogm.simulation.materials import table
 from ogm.simulation.mesh import Array, Floats32, Ints32, Mesh, empty, merge
 
-__all__ = ["EGO", "NOTHING", "STATIC", "Hits", "Scene"]
+__all__ = ["EGO", "NO_MATERIAL", "STATIC", "Hits", "Scene"]
 
 STATIC, EGO = -1, -2  # `Hits.object` of static surfaces or no hit, and of the ego vehicle
-NOTHING = 255  # `Hits.material` without a hit
+NO_MATERIAL = 255  # `Hits.material` without a hit
 BATCH = 2**17  # rays per call of Open3D, whose results then fit in the processor's cache
 PASSES = 3  # largest number of glass panes that a ray passes
 _NONE = np.empty((0, 3), np.float32)
@@ -52,7 +52,7 @@ class Scene:
         self.threads = threads or len(os.sched_getaffinity(0))
         self._static = _Shape(static, np.full(len(static.triangles), STATIC, np.int32), self.threads)
         self._moving = _Shape(empty(), np.zeros(0, np.int32), self.threads)
-        self.things = 0  # number of moving objects, without the ego vehicle
+        self.object_count = 0  # number of moving objects, without the ego vehicle
         self._transmission = np.ascontiguousarray(table()[:, 4])
 
     def place(self, meshes: Sequence[Mesh], ego: Mesh | None = None) -> None:
@@ -65,12 +65,12 @@ class Scene:
         ego : Mesh, optional
             The vehicle that carries the sensor, in the world frame.
         """
-        self.things = len(meshes)
+        self.object_count = len(meshes)
         parts = [*meshes] if ego is None else [*meshes, ego]
         numbers = np.arange(len(parts), dtype=np.int32)
         numbers[len(meshes) :] = EGO
-        things = np.repeat(numbers, [len(part.triangles) for part in parts])
-        self._moving = _Shape(merge(parts), things, self.threads)
+        objects = np.repeat(numbers, [len(part.triangles) for part in parts])
+        self._moving = _Shape(merge(parts), objects, self.threads)
 
     def cast(
         self,
@@ -137,9 +137,9 @@ class Scene:
 class _Shape:
     """An Open3D scene with the attributes of its triangles."""
 
-    def __init__(self, mesh: Mesh, things: Ints32, threads: int) -> None:
+    def __init__(self, mesh: Mesh, objects: Ints32, threads: int) -> None:
         _check(mesh)
-        self.materials, self.things, self.threads = np.ascontiguousarray(mesh.material), things, threads
+        self.materials, self.objects, self.threads = np.ascontiguousarray(mesh.material), objects, threads
         self.empty = not len(mesh.triangles)
         self._scene = import_extra("open3d", "sim").t.geometry.RaycastingScene(nthreads=threads)
         if not self.empty:
@@ -150,7 +150,7 @@ class _Shape:
         answer = self._scene.cast_rays(_tensor(rays), nthreads=self.threads)
         names = ("t_hit", "primitive_ids", "primitive_normals")
         t, primitive, normals = (answer[name].numpy() for name in names)
-        return Answer(t, primitive, normals, self.materials, self.things)
+        return Answer(t, primitive, normals, self.materials, self.objects)
 
 
 def _tensor(array: Array) -> Any:

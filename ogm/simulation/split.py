@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ogm.extras import import_extra
 from ogm.simulation.contents import FACTS, OBJECTS, OF_RADARS, POSES, SHARD, SWEEP, UNMEASURED, Contents
 from ogm.simulation.mesh import Array, Floats, Ints
-from ogm.simulation.sample import OBJECT, PlacedSweep, RadarSweep, SimulatedSample, Weather
+from ogm.simulation.sample import OBJECT_DTYPE, PlacedSweep, RadarSweep, SimulatedSample, Weather
 from ogm.state import Truth
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath
@@ -86,12 +86,12 @@ class Split(Sequence[SimulatedSample]):
         return SimulatedSample(beams, *arrays, **facts)
 
     def objects(self, index: int) -> Array:
-        """Read only the traffic participants of a sample, (K,) of `OBJECT`; errors as for ``split[index]``."""
+        """Read only the traffic participants of a sample, (K,) of `OBJECT_DTYPE`; errors as for ``split[index]``."""
         i, row = self._row(index)
         count = int(row[self.columns.index("objects")])
         rows = self._shard("objects", i // SHARD)[i % SHARD]
         self._compare("objects", i, rows[None])
-        return unstructured_to_structured(rows[:count], OBJECT)
+        return unstructured_to_structured(rows[:count], OBJECT_DTYPE)
 
     def sweeps(self, index: int) -> tuple[PlacedSweep, ...]:
         """Read only the radar sweeps of a sample; errors as for ``split[index]``."""

@@ -26,7 +26,7 @@ from ogm.io.reading import decode_json
 from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
 from ogm.simulation.mesh import Floats, Floats32
 from ogm.simulation.mounts import RadarMount
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.sample import LABELS, OBJECT_DTYPE, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import Damaged, Split, load_zarr, open_array, sample_checksums, shard_file
 from ogm.storage.archive import attributes_checksum
 from ogm.storage.files import FilePath, OgmError, update_hint
@@ -187,7 +187,7 @@ class Store:
         return Split(self.path, split, self.counts[split], self.contents)
 
     def write(self, split: str, shard: int, samples: Sequence[SimulatedSample]) -> int:
-        """Write one shard of ten samples, or of the rest of a split.
+        """Write one shard: ten samples, or the rest of a split.
 
         Several processes may write at once, but each shard is written by one of them. A reader sees a shard when all
         of it is on disk.
@@ -306,7 +306,7 @@ def _grow(root: Any, name: str, count: int, contents: Contents) -> None:
             filters=None,
             fill_value=0,
         )
-    group.attrs.put({"facts": list(contents.facts), "objects": list(OBJECT.names or ())})
+    group.attrs.put({"facts": list(contents.facts), "objects": list(OBJECT_DTYPE.names or ())})
 
 
 def _facts(sample: SimulatedSample, lidar: int, objects: int) -> list[float]:

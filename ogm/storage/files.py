@@ -22,7 +22,8 @@ from typing import IO, Any
 from ogm.storage.locks import locked, sweep, try_lock
 
 __all__ = [
-    "DISK_ERRORS", "OgmError", "atomic_write", "error_text", "finish_zarr", "naming", "temporary_folder", "update_hint",
+    "DISK_ERRORS", "OgmError", "atomic_write", "error_text", "errors_with_path", "finish_zarr", "temporary_folder",
+    "update_hint",
 ]  # fmt: skip
 
 FilePath = str | os.PathLike[str]
@@ -72,7 +73,7 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO[
     if target.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder; give a file name")
     _sweep_once(target.parent)
-    with naming(target), _unnamed(target, mode) as (file, name):
+    with errors_with_path(target), _unnamed(target, mode) as (file, name):
         yield file
         file.flush()
         if permissions is not None:
@@ -180,7 +181,7 @@ def error_context(where: object, *kinds: type[Exception]) -> Iterator[None]:
 
 
 @contextmanager
-def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+def errors_with_path(path: str | os.PathLike[str]) -> Iterator[None]:
     """Give disk errors the path that is written; the system names no file, or a temporary one."""
     try:
         yield

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ogm.storage.files import naming, replaced_path, temporary_folder
+from ogm.storage.files import errors_with_path, replaced_path, temporary_folder
 
 _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
@@ -19,7 +19,7 @@ def whole_path(path: Path) -> Iterator[Path]:
     See `ogm.storage.files.atomic_write`. An existing folder of that name is removed after it has been replaced.
     """
     target, permissions = replaced_path(path)
-    with naming(path), temporary_folder(target.parent) as folder:
+    with errors_with_path(path), temporary_folder(target.parent) as folder:
         temporary = folder / path.name
         yield temporary
         if permissions is not None:

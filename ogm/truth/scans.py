@@ -136,7 +136,7 @@ def combine_truths(
 ) -> Truth:
     """Return the combined truth of several sources.
 
-    1. A cell is free or occupied if at least one source states so and no source states the opposite; unknown is no
+    1. A cell is free or occupied if at least one source states it and no source states the opposite; unknown is no
        statement. Other cells are ignored.
     2. Occupied cells of `boxes` override this, as annotated boxes include sides that no beam hit.
     3. `uncertain` cells are never free, as they contain a barely measured object; they become ignored.

@@ -17,17 +17,17 @@ class Finding(NamedTuple):
         Subject: "tilt", "height", "ego returns", ...
     text : str
         The property, with numbers.
-    way : str
+    remedy : str
         Option or command that fixes it, or "".
     """
 
     severity: str
     kind: str
     text: str
-    way: str = ""
+    remedy: str = ""
 
     def __str__(self) -> str:
-        return f"{self.kind}: {self.text}" + (f"; {self.way}" if self.way else "")
+        return f"{self.kind}: {self.text}" + (f"; {self.remedy}" if self.remedy else "")
 
 
 def by_severity(findings: Iterable[Finding]) -> list[Finding]:

@@ -48,18 +48,18 @@ class FusionRun:
         Names of sensor model and rule.
     base : Path
         Main output; maps before a restart are saved in its folder.
-    tell : function
+    warn : function
         Called with messages about scans.
 
     Attributes
     ----------
     last : FusionStep or None
         Last mapped step.
-    taken : list of int
+    mapped : list of int
         Numbers of the mapped frames.
     failed : int
         Number of skipped frames.
-    ended : str
+    stop_reason : str
         Reason of an early end; "" if all frames were read.
     interrupted : bool
         Whether an interrupt is the reason of the end.
@@ -70,23 +70,23 @@ class FusionRun:
     spec: GridSpec
     names: tuple[str, str]
     base: Path
-    tell: Callable[[str], object]
+    warn: Callable[[str], object]
     last: FusionStep | None = None
-    taken: list[int] = field(default_factory=list)
+    mapped: list[int] = field(default_factory=list)
     track: list[list[float]] = field(default_factory=list)  # x, y of the vehicle in the map [m]
     failed: int = 0
-    ended: str = ""
+    stop_reason: str = ""
     interrupted: bool = False
-    nothing: int = 0  # scans without evidence on the grid
-    why_nothing: str = ""  # reason for the first of them
+    empty_scans: int = 0  # scans without evidence on the grid
+    empty_reason: str = ""  # reason for the first of them
     recorded: int = 0  # maps written to a log
     restarts: int = 0
     path: float = 0.0  # [m]
     speed: float = math.nan  # [m/s]
     seconds: list[tuple[float, float]] = field(default_factory=list)  # of model and mapper
     models: dict[str, None] = field(default_factory=dict)  # used parts of the model
-    reasons: Counter[str] = field(default_factory=Counter)  # of skipped scans, numbers replaced
-    turned: list[float] = field(default_factory=list)  # [rad] turns above `MAX_TURN` within scans
+    skip_reasons: Counter[str] = field(default_factory=Counter)  # of skipped scans, numbers replaced
+    large_turns: list[float] = field(default_factory=list)  # [rad] turns above `MAX_TURN` within scans
 
     @property
     def ground_z(self) -> float:
@@ -109,7 +109,7 @@ class FusionRun:
     @property
     def code(self) -> int:
         """Exit code of a command: 0, 2 after skipped scans or an error, 130 after an interrupt."""
-        return 130 if self.interrupted else 2 if self.failed or self.ended else 0
+        return 130 if self.interrupted else 2 if self.failed or self.stop_reason else 0
 
     def map_all(self, steps: Iterable[FusionStep], film: Movie | None, maps: GridLog | None = None) -> None:
         """Map all scans. An interrupt or an error ends the loop; only disk errors of a log are raised."""
@@ -124,7 +124,7 @@ class FusionRun:
                     panels, line = self.panels()
                     film.add(step.frame.scan.points, panels, line, float(step.frame.stamp or 0.0))
         except KeyboardInterrupt:
-            if maps is not None and self.taken and not self.recorded:  # a log needs at least one map
+            if maps is not None and self.mapped and not self.recorded:  # a log needs at least one map
                 self.record(maps)
             self.interrupted = True
             self.end("interrupted")
@@ -135,18 +135,18 @@ class FusionRun:
 
     def end(self, reason: str) -> None:
         """Record and report the reason of an early end."""
-        self.ended = reason
-        kept = f"after {len(self.taken)} scans; writing the partial result" if self.taken else "before the first scan"
-        self.tell(f"{reason} {kept}")
+        self.stop_reason = reason
+        kept = f"after {len(self.mapped)} scans; writing the partial result" if self.mapped else "before the first scan"
+        self.warn(f"{reason} {kept}")
 
     def skip(self, frame: Frame, error: Exception) -> None:
         """Count a skipped scan and report the reason."""
         self.failed += 1
         kind = without_numbers(error_text(error).replace(frame.name, ""))
-        self.reasons[kind] += 1
-        if self.reasons[kind] <= _LISTED:
-            more = "; further scans with the same reason are only counted" if self.reasons[kind] == _LISTED else ""
-            self.tell(f"{frame.name} is skipped: {error_text(error)}{more}")
+        self.skip_reasons[kind] += 1
+        if self.skip_reasons[kind] <= _LISTED:
+            more = "; further scans with the same reason are only counted" if self.skip_reasons[kind] == _LISTED else ""
+            self.warn(f"{frame.name} is skipped: {error_text(error)}{more}")
 
     def add(self, k: int, step: FusionStep) -> None:
         """Record a mapped frame, and save the map that a restart would lose."""
@@ -160,32 +160,32 @@ class FusionRun:
             step.previous_map.save(path)
             new_drive = step.restart == "sequence"
             reason = f"{step.frame.sequence} begins" if new_drive else f"{step.restart}, the third in a row"
-            self.tell(f"{step.frame.name}: {reason}: the map so far is saved as {path}, a new map begins")
+            self.warn(f"{step.frame.name}: {reason}: the map so far is saved as {path}, a new map begins")
         elif self.last is not None:
             metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]
             seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
             self.path += metres
             self.speed = metres / seconds if seconds > 0 else math.nan
             turn = turn_within_scan(self.last, step)
-            self.turned += [turn] if turn > MAX_TURN else []
+            self.large_turns += [turn] if turn > MAX_TURN else []
         if step.grid is not None and shows_nothing(step.frame.scan, step.grid):
-            self.why_nothing = self.why_nothing or explain_nothing(step.frame.scan, step.grid.spec, step.frame.mount)
-            self.nothing += 1
+            self.empty_reason = self.empty_reason or explain_nothing(step.frame.scan, step.grid.spec, step.frame.mount)
+            self.empty_scans += 1
         if step.previous_map is not None:
             self.track.clear()
         self.track.append(step.T_map_grid[:2, 3].tolist())  # type: ignore[index]
-        self.taken.append(k)
+        self.mapped.append(k)
         self.seconds.append(step.seconds)
         self.models[part_for(self.names[0], step.frame.scan)] = None
         self.last = step
 
     def check_shown(self) -> None:
         """Raise a ValueError if no scan has evidence on the grid; report scans without evidence."""
-        if self.nothing and self.nothing == len(self.taken):
-            raise ValueError(f"no scan has evidence on the grid, nothing is written: {self.why_nothing}")
-        if self.nothing:
-            count = f"{self.nothing} of {len(self.taken)} scans"
-            self.tell(f"{count} have no evidence on the grid, the first: {self.why_nothing}")
+        if self.empty_scans and self.empty_scans == len(self.mapped):
+            raise ValueError(f"no scan has evidence on the grid, nothing is written: {self.empty_reason}")
+        if self.empty_scans:
+            count = f"{self.empty_scans} of {len(self.mapped)} scans"
+            self.warn(f"{count} have no evidence on the grid, the first: {self.empty_reason}")
 
     @property
     def map(self) -> EvidentialGrid | DynamicGrid:
@@ -244,7 +244,7 @@ class FusionRun:
             shown = plot.mass_panel(view, second)
         speed = "" if math.isnan(self.speed) else f"{3.6 * self.speed:.0f} km/h"
         total, name = str(len(self.dataset)), _shortened(self.last.frame.name)
-        count = f"{self.taken[-1] + 1:{len(total)}} of {total}"
+        count = f"{self.mapped[-1] + 1:{len(total)}} of {total}"
         line = f"{count}   {name}   {self.elapsed:.1f} s   {speed:>8}   map: {_shares(view)}"
         return (plot.mass_panel(self.last.grid, first), shown, other), line
 
@@ -259,7 +259,7 @@ class FusionRun:
     @property
     def elapsed(self) -> float:
         """Time from the first to the last mapped scan [s]."""
-        first, last = (self.dataset.refs[k].stamp for k in (self.taken[0], self.taken[-1]))
+        first, last = (self.dataset.refs[k].stamp for k in (self.mapped[0], self.mapped[-1]))
         return (last or 0.0) - (first or 0.0)
 
     def save_picture(self, path: Path) -> None:
@@ -272,8 +272,8 @@ class FusionRun:
     def save_poses(self, path: Path) -> None:
         """Write the poses of the mapped scans."""
         refs = self.dataset.refs
-        stamps, first = np.unique([refs[k].stamp for k in self.taken], return_index=True)
-        rows = np.array(self.taken)[first]
+        stamps, first = np.unique([refs[k].stamp for k in self.mapped], return_index=True)
+        rows = np.array(self.mapped)[first]
         numbers = frame_numbers([ref.name for ref in refs])
         wanted = numbers[rows] if numbers is not None and path.suffix.lower() == ".csv" else None
         write_poses(path, Trajectory(stamps, np.array([refs[k].T_map_sensor for k in rows])), wanted)
@@ -284,7 +284,7 @@ class FusionRun:
         spec, grid = self.mapper.spec, self.mapper.grid
         cells = f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution:g} m"
         facts = {
-            "scans": f"{len(self.taken)} mapped, {self.failed} skipped",
+            "scans": f"{len(self.mapped)} mapped, {self.failed} skipped",
             "time": f"{self.elapsed:.1f} s",
             "path": f"{self.path:.1f} m",
             **{"+".join(self.models): model, "mapper": mapper, "map": f"{cells}: {_shares(grid)}"},

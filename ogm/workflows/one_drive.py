@@ -46,7 +46,7 @@ def fuse_drive(
     outputs: Outputs = Outputs(),  # noqa: B008  it is frozen
     options: FuseOptions | None = None,
     *,
-    tell: Callable[[str], object] = _log.warning,
+    warn: Callable[[str], object] = _log.warning,
     progress: Callable[[Iterator[FusionStep]], Iterable[FusionStep]] = iter,
 ) -> FusionRun:
     """Fuse a drive into a map, and write the outputs.
@@ -62,7 +62,7 @@ def fuse_drive(
         Files to write; their folders are created.
     options : FuseOptions, optional
         By default from `map_defaults`.
-    tell : function
+    warn : function
         Called with messages about the rule, scans, and an early end; by default they are logged.
     progress : function
         Iterates over the steps, and may draw a progress bar.
@@ -85,9 +85,9 @@ def fuse_drive(
     if o.deskew and not dataset.motion_distorted:
         raise ValueError("`deskew` needs points distorted by motion in all scans of the dataset: leave it out")
     if (warning := adding_rule_warning(o.rule)) and o.rule != map_defaults(dataset).rule:
-        tell(warning)
+        warn(warning)
     for finding in gravest(dataset, str(o.ism)):
-        tell(finding)
+        warn(finding)
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
     if o.window == "rolling":
         cells = rolling_window(o.spec)
@@ -95,14 +95,14 @@ def fuse_drive(
         cells = echo_window(dataset, o.spec)
     else:
         cells = covering_window(o.spec, np.array(known))
-    saved = _followed(o.saved, dataset, tell)
+    saved = _followed(o.saved, dataset, warn)
     start = None
     if saved is not None:
         first = next(k for k, ref in enumerate(dataset.refs) if ref.T_map_sensor is not None)
         cells, start = continued_window(cells, saved, o.window), grid_pose(dataset[first])
     speed = math.inf if is_planar(dataset) and has_doubtful_clock(dataset) else 70.0  # [m/s] beyond which a pose jumps
     mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles, speed, saved, start)  # type: ignore[arg-type]
-    run = FusionRun(dataset, mapper, o.spec, (Path(str(o.ism)).stem, o.rule), outputs.base, tell)
+    run = FusionRun(dataset, mapper, o.spec, (Path(str(o.ism)).stem, o.rule), outputs.base, warn)
     times = (dataset.trajectory or True) if o.deskew else False
     radars = dataset.facts.get("radars", {})
     beside = "lidar" in o.sensors and radars
@@ -123,11 +123,11 @@ def fuse_drive(
         run.check_shown()
         for path in outputs.given().values():  # the folder may have been removed
             path.parent.mkdir(parents=True, exist_ok=True)
-        if run.turned and dataset.motion_distorted and not o.deskew:
-            tell(
-                f"{len(run.turned)} of {len(run.taken)} scans were taken while turning, by up to "
-                f"{math.degrees(max(run.turned)):.1f} degrees within a scan, and are not de-skewed: static objects "
-                "blur and seem to move; give `deskew`"
+        if run.large_turns and dataset.motion_distorted and not o.deskew:
+            warn(
+                f"{len(run.large_turns)} of {len(run.mapped)} scans were taken while turning, by up to "
+                f"{math.degrees(max(run.large_turns)):.1f} degrees within a scan, and are not de-skewed: static "
+                "objects blur and seem to move; give `deskew`"
             )
         if outputs.map is not None and not is_log:
             layers = run.layers if outputs.map.suffix.lower() == ".npz" else run.conflict
@@ -145,13 +145,13 @@ def fuse_drive(
     return run
 
 
-def _followed(saved: PlacedGrid | None, dataset: Dataset, tell: Callable[[str], object]) -> PlacedGrid | None:
+def _followed(saved: PlacedGrid | None, dataset: Dataset, warn: Callable[[str], object]) -> PlacedGrid | None:
     """Return the map to continue, without its stamp if the scans do not follow it in time."""
     stamps = [ref.stamp for ref in dataset.refs if ref.stamp is not None]
     if saved is None or saved.stamp is None or (stamps and 0 <= min(stamps) - saved.stamp <= MAX_GAP):
         return saved
     first = f"the first scan {min(stamps):.3f} s" if stamps else "the scans have none"
-    tell(f"the map to continue has the stamp {saved.stamp:.3f} s, {first}: it does not age in between")
+    warn(f"the map to continue has the stamp {saved.stamp:.3f} s, {first}: it does not age in between")
     return replace(saved, stamp=None)
 
 
@@ -181,7 +181,7 @@ class FuseInto:
         o, messages = self.options, list[str]()
         dataset, how = posed(frames, o.odometry, o.rate, o.first, match=o.match)
         run = fuse_drive(
-            dataset, self.outputs.within(folder), replace(o, odometry=None, match=False), tell=messages.append
+            dataset, self.outputs.within(folder), replace(o, odometry=None, match=False), warn=messages.append
         )
         if run.interrupted:  # the partial result would look finished
             raise KeyboardInterrupt

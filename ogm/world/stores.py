@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ogm.extras import import_extra
-from ogm.storage.files import OgmError, naming
+from ogm.storage.files import OgmError, errors_with_path
 from ogm.storage.remote import is_remote, object_store
 
 Url = str | os.PathLike[str]
@@ -85,7 +85,7 @@ def reading(subject: object, repair: str = "restore it from a copy") -> Iterator
 def writing(url: Url, subject: object) -> Iterator[None]:
     """Add the subject to errors of a store on writing; system errors keep their numbers."""
     try:
-        with naming(local_path(url)):
+        with errors_with_path(local_path(url)):
             yield
     except (OSError, OgmError, MemoryError):
         raise

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.plot.overview import FULL, halve_mass, mass_to_bytes
+from ogm.plot.overview import FULL_MASS, halve_mass, mass_to_bytes
 from ogm.plot.panels import upright
 from ogm.plot.view_layers import mass_layers
-from ogm.plot.viewer import ROUGHEST, page_of_tiles
+from ogm.plot.viewer import COARSEST_SIDE, page_of_tiles
 from ogm.storage.files import OgmError
 from ogm.world.world_map import WorldMap
 
@@ -57,8 +57,8 @@ class WorldPage:
         """The page without tiles."""
         side = self.world.layout.resolution
         unit = 2 ** (self.world.levels - 1)
-        means = self._rough[0].mean(axis=(0, 1)) / FULL
-        stored = {"names": ["free", "occupied"], "first": 0, "low": 0.0, "step": 1 / FULL, "means": means.tolist()}
+        means = self._rough[0].mean(axis=(0, 1)) / FULL_MASS
+        stored = {"names": ["free", "occupied"], "first": 0, "low": 0.0, "step": 1 / FULL_MASS, "means": means.tolist()}
         return page_of_tiles(
             title=self.title,
             tile=self.world.layout.tile,
@@ -99,7 +99,7 @@ class WorldPage:
         (i, j), (k, m), level = self.low, self.high, self.world.levels - 1
         grid = self.world.window(self.world.layout.spec((i, k, j, m), level), level=level)
         levels = [mass_to_bytes(upright(grid.mass))]
-        while max(self.shape) > ROUGHEST * 2 ** (level + len(levels) - 1):
+        while max(self.shape) > COARSEST_SIDE * 2 ** (level + len(levels) - 1):
             levels.append(halve_mass(levels[-1]))
         return levels
 

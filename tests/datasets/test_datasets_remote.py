@@ -11,7 +11,7 @@ from samples import flat_sample
 
 from ogm.datasets import open_dataset
 from ogm.pose import pose
-from ogm.simulation.sample import OBJECT, Beams, SimulatedSample
+from ogm.simulation.sample import OBJECT_DTYPE, Beams, SimulatedSample
 from ogm.simulation.store import Damaged, Store
 from ogm.storage import remote
 from ogm.storage.files import OgmError
@@ -24,7 +24,7 @@ S3 = Mapping[str, str]
 
 
 def sample(index: int, split: str) -> SimulatedSample:
-    rng, objects = np.random.default_rng((index, len(split))), np.zeros(2, OBJECT)
+    rng, objects = np.random.default_rng((index, len(split))), np.zeros(2, OBJECT_DTYPE)
     for name in ("length", "width", "height", "x"):
         objects[name] = rng.uniform(1, 5, 2)
     steps, state = rng.integers(0, 5000, BEAMS.shape).astype(np.uint16), rng.integers(0, 3, TRUTH_SPEC.shape)

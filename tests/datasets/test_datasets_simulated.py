@@ -11,7 +11,7 @@ from samples import BEAMS, flat_sample, flat_steps
 from ogm.datasets import open_dataset, with_poses
 from ogm.pose import pose
 from ogm.scan import Mount
-from ogm.simulation.sample import LABELS, OBJECT, SimulatedSample
+from ogm.simulation.sample import LABELS, OBJECT_DTYPE, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState
 from ogm.storage.files import OgmError
@@ -22,7 +22,7 @@ def sample(split: str, index: int) -> SimulatedSample:
     """Flat ground around a vehicle that goes 0.4 m forward per sample; a car ahead turns by 0.05 rad."""
     state = np.zeros(TRUTH_SPEC.shape, np.uint8)
     state[200:400], state[400:410] = CellState.FREE, CellState.OCCUPIED
-    car = np.zeros(1, OBJECT)
+    car = np.zeros(1, OBJECT_DTYPE)
     car[["x", "y", "z", "length", "width", "height"]] = [(9.0, 1.0, -1.1, 4.0, 2.0, 1.5)]
     car["track"], car["vx"], car["yaw"] = 7, 3.0, 0.25 + 0.05 * (index - 3)
     places = {"T_world_sensor": pose(0.4 * index, 0, 1.9), "T_vehicle_sensor": pose(1.0, 0.1, 1.9, pitch=0.02)}

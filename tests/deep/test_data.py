@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from cases import each
 
-from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, PillarDataset, augment, training_ranges
+from ogm.deep.data import NO_AUGMENTATION, ROTATION, Augmentation, Batch, PillarDataset, augment, training_ranges
 from ogm.deep.order import EpochSampler
 from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState
@@ -20,11 +20,11 @@ def _augment(*arguments):
 
 
 def only(**shares):
-    return Augmentation(**{**PLAIN.__dict__, **shares})
+    return Augmentation(**{**NO_AUGMENTATION.__dict__, **shares})
 
 
 def test_plain_changes_nothing_but_counts_heights_from_the_ground(frames, small):
-    points, state = _augment(frames[0], small, PLAIN, np.random.default_rng(0))
+    points, state = _augment(frames[0], small, NO_AUGMENTATION, np.random.default_rng(0))
     np.testing.assert_allclose(points[:, :2], frames[0].scan.points[:, :2], atol=1e-5)
     np.testing.assert_allclose(points[:, 2], frames[0].scan.points[:, 2] + 1.8, atol=1e-5)
     np.testing.assert_array_equal(points[:, 3], frames[0].scan.points[:, 3])
@@ -93,7 +93,7 @@ def test_what_no_beam_of_the_sector_looks_at_is_unknown(frames, small, seed):
     beams = np.column_stack([np.cos(angles := np.linspace(-3, 3, 50)), np.sin(angles), 0 * angles]).astype(np.float32)
     frame = Frame(Scan(scan.points, no_returns=beams), frame.mount, None, frame.truth)
     cut, _, state = augment(frame, small, only(sector=1.0), np.random.default_rng(seed))
-    whole, _, truth = augment(frame, small, PLAIN, np.random.default_rng(seed))
+    whole, _, truth = augment(frame, small, NO_AUGMENTATION, np.random.default_rng(seed))
     x, y = np.broadcast_arrays(*small.cell_centers)
     turned = np.sort(np.arctan2(cut.points[:, 1], cut.points[:, 0]))
     gaps = np.diff(turned, append=turned[0] + 2 * np.pi)
@@ -146,7 +146,7 @@ def test_a_scan_without_rings_keeps_its_layers(frames, small):
 
 def test_a_frame_without_truth_is_refused(frames, small):
     with pytest.raises(ValueError, match="frame 'x' has no truth"):
-        augment(Frame(frames[0].scan, frames[0].mount, None, None, name="x"), small, PLAIN, None)
+        augment(Frame(frames[0].scan, frames[0].mount, None, None, name="x"), small, NO_AUGMENTATION, None)
 
 
 def test_the_limits_are_kept(frames, small):

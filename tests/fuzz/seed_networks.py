@@ -52,7 +52,7 @@ def _engine(folder: Path) -> Target:
 
 
 def _store(kind: str, folder: Path) -> Target:
-    from ogm.simulation.sample import OBJECT, Beams, SimulatedSample
+    from ogm.simulation.sample import OBJECT_DTYPE, Beams, SimulatedSample
     from ogm.simulation.store import Store
     from ogm.state import Truth
     from ogm.truth import TRUTH_SPEC
@@ -64,7 +64,7 @@ def _store(kind: str, folder: Path) -> Target:
     state[100:200] = 1
 
     def made(k: int) -> SimulatedSample:
-        objects = np.zeros(2, OBJECT)
+        objects = np.zeros(2, OBJECT_DTYPE)
         objects["length"] = 4
         return SimulatedSample(
             beams=beams, steps=np.full(beams.shape, 900 + k, np.uint16), intensities=np.full(beams.shape, 9, np.uint8),

@@ -64,15 +64,15 @@ def test_names_of_curves_that_do_not_exist_are_refused(counts: ConfusionSums) ->
 def test_reliability_holds_the_calibration_errors(counts: ConfusionSums) -> None:
     scores = score(counts)
     for which, name in (("all", "ece"), ("predicted_known", "ece_called"), ("relative", "ece_relative")):
-        claimed, happened, cells = reliability(counts, which)  # type: ignore[arg-type]
-        assert np.abs(claimed - happened) @ cells / cells.sum() == pytest.approx(scores[name])
+        predicted, observed, cells = reliability(counts, which)  # type: ignore[arg-type]
+        assert np.abs(predicted - observed) @ cells / cells.sum() == pytest.approx(scores[name])
 
 
 def test_intervals_hold_the_violation(counts: ConfusionSums) -> None:
-    belief, plausibility, happened, cells = intervals(counts)
+    belief, plausibility, observed, cells = intervals(counts)
     assert (belief <= plausibility).all()
     outside = np.where(
-        happened < belief, belief - happened, np.where(happened > plausibility, happened - plausibility, 0)
+        observed < belief, belief - observed, np.where(observed > plausibility, observed - plausibility, 0)
     )
     assert outside @ cells / cells.sum() == pytest.approx(score(counts)["interval_violation"])
 
@@ -122,9 +122,9 @@ def test_points_of_the_curves_are_those_of_their_thresholds(seed: int) -> None:
         assert false_free == pytest.approx((free[state == OCCUPIED] >= threshold).mean())
         assert recall == pytest.approx((free[state == FREE] >= threshold).mean())
     for precision, recall, threshold in zip(*precision_recall(counts), strict=True):
-        claimed = state[((state == FREE) | (state == OCCUPIED)) & (p >= threshold)]
+        predicted = state[((state == FREE) | (state == OCCUPIED)) & (p >= threshold)]
         assert recall == pytest.approx((p[state == OCCUPIED] >= threshold).mean())
-        assert precision == pytest.approx((claimed == OCCUPIED).mean() if len(claimed) else 1.0)
+        assert precision == pytest.approx((predicted == OCCUPIED).mean() if len(predicted) else 1.0)
     false_free, recall, threshold = free_space(counts)
     assert (np.diff(false_free) >= 0).all()
     assert (np.diff(recall) >= 0).all()

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ogm.simulation.sample import OBJECT, Beams, SimulatedSample, Weather
+from ogm.simulation.sample import OBJECT_DTYPE, Beams, SimulatedSample, Weather
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
 
@@ -25,8 +25,8 @@ def _sample(split: str, index: int) -> SimulatedSample:
     rng = np.random.default_rng([index, len(split)])
     beams = (SMALL, TALL)[index % 2]
     steps = rng.integers(0, 65536, beams.shape).astype(np.uint16) * (rng.random(beams.shape) < 0.7)
-    objects = np.zeros(index % 4, OBJECT)
-    for name in OBJECT.names or ():
+    objects = np.zeros(index % 4, OBJECT_DTYPE)
+    for name in OBJECT_DTYPE.names or ():
         objects[name] = rng.integers(1, 8, len(objects))
     state = np.zeros(TRUTH_SPEC.shape, np.uint8)
     state[100:200, 50:90], state[300, 300:400], state[10:20] = 1, 2, 3

@@ -9,7 +9,7 @@ from cases import each, refused
 
 from ogm import read_scan
 from ogm.pose import pose
-from ogm.simulation.lidar import CLEAR, Weather, scan, to_points
+from ogm.simulation.lidar import CLEAR_WEATHER, Weather, scan, to_points
 from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Mesh, box, empty, merge, wall
 from ogm.simulation.scene import EGO, Scene
@@ -258,7 +258,7 @@ def test_a_plane_has_no_edges_however_much_it_slants(name: str) -> None:
 # --- losses and strengths ---
 
 
-def seen(material: Material, distance: float, weather: Weather = CLEAR) -> float:
+def seen(material: Material, distance: float, weather: Weather = CLEAR_WEATHER) -> float:
     scene, part = to_the_front(distance, material)
     return float((scan(scene, VLP, np.eye(4), rng(), weather=weather).range[part] > 0.9 * distance).mean())
 
@@ -282,7 +282,7 @@ def test_a_black_car_partly_vanishes_where_it_does_not_face_the_sensor() -> None
     assert share(Material.PAINT_BLACK, 40) < 0.1 < 0.95 < share(Material.PAINT_LIGHT, 40)
 
 
-def ground_reach(material: Material, weather: Weather = CLEAR) -> float:
+def ground_reach(material: Material, weather: Weather = CLEAR_WEATHER) -> float:
     """How far away the ground is still seen by half of the rays [m]."""
     scene = Scene(FLAT.painted(material), threads=1)
     image = scan(scene, VLP, T, rng(), weather=weather)
@@ -387,15 +387,15 @@ def test_a_thing_keeps_its_paint_whatever_its_place_in_the_list() -> None:
     parts = [wall([[6, y, 0], [6, y + 2, 0]], 3, Material.PAINT_MEDIUM) for y in (-4.0, 0.0, 4.0)]
     scene = Scene(FLAT, threads=1)
 
-    def brightness(order: list[int], coats: list[int] | None) -> list[float]:
+    def brightness(order: list[int], paints: list[int] | None) -> list[float]:
         scene.place([parts[k] for k in order])
-        image = scan(scene, VLP, T, rng(), coats=coats)
+        image = scan(scene, VLP, T, rng(), paints=paints)
         return [float(np.median(image.intensity[image.object == order.index(k)])) for k in range(3)]
 
-    coats = [11, 500_000, 7]
-    first = brightness([0, 1, 2], coats)
-    np.testing.assert_allclose(brightness([2, 0, 1], [coats[k] for k in (2, 0, 1)]), first, atol=0.02)
+    paints = [11, 500_000, 7]
+    first = brightness([0, 1, 2], paints)
+    np.testing.assert_allclose(brightness([2, 0, 1], [paints[k] for k in (2, 0, 1)]), first, atol=0.02)
     assert len(set(first)) > 1
-    refused("coats", brightness, [0, 1, 2], [1, 2])
-    with pytest.raises(ValueError, match="coats"):
+    refused("paints", brightness, [0, 1, 2], [1, 2])
+    with pytest.raises(ValueError, match="paints"):
         brightness([0, 1, 2], [1.5, 2.5, 3.5])  # type: ignore[list-item]

@@ -154,7 +154,7 @@ def test_conditions_come_by_their_shares() -> None:
     assert fog.max() <= skies.visibility[1]
     assert np.mean(fog < np.sqrt(np.prod(skies.visibility))) == pytest.approx(0.5, abs=0.15)  # graded by the logarithm
     assert all((len(one.dust) > 0) == (one.weather.dust > 0) for one in draws)
-    assert all(one.seeing.any() for one in draws)
+    assert all(one.active.any() for one in draws)
 
 
 def test_sectors_are_60_to_270_degrees_wide() -> None:
@@ -180,7 +180,7 @@ def test_blocked_views_are_left_out_or_without_echo() -> None:
     for one, out in zip(draws, left_out, strict=True):
         assert one.hidden.any()
         np.testing.assert_array_equal(one.measured, ~one.hidden if out else True)
-        np.testing.assert_array_equal(one.seeing, ~one.hidden)
+        np.testing.assert_array_equal(one.active, ~one.hidden)
         lowest = one.hidden[:, one.hidden.any(axis=0)][0]
         assert lowest.any()  # what hides, hides from below
     assert np.mean([one.hidden.mean() for one in draws]) < 0.25

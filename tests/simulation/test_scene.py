@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from ogm.pose import pose
 from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Mesh, box, cylinder, ellipsoid, empty, merge, wall
-from ogm.simulation.scene import EGO, NOTHING, STATIC, Hits, Scene
+from ogm.simulation.scene import EGO, NO_MATERIAL, STATIC, Hits, Scene
 
 PLANE = box([-500, -500, -1], [500, 500, 0], Material.ASPHALT)
 
@@ -36,7 +36,7 @@ def slow_cast(parts: list[Mesh], things: list[int], origin: np.ndarray, rays: np
     owner = np.repeat(things, [len(part.triangles) for part in parts])
     return Hits(
         distance,
-        np.where(hit, merged.material[triangle], NOTHING),
+        np.where(hit, merged.material[triangle], NO_MATERIAL),
         np.where(hit, owner[triangle], STATIC),
         np.where(hit, np.abs((rays * merged.normals[triangle]).sum(axis=1)), 0),
     )
@@ -59,7 +59,7 @@ def test_distances_to_a_plane_are_those_of_geometry() -> None:
     assert (hits.material[down] == Material.ASPHALT).all()
     up = rays[:, 2] > 0
     assert np.isinf(hits.distance[up]).all()
-    assert (hits.material[up] == NOTHING).all()
+    assert (hits.material[up] == NO_MATERIAL).all()
     assert (hits.cosine[up] == 0).all()
     assert (hits.object == STATIC).all()
 
@@ -78,7 +78,7 @@ def test_an_empty_scene_gives_nothing() -> None:
     for _ in range(2):
         hits = scene.cast([0, 0, 0], sphere(10))
         assert np.isinf(hits.distance).all()
-        assert (hits.material == NOTHING).all()
+        assert (hits.material == NO_MATERIAL).all()
         assert (hits.object == STATIC).all()
         scene.place([empty()], empty())
     assert len(scene.cast([0, 0, 0], np.zeros((0, 3), np.float32)).distance) == 0

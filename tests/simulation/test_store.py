@@ -14,7 +14,7 @@ from cases import each, refused
 from stand_in import BEAMS, stand_in
 
 from ogm.simulation import store as store_module
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.sample import LABELS, OBJECT_DTYPE, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import OBJECTS
 from ogm.simulation.store import FORMAT, GAPS, OLDER, SHARD, Damaged, Store
 from ogm.simulation.workers import swept
@@ -283,7 +283,7 @@ def test_describe_counts_what_is_there(store: Store) -> None:
 
 def test_as_many_objects_fit_as_are_listed(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "crowd", {}, {"test": 1}, BEAMS, {})
-    crowd = np.zeros(OBJECTS + 40, OBJECT)
+    crowd = np.zeros(OBJECTS + 40, OBJECT_DTYPE)
     crowd["x"], crowd["length"] = np.arange(len(crowd)), 1
     store.write("test", 0, [replace(stand_in(None, "test", 0), objects=crowd)])
     np.testing.assert_array_equal(store["test"][0].objects["x"], np.arange(OBJECTS))

@@ -28,8 +28,8 @@ EXACT = replace(VLP, range_noise=0.0, range_bias=0.0, gain_spread=0.0, divergenc
 FLAT = box([-300, -300, -1], [300, 300, 0], Material.ASPHALT)
 
 
-def view(seeing: np.ndarray | None = None, air: float = 0.0, dust: np.ndarray = NO_DUST, reach: float = 185.0) -> View:
-    beams = np.ones(VLP.shape, bool) if seeing is None else seeing
+def view(active: np.ndarray | None = None, air: float = 0.0, dust: np.ndarray = NO_DUST, reach: float = 185.0) -> View:
+    beams = np.ones(VLP.shape, bool) if active is None else active
     return make_view(VLP.directions(), beams, (0.7, 200.0, reach), air, dust)
 
 
@@ -61,10 +61,10 @@ def test_a_whole_turn_sees_its_field_of_view() -> None:
 def test_a_part_sees_where_its_beams_are() -> None:
     beams = VLP.directions()
     azimuth = np.arctan2(beams[..., 1], beams[..., 0])
-    seeing = (np.abs(azimuth - 1.0) < 0.6) & ((azimuth > 1.0) | (np.arange(32) > 8)[:, None])
+    active = (np.abs(azimuth - 1.0) < 0.6) & ((azimuth > 1.0) | (np.arange(32) > 8)[:, None])
     rays = directions(20_000)
     turn, elevation = np.arctan2(rays[:, 1], rays[:, 0]), np.arcsin(rays[:, 2])
-    found = in_view(rays, view(seeing))
+    found = in_view(rays, view(active))
     low = np.where(turn > 1.0, FIELD[0], VLP.elevations[9])
     wanted = (np.abs(turn - 1.0) < 0.6) & (elevation >= low) & (elevation <= FIELD[1])
     edge = (np.abs(np.abs(turn - 1.0) - 0.6) < 0.01) | (np.abs(turn - 1.0) < 0.01)  # a column and a bin
@@ -172,19 +172,19 @@ def test_a_kerb_is_not_steep_and_a_ditch_is() -> None:
 
 def test_beams_that_see_nothing_return_nothing() -> None:
     scene = Scene(merge([FLAT, box([8, -20, 0], [9, 20, 5], Material.PLASTER_LIGHT)]), threads=1)
-    seeing = np.random.default_rng(2).random(VLP.shape) < 0.5
+    active = np.random.default_rng(2).random(VLP.shape) < 0.5
     rng = np.random.default_rng(3)
-    image = scan(scene, VLP, SENSOR, rng, seeing=seeing, weather=scan.__kwdefaults__["weather"]._replace(fog=40.0))
-    assert not (image.range > 0)[~seeing].any()
-    assert (image.range > 0)[seeing].mean() > 0.4
-    none = scan(scene, VLP, SENSOR, rng, seeing=np.zeros(VLP.shape, bool))
+    image = scan(scene, VLP, SENSOR, rng, active=active, weather=scan.__kwdefaults__["weather"]._replace(fog=40.0))
+    assert not (image.range > 0)[~active].any()
+    assert (image.range > 0)[active].mean() > 0.4
+    none = scan(scene, VLP, SENSOR, rng, active=np.zeros(VLP.shape, bool))
     assert not none.range.any()
 
 
 def test_seeing_all_is_seeing_as_ever() -> None:
     scene = Scene(FLAT, threads=1)
     whole, all_of_it = (
-        scan(scene, VLP, SENSOR, np.random.default_rng(4), seeing=seeing) for seeing in (None, np.ones(VLP.shape, bool))
+        scan(scene, VLP, SENSOR, np.random.default_rng(4), active=active) for active in (None, np.ones(VLP.shape, bool))
     )
     np.testing.assert_array_equal(whole.range, all_of_it.range)
     np.testing.assert_array_equal(whole.intensity, all_of_it.intensity)

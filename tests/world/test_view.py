@@ -15,7 +15,7 @@ from cases import refused
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.plot.overview import halve_mass, mass_to_bytes
-from ogm.plot.viewer import ROUGHEST
+from ogm.plot.viewer import COARSEST_SIDE
 from ogm.world import WorldMap
 from ogm.world.view_server import WorldPage, serve_world
 
@@ -62,7 +62,7 @@ def test_tiles_of_the_page_are_the_cells_of_the_map(town: WorldMap) -> None:
         window = town.window(town.layout.spec((i, k, j, m), level), level=level)
         np.testing.assert_array_equal(level_of(page, level), mass_to_bytes(window.mass)[::-1, ::-1])
     cells = level_of(page, levels - 1)
-    while max(cells.shape) > ROUGHEST:
+    while max(cells.shape) > COARSEST_SIDE:
         cells, levels = halve_mass(cells), levels + 1
         np.testing.assert_array_equal(level_of(page, levels - 1), cells)
     for place in ((levels, 0, 0), (0, 1000, 0), (0, 0, 1000)):

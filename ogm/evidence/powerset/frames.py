@@ -108,7 +108,7 @@ def coarsen(mass: Array, groups: Sequence[Sequence[int]]) -> Array:
 def refine(mass: Array, groups: Sequence[Sequence[int]]) -> Array:
     """Return the mass function on a finer frame, with the states ``groups[i]`` for state i.
 
-    The vacuous extension: ``coarsen(refine(mass, groups), groups)`` is `mass`.
+    This is the vacuous extension: ``coarsen(refine(mass, groups), groups)`` is `mass`.
     """
     columns = masses_of(mass)
     states = sum(len(group) for group in groups)

@@ -149,7 +149,7 @@ def weighted(*masses: Array, axis: int | None = None) -> Array:
 def consensus_compromise(a: Array, b: Array) -> Array:
     """Fuse two hyper-opinions by consensus & compromise, with relative base rates |A and B| / |B|.
 
-    van der Heijden, Kopp and Kargl (2018); where no residue remains to share, the rest is unknown.
+    See van der Heijden, Kopp and Kargl (2018). If no residue remains to share, the rest is unknown.
     """
     first, second = _each([a, b], None)
     agreed = namespace(a).minimum(first, second)[:-1]

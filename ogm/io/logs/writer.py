@@ -13,7 +13,7 @@ from typing import Any, Self
 from ogm.io.logs.definitions import LOG_ENDINGS, message_types
 from ogm.io.messages.plain import ros_stamp
 from ogm.io.reading import optional
-from ogm.storage.files import FilePath, OgmError, atomic_write, naming, replaced_path
+from ogm.storage.files import FilePath, OgmError, atomic_write, errors_with_path, replaced_path
 from ogm.storage.whole_path import whole_path
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
@@ -107,7 +107,7 @@ class LogWriter:
     def _explained(self) -> Iterator[None]:
         """Add the path of the log to errors of a full or broken disk."""
         try:
-            with naming(self.path):
+            with errors_with_path(self.path):
                 yield
         except sqlite3.OperationalError as error:  # ROS 2 bags
             if not self.path.parent.is_dir():
