@@ -81,23 +81,21 @@ def pythons() -> str:
 
 
 def coverage() -> str:
-    """Return the shares of intervals that hold the truth, least and most over the likeness of frames."""
+    """Return the least and greatest share of intervals that hold the truth, over shapes and likeness of frames."""
     cases = record("interval_coverage")["cases"]
-    columns = dict.fromkeys((case["drives"], case["frames"][1]) for case in cases)
-    heads = [f"{drives} drives" if drives > 1 else f"one drive, {frames} frames" for drives, frames in columns]
-    shapes = list(dict.fromkeys(case["shape"] for case in cases))
-    kinds = [(f"mean: {shape}", "mean", (shape,)) for shape in shapes]
-    kinds += [("ratio of two means: all of these", "ratio", shapes), ("p below 0.05: all", "p below 0.05", shapes)]
-    kinds += [("mean, were frames independent: all", "mean, frames as independent", shapes)]
-    rows = []
-    for title, what, of in kinds:
-        cells = []
-        for drives, frames in columns:
-            column = [one for one in cases if (one["drives"], one["frames"][1]) == (drives, frames)]
-            found = [one[what] for one in column if one["shape"] in of]
-            cells.append(f"{100 * min(found):.1f}–{100 * max(found):.1f}")
-        rows.append([title, *cells])
-    return marked("interval_coverage", table(["[%]", *heads], rows))
+    kinds = {  # of several drives, of one drive in parts, of frames
+        "several": [one[kind] for one in cases for kind in ("mean", "ratio") if one["drives"] > 1],
+        "parts": [one[kind] for one in cases for kind in ("mean", "ratio") if one["drives"] == 1],
+        "frames": [one["mean, frames as independent"] for one in cases],
+    }
+    shares = {name: f"{100 * min(found):.0f} to {100 * max(found):.0f} %" for name, found in kinds.items()}
+    drives = sorted({one["drives"] for one in cases} - {1})
+    text = (
+        f"95 % intervals over {drives[0]} to {drives[-1]} drives hold the truth of simulated metrics in "
+        f"{shares['several']} of the cases, of one drive in {shares['parts']}; with frames counted as independent, in "
+        f"{shares['frames']}."
+    )
+    return marked("interval_coverage", text)
 
 
 def guarantee() -> str:

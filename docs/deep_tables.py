@@ -54,7 +54,7 @@ def combined() -> str:
     simulated = {f"validation `{name}`": one for name, one in found["validation"].items()}
     rows = []
     for name, one in (simulated | found["real"]).items():
-        place = f"{name}, frames: {one['frames']}, drives: {one['drives']}"
+        place = f"{name}, frames: {one['frames']}"
         for model, mean in one["means"].items():
             if model.endswith(("float32", "hits kept")):
                 continue

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from record_tables import half_width, table
+from record_tables import half_width, once, table
 
 __all__ = ["dynamic_tables"]
 
@@ -65,7 +65,7 @@ def dynamic_tables(found: Mapping[str, Any]) -> list[str]:
             title = re.sub(r"^\w+", lambda key: WORDS.get(key[0], key[0]), name)
             missed.append([f"`{run}`", title, f"{value:.3f}{half}", limit])
     parts.append(f"**Targets**, set beforehand: {reached} of {len(found['targets'])} reached.")
-    return [*parts, table(["behind", "missed", "measured", "wanted"], _once(missed), left=2)]
+    return [*parts, table(["behind", "missed", "measured", "wanted"], once(missed), left=2)]
 
 
 def _rows(
@@ -87,12 +87,7 @@ def _table(columns: Mapping[str, Column], maps: Mapping[tuple[str, str], Any], i
     some = [k for k in range(len(columns)) if any(row[k] for row in values.values())]
     heads = [list(columns.values())[k][0] for k in some]
     rows = [[*names, *(row[k] for k in some)] for names, row in values.items() if any(row)]
-    return table(["behind", "map", *heads], _once(rows), left=2)
-
-
-def _once(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Return rows with the first cell empty where it equals that of the row above."""
-    return [["" if k and rows[k - 1][0] == row[0] else row[0], *row[1:]] for k, row in enumerate(rows)]
+    return table(["behind", "map", *heads], once(rows), left=2)
 
 
 def _cell(one: Mapping[str, Any], key: str, digits: int, factor: int, together: bool) -> str:

@@ -1,6 +1,6 @@
 """Tables of maps over time: quality, time, logs, live."""
 
-from record_tables import record, table
+from record_tables import once, record, table
 
 TITLES = {  # of maps; the others keep the names of the record
     "classical Bayes": "classical Bayes (0.12 to 0.97, never forgets)",
@@ -58,7 +58,7 @@ def beams() -> str:
         for log, one in record("beams")["logs"].items()
         for method, found in one["methods"].items()
     ]
-    return table(["log", "map", *(f"`{metric}`" for metric in metrics)], rows, left=2)
+    return table(["log", "map", *(f"`{metric}`" for metric in metrics)], once(rows), left=2)
 
 
 def planar_odometry() -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from record_tables import table
+from record_tables import once, table
 
 __all__ = ["far_tables", "fusion_tables", "radar_tables"]
 
@@ -39,7 +39,7 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
     head = ["radar", "detections (least, median, most)", "objects", "ground", "ghosts", "clutter"]
     tables = [
         f"Frames: {record['frames']}, drives: {record['drives']}.\n\n"
-        + table(["radar", "model", *METRICS.values()], scores, left=2),
+        + table(["radar", "model", *METRICS.values()], once(scores), left=2),
         table([f"`RadarISM` minus rays, {MEAN}", *(METRICS[key] for key in PAIRED)], pairs),
         table([*head, "static Doppler, 5 to 95 % [m/s]", "time of a sweep [s]"], counts),
     ]

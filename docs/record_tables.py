@@ -73,6 +73,11 @@ def table(head: Sequence[object], rows: Iterable[Sequence[object]], left: int = 
     return "\n".join([_row(head), rule, *map(_row, rows)])
 
 
+def once(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return rows with the first cell empty where it equals that of the row above."""
+    return [["" if k and rows[k - 1][0] == row[0] else row[0], *row[1:]] for k, row in enumerate(rows)]
+
+
 def _row(cells: Sequence[object]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
