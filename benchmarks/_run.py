@@ -39,7 +39,7 @@ DATA = Path(os.environ.get("OGM_DATA", ROOT.parent / "shared" / "data" / "real")
 PACKAGES = (
     *("rosbags", "mcap", "mcap-ros2-support"),
     *("numpy", "numba", "llvmlite", "open3d", "zarr", "dask", "obstore", "shapely", "torch", "onnxruntime", "openvino"),
-    *("pyoctomap", "octomap-python", "kiss-slam", "pypatchworkpp", "travel-seg", "dufomap", "pywavemap"),
+    *("pyoctomap", "octomap-python", "kiss-slam", "pypatchworkpp", "travel-seg", "dufomap"),
     *("py_dempster_shafer", "pybelief", "evtools-dst", "eslimpp"),
 )
 BUSY = 0.5  # load beyond which other programs disturb the figures

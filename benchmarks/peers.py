@@ -198,53 +198,6 @@ def dufomap() -> tuple[Step, Read]:
     return step, read
 
 
-def wavemap() -> tuple[Step, Read]:
-    """Return wavemap, with the projection of the drive's lidar (HDL-64E), read at its nearest voxels."""
-    import pywavemap as package
-
-    tree = package.Map.create({"type": "hashed_chunked_wavelet_octree", "min_cell_width": {"meters": CELL}})
-    pipeline = package.Pipeline(tree)
-    integrator = {
-        "projection_model": {
-            "type": "spherical_projector",
-            "elevation": _angles(64, -24.9, 2.0),
-            "azimuth": _angles(2048, -180.0, 180.0),
-        },
-        "measurement_model": {
-            "type": "continuous_ray",
-            "range_sigma": {"meters": CELL / 2},
-            "scaling_free": 0.2,
-            "scaling_occupied": 0.4,
-        },
-        "integration_method": {
-            "type": "hashed_chunked_wavelet_integrator",
-            "min_range": {"meters": 1.0},
-            "max_range": {"meters": MAX_RANGE},
-        },
-    }
-    if not pipeline.add_integrator("lidar", integrator):
-        raise RuntimeError("pywavemap refused the integrator")
-
-    def step(frame: Frame) -> None:
-        cloud = package.Pointcloud(np.asfortranarray(frame.scan.points[:, :3].T, np.float32))
-        pose = package.Pose(np.asarray(frame.T_map_sensor, np.float32))
-        pipeline.run_pipeline(["lidar"], package.PosedPointcloud(pose, cloud))
-
-    def read(points: NDArray[np.float64], above: Any) -> States:
-        heights = np.arange(LOW + CELL / 2, HIGH, CELL)
-        ground = np.column_stack([points[:, :2], points[:, 2] - above(points)])
-        voxels = (ground[:, None] + np.outer(heights, [0.0, 0.0, 1.0])).reshape(-1, 3)
-        log_odds = tree.interpolate(voxels.astype(np.float32), package.InterpolationMode.NEAREST)
-        known = log_odds != 0
-        return of_voxels(points, voxels[known], log_odds[known] > 0, above)
-
-    return step, read
-
-
-def _angles(count: int, low: float, high: float) -> dict[str, Any]:
-    return {"num_cells": count, "min_angle": {"degrees": low}, "max_angle": {"degrees": high}}
-
-
 MAPPERS: dict[str, tuple[Callable[[], tuple[Step, Read]], str]] = {
     "ogm, default": (ogm_default, "combined, two maps; 2D masses of free, occupied, unknown"),
     "ogm, ray": (ogm_ray, "RayISM, one map; 2D masses"),
@@ -253,7 +206,6 @@ MAPPERS: dict[str, tuple[Callable[[], tuple[Step, Read]], str]] = {
     "numpy log-odds": (numpy_bayes, "height band in numpy, log-odds; 2D probabilities"),
     "OctoMap": (octomap, "octree of log-odds, 3D (octomap-python, lazy, discretised)"),
     "KISS-SLAM mapper": (kiss_slam, "hashed voxels of log-odds, 3D"),
-    "wavemap": (wavemap, "hashed octree of wavelet-compressed log-odds, 3D (pywavemap)"),
     "DUFOMap": (dufomap, "3D; moving points removed afterwards, no free space"),
 }
 
