@@ -163,23 +163,6 @@ def objects() -> str:
     return table(["occupied, free [% of cells]", "objects, boxes", *models], rows)
 
 
-def deep_heads() -> str:
-    """Return the changes by other heads of the network."""
-    found = record("deep_heads")["sets"]["validation"]
-    areas = {name: f"{value:.2f}" for name, value in found["wrong cells"]["auroc"].items()}
-    telling = {
-        "shipped": f"unknown {areas['unknown']}, smaller mass {areas['smaller mass']}",
-        "several": f"unknown {areas['unknown of several']}, spread {areas['spread of several']}",
-    }
-    titles = {"head": "last layer", "detail": "at full resolution too", "several": "five last layers"}
-    shown = ("nll", "false_free", "iou_occupied")
-    rows = [["shipped", *(f"{found['means']['shipped'][one]:.3f}" for one in shown), telling["shipped"]]]
-    for name, title in titles.items():
-        rows.append([title, *(change(found["minus shipped"][name][m]) for m in shown), telling.get(name, "")])
-    heads = ["", "log loss", "false free", "IoU occupied", "telling wrong cells (AUROC) by"]
-    return with_command("deep_heads", table(heads, rows))
-
-
 def deep_training() -> str:
     """Return the changes of a short training by truth and inputs."""
     shown = ("nll", "false_free", "iou_free", "iou_occupied")

@@ -130,7 +130,7 @@ def evaluate(
     The number after +- is half of the 95 % interval of the mean over drives, or over parts of one long drive, as
     scans of a drive are alike. It needs four drives or more.
 
-    With --beams, the models (by default planar) are fused by the rules of --fused (by default revise) into maps without
+    With --beams, the models (by default planar) are fused by the rules of --fused (by default smooth) into maps without
     forgetting, and tested by the beams of scans that are not in the map. Recordings need poses, but no truth.
 
     With --agreement, methods are compared pair by pair on the same frames; agreement.json contains every frame.

@@ -163,7 +163,7 @@ def _vehicle(path: Path, stamps: NDArray[np.float64]) -> tuple[NDArray[np.float6
     time = table["timestamp"].astype(np.float64)
     values = [table[name].astype(np.float64) for name in ("x_seq", "y_seq", "yaw_seq")]
     if not len(table) or not (np.diff(time) > 0).all():
-        raise OgmError(f"the odometry of {path} must have rows with increasing timestamps: restore the file")
+        raise OgmError(f"the odometry of {path} must have increasing timestamps, got {len(table)} rows: restore it")
     if not np.isfinite(values).all() or np.abs(values).max() > 1e9:
         raise OgmError(f"the odometry of {path} must be finite and below 1e9 m: restore the file")
     x, y, yaw = values[0], values[1], np.unwrap(values[2])
