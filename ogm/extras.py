@@ -22,7 +22,7 @@ def install_line(extra: str) -> str:
 
 
 def import_extra(module: str, extra: str) -> Any:
-    """Import a module of an extra; the error for a missing module has the install command.
+    """Import a module of an extra; the error for a missing module has the remedy.
 
     Parameters
     ----------
@@ -34,13 +34,31 @@ def import_extra(module: str, extra: str) -> Any:
     Raises
     ------
     ImportError
-        If the module is missing.
+        If the module is missing, or a system library that it loads.
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        package = module.split(".")[0].replace("_", "-")
-        raise ImportError(f"{package} is not installed: {install_line(extra)}", name=error.name) from error
+        raise ImportError(import_problem(module, extra, error), name=error.name) from error
+
+
+def import_problem(module: str, extra: str, error: ImportError) -> str:
+    """Return what an import needs: the install command of its extra, or the system library that is missing.
+
+    Parameters
+    ----------
+    module : str
+        Dotted name of the module.
+    extra : str
+        Names of extras, separated by commas.
+    error : ImportError
+        Error of the import.
+    """
+    package = module.split(".")[0].replace("_", "-")
+    if isinstance(error, ModuleNotFoundError):
+        return f"{package} is not installed: {install_line(extra)}"
+    libraries = ": apt install libusb-1.0-0 libgl1 libgomp1 (Debian, Ubuntu)" if package == "open3d" else ""
+    return f"{package} is installed, but cannot be loaded, {error}: install the system library that it names{libraries}"
 
 
 def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], object]:

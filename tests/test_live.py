@@ -677,10 +677,10 @@ def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
 if sys.argv[1] == "yes":
     assert return_large_blocks()
-np.ones(2_000_000)  # is freed: glibc keeps blocks up to its size from now on
+np.ones(4_000_000)  # is freed: glibc keeps blocks up to its size from now on
 before, large, small = resident(), [], []
-for _ in range(100):
-    large.append(np.ones(125_000))
+for _ in range(10):
+    large.append(np.ones(1_250_000))
     small.append(np.ones(4000))
 del large
 print(resident() - before)

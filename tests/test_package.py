@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from cases import each
+from cases import each, refused
 
 import ogm
-from ogm.extras import install_line
+from ogm.extras import import_extra, install_line
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {"torch", "open3d", "matplotlib", "numba", "scipy", "lightning", "filterpy", "zarr", "dask", "typer"}
@@ -44,6 +44,22 @@ def test_extras_are_installed_as_ogm_was(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert install_line("ros,geo") == f'{sys.executable} -m pip install -e "{ROOT}[ros,geo]"'
     monkeypatch.setattr("ogm.extras.__file__", str(tmp_path / "ogm" / "extras.py"))
     assert install_line("ros") == 'pip install "ogm-toolkit[ros]"'
+
+
+def test_a_missing_system_library_is_no_missing_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As open3d is on a Debian without libusb."""
+    text = "raise ImportError('libusb-1.0.so.0: cannot open shared object file')"
+    (tmp_path / "open3d.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    refused(
+        "cannot be loaded, libusb-1.0.so.0: .*apt install libusb-1.0-0",
+        import_extra,
+        "open3d",
+        "sim",
+        error=ImportError,
+    )
+    refused(r"is not installed: .*\[sim\]", import_extra, "no_such_module", "sim", error=ImportError)
 
 
 def test_packages_are_loaded_on_first_use() -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ogm.deep.onnx_engine import OnnxEngine
 from ogm.deep.onnx_file import exported_from
+from ogm.deep.runtimes import prefers_openvino
 from ogm.extras import install_line
 from ogm.storage.files import OgmError
 
@@ -50,12 +51,13 @@ def load_engine(
         Weights in the package, a file of weights (``.safetensors``), the folder of a run (its best weights), or an
         exported network (``.onnx``).
     engine : "onnxruntime", "openvino" or "torch", optional
-        Package that runs the network. By default ONNX Runtime if the weights are exported, such as the weights in the
-        package; otherwise, and for another `device` or `compile`, torch.
+        Package that runs the network. By default, if the weights are exported, such as the weights in the package:
+        OpenVINO in bfloat16 if it is installed and the processor has AMX, else ONNX Runtime. For other weights, and for
+        another `device` or `compile`, torch.
     precision : "int8", "float32" or "bfloat16", optional
         Number format of the convolutions. ONNX Runtime computes in float32, or in 8-bit integers if such an export
         lies next to the weights (``NAME.int8.onnx``), which is then the default. The other engines compute in float32,
-        the default, or bfloat16.
+        the default if the engine is given, or bfloat16.
     threads, device, compile
         See `ogm.deep.onnx_engine.OnnxEngine` and `ogm.deep.torch_engine.TorchEngine`. `threads` is not for torch
         (see ``torch.set_num_threads``); `device` and `compile` are only for torch.
@@ -82,6 +84,10 @@ def load_engine(
         raise ValueError(f"device and compile are for the engine torch, got {engine!r}: leave them out")
     with weights_of(source) as path:
         if engine != "torch" and not of_torch:
+            if engine is precision is None and prefers_openvino() and (exported := _export_of(path, "openvino", None)):
+                opened = OnnxEngine(exported, runtime="openvino", precision="bfloat16", threads=threads)
+                if opened.precision == "float32":  # not of 8-bit integers, given by its path
+                    return opened
             exported = _export_of(path, engine, precision)
             if exported is None and (engine or precision == "int8" or path.suffix == ".onnx"):
                 raise _lacking(path, precision)

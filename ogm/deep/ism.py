@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ogm.deep.engines import load_engine
 from ogm.deep.points import to_ground_frame
+from ogm.deep.runtimes import default_threads
 from ogm.geometric import RayISM, shows_ground
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.scan import Mount, Scan, as_scan, check_mount
@@ -130,10 +131,11 @@ class DeepISM:
         spec, mount
             See `DeepISM`.
         engine : "onnxruntime", "openvino" or "torch", optional
-            Package that runs the network. By default ONNX Runtime for exported weights, such as ``"lite"``; else torch.
+            Package that runs the network. By default for exported weights, such as ``"lite"``, ONNX Runtime, or
+            OpenVINO where it is installed and the processor has AMX; else torch.
         precision : "int8", "float32" or "bfloat16", optional
             Number format of the convolutions; see `ogm.deep.engines.load_engine`. By default 8-bit integers for
-            ``"lite"`` by ONNX Runtime, else float32.
+            ``"lite"`` by ONNX Runtime, bfloat16 on processors with AMX, else float32.
         threads : int, optional
             Number of threads of ONNX Runtime and OpenVINO. By default ``OMP_NUM_THREADS``, or the number of cores of
             the process.
@@ -215,7 +217,7 @@ class DeepISM:
             x, y = (float(value) for value in mount.origin[:2])
             around = _shifted(self.spec, -x, -y)  # the same cells around the sensor
             engine = self.engine if self.spec == _shifted(self.engine.spec, x, y) else self.engine.on(around)
-            rays = RayISM(self.spec, mount) if engine.rays else None
+            rays = RayISM(self.spec, mount, threads=min(default_threads(), 2)) if engine.rays else None
             if len(self._placed) >= MAX_MOUNTS:
                 self._placed.clear()
             cells = _cells_of(self.spec, mount.ego_footprint)

@@ -209,17 +209,14 @@ def _add_offsets(features: Any, lengths: Any, cells: Any, size: float, shape: An
 @vector
 def _fill_maxima(features: Any, lengths: Any, cells: Any, weight: Any, bias: Any, rows: Any) -> None:
     """Fill the rows of cells with points."""
-    first, channels = 0, len(bias)
-    sums = np.empty(channels, np.float32)
+    first, w = 0, weight
     for p in range(len(lengths)):
         row = rows[cells[p]]
         for i in range(first, first + lengths[p]):
-            for c in range(channels):
-                sums[c] = bias[c]
-            for k in range(9):
-                value = features[i, k]
-                for c in range(channels):
-                    sums[c] += value * weight[k, c]
-            for c in range(channels):
-                row[c] = max(row[c], sums[c])  # starts at 0, like the ReLU
+            f = features[i]
+            x, y, z, intensity, dx, dy, dz, cx, cy = f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]
+            for c in range(len(bias)):  # one expression keeps the sum in registers
+                total = bias[c] + x * w[0, c] + y * w[1, c] + z * w[2, c] + intensity * w[3, c] + dx * w[4, c]
+                total += dy * w[5, c] + dz * w[6, c] + cx * w[7, c] + cy * w[8, c]
+                row[c] = max(row[c], total)  # starts at 0, like the ReLU
         first += lengths[p]

@@ -3,6 +3,10 @@
 import os
 import threading
 from collections.abc import Callable, Mapping
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +24,20 @@ def default_threads() -> int:
     if given.isdecimal() and int(given) > 0:
         return int(given)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def has_amx() -> bool:
+    """Return whether the processor multiplies matrices of bfloat16 (Intel AMX), as Linux states it."""
+    try:
+        return " amx_bf16 " in Path("/proc/cpuinfo").read_text()
+    except OSError:  # other systems
+        return False
+
+
+def prefers_openvino() -> bool:
+    """Return whether OpenVINO in bfloat16 is the fastest engine here: with AMX, where it is installed."""
+    return has_amx() and find_spec("openvino") is not None
 
 
 def open_onnxruntime(data: bytes, threads: int) -> tuple[Run, set[str]]:
@@ -50,7 +68,9 @@ def open_openvino(data: bytes, precision: str, threads: int) -> tuple[Run, set[s
         "PERFORMANCE_HINT": "LATENCY",
         "ENABLE_CPU_PINNING": False,
     }
-    compiled = core.compile_model(core.read_model(data, b""), "CPU", options)
+    model = core.read_model(data, b"")
+    _join_softplus(model, import_extra("openvino.opset8", "openvino"))
+    compiled = core.compile_model(model, "CPU", options)
     request, lock = compiled.create_infer_request(), threading.Lock()
 
     def run(inputs: Inputs) -> NDArray[np.float32]:
@@ -59,3 +79,18 @@ def open_openvino(data: bytes, precision: str, threads: int) -> tuple[Run, set[s
             return result
 
     return run, {node.any_name for node in compiled.inputs}
+
+
+_SOFTPLUS = ["Abs", "Negative", "Exp", "Add", "Log", "Add", "Relu"]  # max(x, 0) + ln(1 + exp(-|x|)), as exported
+
+
+def _join_softplus(model: Any, operations: Any) -> None:
+    """Replace the steps of an exported softplus by one operation: with AMX they take a fifth of the network's time."""
+    for first in model.get_ordered_ops():
+        chain, following = [first], first.output(0).get_target_inputs() if first.get_type_name() == "Abs" else ()
+        while len(following) == 1 and len(chain) < len(_SOFTPLUS):
+            chain.append(next(iter(following)).get_node())
+            following = chain[-1].output(0).get_target_inputs()
+        if [node.get_type_name() for node in chain] == _SOFTPLUS:
+            joined = operations.relu(operations.softplus(first.input_value(0)))  # relu: softplus may be -1e-6
+            chain[-1].output(0).replace(joined.output(0))

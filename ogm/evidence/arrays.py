@@ -19,7 +19,7 @@ import numpy as np
 Array = TypeVar("Array")  # a numpy array or a torch tensor; results have the same type
 
 _STATES = {2: "2 states (free, occupied)", 3: "3 numbers (free, occupied, unknown)"}
-_BLOCK_SIZE = 2**20  # numbers checked at a time; the whole array would take twice the memory of the masses
+_BLOCK_SIZE = 2**16  # numbers checked at a time, so that temporary arrays stay in the cache
 _TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # greatest distance of a mass from the simplex by rounding
 
 

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.extras import install_line
+from ogm.extras import import_problem
 from ogm.pose import check_pose, quaternion_to_matrix
 from ogm.storage.files import FilePath, OgmError
 from ogm.storage.limits import current_limits, too_large
@@ -113,7 +113,7 @@ def optional(module: str, path: Path, extra: str = "io", verb: str = "read") -> 
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        text = f"{path} cannot be {verb} without the package {module}: {install_line(extra)}"
+        text = f"{path} cannot be {verb}: {import_problem(module, extra, error)}"
         raise ImportError(text, name=module) from error
 
 

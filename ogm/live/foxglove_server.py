@@ -14,6 +14,7 @@ from ogm.fusion import EvidentialMapper, FusionStep, Mapper
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.messages import foxglove_grid
 from ogm.io.messages.costs import COST
+from ogm.io.messages.foxglove_cells import warm_up_cells
 from ogm.io.messages.plain import pose_message, ros_stamp
 from ogm.io.reading import optional
 from ogm.plot.colours import CAUSE_COLOURS
@@ -79,6 +80,7 @@ class FoxglovePublisher:
             )
         except RuntimeError as error:
             raise OSError(f"cannot serve at {host}:{port}: {error}; give another port, 0 for any free port") from error
+        warm_up_cells()
         self.costs = costs
         self.host, self.port = host, int(self._server.port)
         self._map = channels.GridChannel("/map", context=context)

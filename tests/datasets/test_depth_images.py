@@ -182,7 +182,7 @@ def test_a_capture_of_an_ouster_states_what_is_missing(tmp_path: Path, real: Cal
     try:
         import ouster.sdk  # noqa: F401
     except ImportError:
-        refused("cannot be read without the package ouster.sdk", open_dataset, capture, error=ImportError)
+        refused("cannot be read: ouster is not installed: ", open_dataset, capture, error=ImportError)
 
 
 def test_captures_of_ousters_are_drives(real: Callable[[str], Path]) -> None:

@@ -24,7 +24,7 @@ from ogm.deep.network import NetworkConfig
 from ogm.deep.onnx_engine import OnnxEngine
 from ogm.deep.onnx_file import read_onnx, weights_sum
 from ogm.deep.quantize import quantize_onnx
-from ogm.deep.runtimes import default_threads
+from ogm.deep.runtimes import default_threads, prefers_openvino
 from ogm.deep.torch_engine import TorchEngine
 from ogm.scan import Scan
 
@@ -50,6 +50,9 @@ def test_the_shipped_export_is_that_of_the_shipped_weights() -> None:
             file = read_onnx(path.with_suffix(suffix))
             assert file.weights_sum == weights_sum(path)
             assert file.precision == precision
+
+
+_FAKE = None, {"feature_map", "sensor_coords"}  # a session of OpenVINO, and the names of its inputs
 
 
 def test_the_quantised_network_computes_masses_in_float32() -> None:
@@ -85,6 +88,24 @@ def test_every_engine_gives_the_same_grid(
     assert grid.at(0.0, 0.0).unknown == 1  # under the ego vehicle
     assert grid.mass.min() >= 0
     np.testing.assert_array_equal(ism(scan).mass, grid.mass)
+
+
+@each("amx, installed, runtime, precision", [
+        (True, True, "openvino", "float32"),
+        (True, False, "onnxruntime", "int8"),
+        (False, True, "onnxruntime", "int8"),
+    ])  # fmt: skip
+def test_a_processor_with_amx_takes_openvino_where_it_is_installed(
+    amx: bool, installed: bool, runtime: str, precision: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ogm.deep.runtimes.has_amx", lambda: amx)
+    monkeypatch.setattr("ogm.deep.runtimes.find_spec", lambda name: installed or None)
+    opened = []
+    monkeypatch.setattr("ogm.deep.onnx_engine.open_openvino", lambda data, *options: opened.append(options) or _FAKE)
+    engine = load_engine("lite", threads=2)
+    assert ("openvino" if opened else "onnxruntime", engine.precision) == (runtime, precision)
+    assert opened in ([], [("bfloat16", 2)])
+    assert not prefers_openvino() or load_engine("lite", precision="int8").precision == "int8"  # as asked
 
 
 def test_mapping_needs_no_torch() -> None:
@@ -181,8 +202,9 @@ def test_grids_that_do_not_suit_the_network_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, tmp_path: Path) -> None:
+def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, tmp_path: Path, monkeypatch) -> None:
     """The life of a run's weights: trained, exported, mapped without torch, trained again."""
+    monkeypatch.setattr("ogm.deep.engines.prefers_openvino", lambda: False)
     network = PillarNetwork(tiny, small).eval()
     weights = save_network(tmp_path / "best.safetensors", network, {"seen": {"points": [10, 10**6]}})
     assert isinstance(load_engine(tmp_path), TorchEngine)

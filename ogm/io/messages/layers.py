@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, LayeredGrid
 from ogm.io.messages.grids import (
     MASSES,
     AnyGrid,
     bands_of,
+    check_grid,
     check_names,
     corner_pose,
     masses_of_bands,
@@ -205,27 +207,32 @@ def foxglove_grid(
         If foxglove-sdk is missing.
     """
     library = optional("foxglove.messages", Path("foxglove.Grid"), "live", "made")
-    (nx, ny), named = grid.spec.shape, dict[str, NDArray[Any]](bands_of(grid, layers).layers)
-    alpha: NDArray[np.floating] = np.ones((1, 1))  # opaque
-    if colour is None and not isinstance(grid, LayeredGrid):
+    from ogm.io.messages.foxglove_cells import fill_masses  # only now: reading needs no kernels
+
+    check_grid(grid)
+    masses = () if isinstance(grid, LayeredGrid) else MASSES
+    is_coloured = bool(masses) or colour is not None
+    check_names(grid, layers, _COLOURS if is_coloured else ())
+    own = grid.to_layers().layers if isinstance(grid, DynamicGrid) else getattr(grid, "layers", {})
+    others = {**own, **(layers.layers if layers else {})}
+    names = dict.fromkeys((*masses, *others))
+    nx, ny = grid.spec.shape
+    cells = np.empty((ny, nx, len(names) + is_coloured), "<f4")  # x first
+    octets = cells.view(np.uint8)
+    if not isinstance(grid, LayeredGrid):
         mass = grid.mass if isinstance(grid, EvidentialGrid) else np.stack([grid.free, grid.occupied], axis=-1)
-        colour, alpha = colours().mix(mass), 1 - named["unknown"]
+        palette = np.array([colours().free, colours().occupied], np.float32)
+        fill_masses(np.ascontiguousarray(mass), palette, cells, octets)
+    for k, name in enumerate(names):
+        if name not in masses:
+            cells[..., k] = others[name].T
     if colour is not None:
-        check_names(grid, layers, _COLOURS)
-        shown = (*np.moveaxis(colour, -1, 0), alpha)
-        named |= {name: np.rint(255 * band).astype(np.uint8) for name, band in zip(_COLOURS, shown, strict=True)}
-    kind = np.dtype([(name, layer.dtype.newbyteorder("<")) for name, layer in named.items()])
-    cells = np.empty((nx, ny), kind)
-    for name, layer in named.items():
-        cells[name] = layer
-    offsets: Any = kind.fields
-    numeric = library.PackedElementFieldNumericType
-    fields = [
-        library.PackedElementField(
-            name=name, offset=offsets[name][1], type=numeric.Uint8 if name in _COLOURS else numeric.Float32
-        )
-        for name in named
-    ]
+        octets[..., -4:-1] = np.rint(255 * colour).astype(np.uint8).swapaxes(0, 1)
+        octets[..., -1] = 255
+    fields = [(name, 4 * k, "Float32") for k, name in enumerate(names)]
+    if is_coloured:
+        fields += [(name, 4 * len(names) + k, "Uint8") for k, name in enumerate(_COLOURS)]
+    kinds = library.PackedElementFieldNumericType
     placed, when = pose_message(corner_pose(grid.spec, T_frame_grid)), header(stamp, frame_id).stamp
     return library.Grid(
         timestamp=library.Timestamp(when.sec, when.nanosec),
@@ -236,10 +243,10 @@ def foxglove_grid(
         ),
         column_count=nx,
         cell_size=library.Vector2(x=grid.spec.resolution, y=grid.spec.resolution),
-        row_stride=nx * kind.itemsize,
-        cell_stride=kind.itemsize,
-        fields=fields,
-        data=cells.view(f"V{kind.itemsize}").T.tobytes(),  # x first; whole cells are copied faster than their fields
+        row_stride=octets.strides[0],
+        cell_stride=octets.strides[1],
+        fields=[library.PackedElementField(name=name, offset=k, type=getattr(kinds, kind)) for name, k, kind in fields],
+        data=octets.tobytes(),
     )
 
 
