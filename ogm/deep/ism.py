@@ -247,7 +247,7 @@ class DeepISM:
         if self._has_too_few(pillars):
             self._warn("few", f"a scan with {len(features)} points on the grid: all cells are unknown")
             return
-        intensity = features[:, 3]
+        intensity = features[:, 3] + 0  # side by side, which three passes read faster
         smallest, largest, mean = float(intensity.min()), float(intensity.max()), float(intensity.mean())
         if largest > 1 or smallest < 0:
             given = f"got {smallest:g} ... {largest:g}: divide them by their greatest value"
