@@ -7,8 +7,8 @@ are those that the parameters (`ogm.models.named.COMBINATION`) were not fitted t
 model `combined`, and for reference plain Dempster (reliability 1, no gates), and `combined` with the hits of `ray`
 kept. Real recordings are those of `quality`, labelled cells only; nothing was chosen by them. Means over frames, and
 `combined` against each part frame by frame, with 95 % intervals over drives; the network in 8-bit integers, its
-default, against float32. Cost: the best of many calls on one scan. Writes benchmarks/results/combined.json;
-docs/build.py makes tables of it.
+default, and in bfloat16 where OpenVINO is installed, against float32. Cost: the best of many calls on one scan. Writes
+benchmarks/results/combined.json; docs/build.py makes tables of it.
 """
 
 import _run as run  # first: it sets the number of threads
@@ -18,6 +18,7 @@ from _timing import Contender, once
 
 # isort: split
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,10 @@ WAYS: dict[str, dict[str, Any]] = {
     "combined, hits kept": COMBINATION | {"keep_hits": 0},
     "plain Dempster": {},
 }
-FLOAT = {LITE: "lite, float32", COMBINED: "combined, float32"}  # of the default network, in 8-bit integers
+FLOAT = "float32"
+PRECISIONS: dict[str, dict[str, Any]] = {"8-bit": {"precision": "int8"}, FLOAT: {"precision": FLOAT}}
+if find_spec("openvino"):  # the default on processors with AMX
+    PRECISIONS["bfloat16"] = {"engine": "openvino", "precision": "bfloat16"}
 CALLS = 40
 COMPARED = 12  # frames of each dataset whose masses are compared
 
@@ -61,49 +65,61 @@ class Once:
         return self.last[1]
 
 
+def networks(mount: Mount | None = None) -> dict[str, DeepISM]:
+    """Return the network by precision; 8-bit integers are its default on most processors."""
+    return {name: DeepISM.load(LITE, spec=SPEC, mount=mount, **options) for name, options in PRECISIONS.items()}
+
+
 def methods() -> dict[str, InverseSensorModel]:
     """Return both parts and all ways to combine them, each scan mapped once by each part."""
-    parts = {name: Once(load_model(name, SPEC)) for name in (RAY, LITE)}
-    ways = {name: CombinedISM(list(parts.values()), **options) for name, options in WAYS.items()}
-    exact = Once(DeepISM.load(LITE, spec=SPEC, precision="float32"))
-    return {
-        **parts, **ways, FLOAT[LITE]: exact, FLOAT[COMBINED]: CombinedISM([parts[RAY], exact], **COMBINATION)
-    }  # fmt: skip
+    ray = Once(load_model(RAY, SPEC))
+    lite, *others = (Once(network) for network in networks().values())
+    found: dict[str, Any] = {RAY: ray, LITE: lite}
+    found |= {name: CombinedISM([ray, lite], **options) for name, options in WAYS.items()}
+    for name, network in zip(list(PRECISIONS)[1:], others, strict=True):
+        found |= {f"{LITE}, {name}": network, f"{COMBINED}, {name}": CombinedISM([ray, network], **COMBINATION)}
+    return found
 
 
 def recorded(dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
     """Evaluate all methods on some frames; return their means, and `combined` against each part."""
     result = evaluate(methods(), dataset, SPEC, frames=numbers)
-    found = {other: result.compare(COMBINED, other) for other in (RAY, LITE, FLOAT[COMBINED])}
-    found[FLOAT[LITE]] = result.compare(LITE, FLOAT[LITE])
+    found = {other: result.compare(COMBINED, other) for other in (RAY, LITE, f"{COMBINED}, {FLOAT}")}
+    found[f"{LITE}, {FLOAT}"] = result.compare(LITE, f"{LITE}, {FLOAT}")
     against = {other: {m: pair(one[m]) for m in METRICS if m in one} for other, one in found.items()}
-    return means_of(result, METRICS) | {"against": against, "8-bit masses": of_integers(dataset, numbers)}
+    return means_of(result, METRICS) | {"against": against} | of_precisions(dataset, numbers)
 
 
-def of_integers(dataset: Dataset, numbers: Sequence[int]) -> dict[str, float]:
-    """Return how much the masses of the network in 8-bit integers differ from those in float32."""
-    models = [DeepISM.load(LITE, spec=SPEC, precision=precision) for precision in ("int8", "float32")]
-    differences, states = [], []
+def of_precisions(dataset: Dataset, numbers: Sequence[int]) -> dict[str, dict[str, float]]:
+    """Return how much the masses of the network in other precisions differ from those in float32."""
+    models = networks()
+    differences: dict[str, list[Any]] = {name: [] for name in models if name != FLOAT}
+    states: dict[str, list[Any]] = {name: [] for name in differences}
     for k in numbers[:: -(-len(numbers) // COMPARED)]:
-        small, exact = (run_model(model, dataset[k]) for model in models)
-        differences.append(np.abs(small.mass - exact.mass).ravel())
-        states.append(predict_state(small.mass) != predict_state(exact.mass))
-    found = np.concatenate(differences)
+        grids = {name: run_model(model, dataset[k]) for name, model in models.items()}
+        for name in differences:
+            differences[name].append(np.abs(grids[name].mass - grids[FLOAT].mass).ravel())
+            states[name].append(predict_state(grids[name].mass) != predict_state(grids[FLOAT].mass))
+    found = {name: np.concatenate(parts) for name, parts in differences.items()}
     return {
-        "mean": float(found.mean()),
-        "99.9th percentile": float(np.quantile(found, 0.999)),
-        "largest": float(found.max()),
-        "cells with another state": float(np.mean(states)),
+        f"{name} masses": {
+            "mean": float(one.mean()),
+            "99.9th percentile": float(np.quantile(one, 0.999)),
+            "largest": float(one.max()),
+            "cells with another state": float(np.mean(states[name])),
+        }
+        for name, one in found.items()
     }
 
 
 def cost(scan: Scan, mount: Mount) -> dict[str, float]:
     """Return the least milliseconds of each model on a scan, and of what combining adds, measured in turns."""
-    models: dict[str, Any] = {name: load_model(name, SPEC, mount) for name in (RAY, LITE, COMBINED)}
+    ray, found = load_model(RAY, SPEC, mount), networks(mount)
+    both = CombinedISM([ray, found["8-bit"]], **COMBINATION)
+    models: dict[str, Any] = {RAY: ray, LITE: found.pop("8-bit"), COMBINED: both}
+    models |= {f"{LITE}, {name}": network for name, network in found.items()}
     masses = [models[name](scan).mass for name in (RAY, LITE)]
-    models[FLOAT[LITE]] = DeepISM.load(LITE, spec=SPEC, mount=mount, precision="float32")
     calls = {name: Contender(lambda _, model=model: model(scan)) for name, model in models.items()}
-    both = CombinedISM([load_model(name, SPEC, mount) for name in (RAY, LITE)], **COMBINATION)
     calls["combining alone"] = Contender(lambda _: both.combine(masses))
     calls["copy of both grids"] = Contender(lambda _: np.array(masses))
     rounds = [{name: once(call)[0] for name, call in calls.items()} for _ in range(CALLS)]
