@@ -30,7 +30,6 @@ from ogm import EvidentialGrid, Frame, GridSpec, Mount, OgmError, Scan, UnknownC
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, rolling_window
 from ogm.geometric import RayISM
 from ogm.live import FoxglovePublisher, LiveReport, receive_frames, serve, stream, warm_up
-from ogm.live.memory import return_large_blocks
 from ogm.live.playback import NewestFrames
 from ogm.live.stream import frame_bytes
 from ogm.planning import costmap
@@ -669,32 +668,35 @@ def test_scans_from_a_socket_are_served(listener: socket.socket) -> None:
 
 
 HELD = """
-import sys
 from pathlib import Path
 import numpy as np
-from ogm.live.memory import return_large_blocks
+from ogm.live.memory import release_free_memory
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
-if sys.argv[1] == "yes":
-    assert return_large_blocks()
-np.ones(4_000_000)  # is freed: glibc keeps blocks up to its size from now on
+np.ones(2_000_000)  # is freed: glibc keeps blocks up to its size from now on
 before, large, small = resident(), [], []
-for _ in range(10):
-    large.append(np.ones(1_250_000))
+for _ in range(100):
+    large.append(np.ones(125_000))
     small.append(np.ones(4000))
 del large
-print(resident() - before)
+print(resident() - before, release_free_memory(), resident() - before)
 """
 
 
-@pytest.mark.slow
-def test_large_blocks_go_back_to_the_system_though_small_ones_lie_between_them() -> None:
+def test_free_blocks_go_back_to_the_system_though_used_ones_lie_between_them() -> None:
     if not sys.platform.startswith("linux") or platform.libc_ver()[0] != "glibc":
         pytest.skip("of glibc")
-    held = {}
-    for asked in ("no", "yes"):
-        done = subprocess.run([sys.executable, "-c", HELD, asked], capture_output=True, text=True, check=True)
-        held[asked] = float(done.stdout)
-    assert held["no"] > 50  # [MB] of 100
-    assert held["yes"] < 20
-    refused("above 0 bytes", return_large_blocks, 0)
+    held, released, left = subprocess.run(
+        [sys.executable, "-c", HELD], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert float(held) > 50  # [MB] of 100
+    assert released == "True"
+    assert float(left) < 20
+
+
+def test_a_live_run_releases_free_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+    monkeypatch.setattr("ogm.live.pipeline.RELEASE_EVERY", 0.0)
+    monkeypatch.setattr("ogm.live.pipeline.release_free_memory", lambda: calls.append(1))
+    fused = mapper()
+    assert serve(one_by_one(fused, *map(frame, range(3))), LShape(), fused, ignore).mapped == len(calls) == 3

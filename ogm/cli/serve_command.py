@@ -89,7 +89,6 @@ def serve(
     from ogm.grid import GridSpec
     from ogm.live import FoxglovePublisher, receive_frames, warm_up
     from ogm.live import serve as served
-    from ogm.live.memory import return_large_blocks
     from ogm.models.layers import ExplainedISM
     from ogm.models.named import describe_model, load_model, with_radar
     from ogm.planning import costmap
@@ -107,7 +106,6 @@ def serve(
         costs = partial(
             costmap, inscribed_radius=inscribed_radius, inflation_radius=inflation_radius, cost_scaling=cost_scaling
         )
-    return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
     ism = chosen_model(ism, spec, rule or "")
     model = load_model(with_radar(ism), spec)

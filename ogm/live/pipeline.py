@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ogm.fusion import FusionStep, Mapper, fuse
 from ogm.fusion.pipeline import MAX_TURN, OnError, log_error, turn_within_scan
 from ogm.geometric.inputs import explain_nothing, shows_nothing
+from ogm.live.memory import release_free_memory
 from ogm.live.playback import NewestFrames, play, read_ahead
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan, SensorModels
@@ -24,6 +25,7 @@ _logger = logging.getLogger(__name__)
 Publish = Callable[[FusionStep, Mapper], object]
 
 MAX_LATENCIES = 10_000  # stored for quantiles, so that memory is bounded
+RELEASE_EVERY = 10.0  # [s] between calls of `release_free_memory`
 
 
 class LiveReport(NamedTuple):
@@ -125,7 +127,7 @@ def serve(
 
     def map_frames() -> None:
         """Fuse and publish frames until the end."""
-        reported, explained = log.start, False
+        reported, released, explained = log.start, log.start, False
         last: FusionStep | None = None
         distorted = getattr(frames, "motion_distorted", True)
         try:
@@ -143,6 +145,9 @@ def serve(
                 turn = turn_within_scan(last, step) if distorted and last is not None else 0.0
                 log.mapped(now - newest.due, turn > MAX_TURN)
                 last = step
+                if now - released >= RELEASE_EVERY:
+                    released = now
+                    release_free_memory()
                 if now - reported >= report_every:
                     reported = now
                     on_report(log.report())
