@@ -198,6 +198,52 @@ def dufomap() -> tuple[Step, Read]:
     return step, read
 
 
+def wavemap() -> tuple[Step, Read]:
+    """Return wavemap by pywavemap, from range images of the 64 lasers, with the numbers of its configuration for lidars."""
+    import pywavemap as package
+
+    octree = package.Map.create({"type": "hashed_chunked_wavelet_octree", "min_cell_width": {"meters": CELL}})
+    pipeline = package.Pipeline(octree)
+    pipeline.add_operation({"type": "threshold_map", "once_every": {"seconds": 2.0}})
+    elevation = {"num_cells": 64, "min_angle": {"degrees": -24.9}, "max_angle": {"degrees": 2.0}}
+    azimuth = {"num_cells": 2048, "min_angle": {"degrees": -180.0}, "max_angle": {"degrees": 180.0}}
+    integrator = {
+        "projection_model": {"type": "spherical_projector", "elevation": elevation, "azimuth": azimuth},
+        "measurement_model": {
+            "type": "continuous_beam",
+            "angle_sigma": {"degrees": 0.035},
+            "range_sigma": {"meters": CELL / 2},  # as its documentation recommends
+            "scaling_free": 0.2,
+            "scaling_occupied": 0.4,
+        },
+        "integration_method": {
+            "type": "hashed_chunked_wavelet_integrator",
+            "min_range": {"meters": 1.0},
+            "max_range": {"meters": MAX_RANGE},
+        },
+    }
+    if not pipeline.add_integrator("lidar", integrator):
+        raise ValueError("wavemap refuses the integrator")
+
+    def step(frame: Frame) -> None:
+        points = package.Pointcloud(np.asfortranarray(frame.scan.points[:, :3].T, np.float32))
+        pose = package.Pose(np.asfortranarray(frame.T_map_sensor, np.float32))
+        pipeline.run_pipeline(["lidar"], package.PosedPointcloud(pose, points))
+
+    def read(points: NDArray[np.float64], above: Any) -> States:
+        ground = points.copy()
+        ground[:, 2] = -above(np.column_stack([points[:, :2], np.zeros(len(points))]))
+        levels = np.arange(LOW, HIGH, CELL / 2)
+        columns = np.repeat(ground, len(levels), axis=0)
+        columns[:, 2] += np.tile(levels, len(points))
+        keys = np.unique(np.floor(columns / CELL).astype(np.int32), axis=0)
+        value = np.asarray(octree.get_cell_values(keys))
+        known = value != 0.0
+        return of_voxels(points, (keys[known] + 0.5) * CELL, value[known] > 0, above)
+
+    return step, read
+
+
 MAPPERS: dict[str, tuple[Callable[[], tuple[Step, Read]], str]] = {
     "ogm, default": (ogm_default, "combined, two maps; 2D masses of free, occupied, unknown"),
     "ogm, ray": (ogm_ray, "RayISM, one map; 2D masses"),
@@ -206,6 +252,7 @@ MAPPERS: dict[str, tuple[Callable[[], tuple[Step, Read]], str]] = {
     "numpy log-odds": (numpy_bayes, "height band in numpy, log-odds; 2D probabilities"),
     "OctoMap": (octomap, "octree of log-odds, 3D (octomap-python, lazy, discretised)"),
     "KISS-SLAM mapper": (kiss_slam, "hashed voxels of log-odds, 3D"),
+    "wavemap": (wavemap, "multi-resolution octree of log-odds, 3D (pywavemap, range images)"),
     "DUFOMap": (dufomap, "3D; moving points removed afterwards, no free space"),
 }
 
