@@ -199,7 +199,7 @@ def dufomap() -> tuple[Step, Read]:
 
 
 def wavemap() -> tuple[Step, Read]:
-    """Return wavemap by pywavemap, from range images of the 64 lasers, with the numbers of its configuration for lidars."""
+    """Return wavemap by pywavemap, from range images of the 64 lasers, with the numbers of its own files for lidars."""
     import pywavemap as package
 
     octree = package.Map.create({"type": "hashed_chunked_wavelet_octree", "min_cell_width": {"meters": CELL}})
