@@ -237,7 +237,7 @@ def wavemap() -> tuple[Step, Read]:
         columns = np.repeat(ground, len(levels), axis=0)
         columns[:, 2] += np.tile(levels, len(points))
         keys = np.unique(np.floor(columns / CELL).astype(np.int32), axis=0)
-        value = np.asarray(octree.get_cell_values(keys))
+        value = np.asarray(octree.get_cell_values(keys)).ravel()
         known = value != 0.0
         return of_voxels(points, (keys[known] + 0.5) * CELL, value[known] > 0, above)
 
