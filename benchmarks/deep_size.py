@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("validation", type=Path)
     parser.add_argument("--samples", type=int, default=1600, help="training frames")
-    parser.add_argument("--epochs", type=int, default=4)
+    parser.add_argument("--epochs", type=int, default=2)
     parser.add_argument("--runs", type=Path, default=Path("runs/size"))
     given = parser.parse_args()
     training = open_dataset(given.data, split="training")
