@@ -578,9 +578,15 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
     ------
     ValueError
         If a mapping has no model for the frame's sensor.
+    TypeError
+        If the model does not return an EvidentialGrid.
     """
     model = of_sensor(ism, frame.scan.sensor, "model") if isinstance(ism, Mapping) else ism
-    return model(frame.scan)
+    grid = model(frame.scan)
+    if not isinstance(grid, EvidentialGrid):
+        name = type(model).__name__
+        raise TypeError(f"{name} returned {type(grid).__name__}, wanted an EvidentialGrid: EvidentialGrid(spec, mass)")
+    return grid
 
 
 def of_sensor(values: Mapping[str, Value], sensor: str, kind: str) -> Value:

@@ -35,7 +35,7 @@ from ogm.io.ground_plane import (
 )  # fmt: skip
 from ogm.io.notices import one_notice_per_kind
 from ogm.io.scan import read_table
-from ogm.io.scan_table import stated_range
+from ogm.io.scan_table import axes_text, rotation_to_flu, stated_range
 from ogm.pose import levelling, pose, rotate, tilt_of
 from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
@@ -311,7 +311,7 @@ class Recording(ABC):
             try:
                 height = self.estimate_height(k)
                 if height is None or height + above <= 0:
-                    reasons.append(why_no_height(self.levelled_points(k)))
+                    reasons.append(why_no_height(self.levelled_points(k), self.axes))
                 else:
                     estimates.append(height + above)
                     side = self.square(k)
@@ -402,13 +402,15 @@ class ScanFiles(Recording):
         return stated_range(read_table(self.scans[n]))
 
 
-def why_no_height(points: NDArray[np.float32]) -> str:
+def why_no_height(points: NDArray[np.float32], used: Axes) -> str:
     """Return the reason for an unknown sensor height, in brackets; "" if no ground is visible.
 
     Parameters
     ----------
     points : (N, 4) float32
         Points of a scan [m].
+    used : Axes
+        Axes by which the scan was read.
     """
     from ogm.geometric.inputs import explain_coordinates, extent_text  # late, as it compiles kernels
 
@@ -423,7 +425,10 @@ def why_no_height(points: NDArray[np.float32]) -> str:
             "--sensors)"
         )
     axes = ground_side(points) if plane is None or plane.height <= 0 else None
-    return f" (the ground lies {SIDES[axes]} the sensor: give axes, --axes={axes})" if axes else ""
+    if axes is None:
+        return ""
+    wanted = axes_text(rotation_to_flu(axes.split(",")) @ rotation_to_flu(used))
+    return f" (the ground lies {SIDES[axes]} the sensor: give axes, --axes={wanted})"
 
 
 def _sample(numbers: Sequence[int]) -> list[int]:

@@ -132,7 +132,7 @@ class DeepISM:
             See `DeepISM`.
         engine : "onnxruntime", "openvino" or "torch", optional
             Package that runs the network. By default for exported weights, such as ``"lite"``, ONNX Runtime, or
-            OpenVINO where it is installed and the processor has AMX; else torch.
+            OpenVINO if it is installed and the processor has AMX; else torch.
         precision : "int8", "float32" or "bfloat16", optional
             Number format of the convolutions; see `ogm.deep.engines.load_engine`. By default 8-bit integers for
             ``"lite"`` by ONNX Runtime, bfloat16 on processors with AMX, else float32.

@@ -36,7 +36,7 @@ def has_amx() -> bool:
 
 
 def prefers_openvino() -> bool:
-    """Return whether OpenVINO in bfloat16 is the fastest engine here: with AMX, where it is installed."""
+    """Return whether OpenVINO in bfloat16 is the fastest engine here: with AMX, if it is installed."""
     return has_amx() and find_spec("openvino") is not None
 
 

@@ -4,6 +4,7 @@ import inspect
 import logging
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from hashlib import sha256
@@ -21,7 +22,7 @@ from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids.files import read_grid
 from ogm.models.named import describe_model, load_model, short_names, with_radar
-from ogm.scan import Frame, InverseSensorModel
+from ogm.scan import Frame, InverseSensorModel, run_model
 
 DETECTION = 0.5  # mass of occupied above which a cell is occupied in a scan
 
@@ -276,7 +277,7 @@ class MethodRunner:
                 method.reset()
         self._frame = frame
         models = {id(method.model): method.model for method in (self._single if evaluated else []) + self.fused}
-        self._measured = {key: model(frame.scan) for key, model in models.items()}
+        self._measured = {key: run_model(model, frame) for key, model in models.items()}
         for method in self.fused:
             method.update(frame, self._measured[id(method.model)])
 
@@ -309,10 +310,15 @@ class MethodRunner:
 
 
 def _object_state(value: Any) -> str:
-    """Return an object's repr without addresses, and a hash of the source file of its class or function."""
+    """Return an object's repr without addresses, or its attributes, and a hash of its source."""
     definition = value if inspect.isroutine(value) else type(value)
-    try:
-        source = Path(inspect.getfile(definition)).read_bytes()
-    except (OSError, TypeError):  # a notebook, or compiled code
-        source = repr(definition).encode()
-    return re.sub(r" at 0x[0-9a-f]+", "", repr(value)) + sha256(source).hexdigest()
+    parts = [definition, *vars(definition).values()] if isinstance(definition, type) else [definition]
+    codes = [part.__code__ for part in parts if hasattr(part, "__code__")]
+    source = repr([definition, *((code.co_code, code.co_names, code.co_consts) for code in codes)])
+    with suppress(OSError, TypeError):  # a notebook, a console, or compiled code
+        source += Path(inspect.getfile(definition)).read_bytes().hex()
+    text = repr(value)
+    if hasattr(value, "__dict__") and not any("__repr__" in vars(base) for base in type(value).__mro__[:-1]):
+        text += repr(vars(value))
+    text, source = (re.sub(r" at 0x[0-9a-f]+", "", part) for part in (text, source))
+    return text + sha256(source.encode()).hexdigest()

@@ -61,7 +61,8 @@ def evaluate(
         their sequences.
     out : path, optional
         Folder for finished frames, in ``frames/``, with their pictures. An interrupted run in this folder is resumed
-        if data, methods and settings are unchanged. A callable is unchanged if its `repr` and its source file are.
+        if data, methods and settings are unchanged. A callable is unchanged if its `repr`, or without one its
+        attributes, and its source are.
     workers : int
         1 works in this process. More start processes on this machine, and a script that calls this must guard its own
         code by ``if __name__ == "__main__":``. Processes share the frames, or with fused methods the sequences. The

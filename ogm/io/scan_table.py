@@ -75,10 +75,16 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
     return rotation
 
 
+def axes_text(rotation: NDArray[np.float64]) -> str:
+    """Return a rotation by quarter turns as axes of the command line, such as ``+y,-x,+z``; see `rotation_to_flu`."""
+    return ",".join(("-" if row.sum() < 0 else "+") + "xyz"[np.abs(row).argmax()] for row in rotation)
+
+
 log: logging.Logger = logging.getLogger(__name__)
 
 _BLOCK = 2**18  # rows converted at a time
-_MISREAD = 0.05  # share of negative intensities above which the number of values per row is wrong
+_MISREAD = 0.05  # share of negative intensities, or of absurd coordinates, above which rows are read wrongly
+_NO_MAP = 1e9  # [m] farther than any map coordinates
 
 
 class FileFacts(NamedTuple):
@@ -141,7 +147,7 @@ def scan_from_table(
     there = returned
     if reach > REACH:
         there = returned & (np.abs(xyz) <= REACH).all(axis=0)
-        _check_far(int(np.count_nonzero(returned)), int(np.count_nonzero(there)), reach, where)
+        _check_far(table, int(np.count_nonzero(returned)), int(np.count_nonzero(there)), reach, where)
     kept: np.ndarray | slice = slice(None)
     if dropped := there.size - int(np.count_nonzero(there)):
         kept = there
@@ -165,7 +171,7 @@ def scan_from_table(
     scale, intensity = None, _intensities(table, columns)
     if intensity is not None:
         intensity = _native(intensity[kept])
-        if intensity_max is None:
+        if intensity_max is None or callable(intensity_max):
             _check_order(table, intensity, where)
         points[:, 3], scale = scale_intensities(intensity, intensity_max, table.intensity_max, where)
     if stamp is None:
@@ -197,8 +203,13 @@ def _by_meaning(table: Table) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def _check_far(points: int, near: int, reach: float, where: Path | str) -> None:
-    """Log absurdly far points, or raise if they are the majority: the coordinates are then not the sensor's."""
+def _check_far(table: Table, points: int, near: int, reach: float, where: Path | str) -> None:
+    """Log absurdly far points, or raise if they are too many: the coordinates are then not the sensor's."""
+    if table.headerless and points - near > _MISREAD * points and reach > _NO_MAP:
+        raise OgmError(
+            f"{where} has coordinates up to {reach:.3g} m, wanted rows of {len(table.columns)} float32 "
+            f"({table.format}): numbers of another type, such as float64, must be converted"
+        )
     if 2 * near > points:
         text = "%s: %d of %d points are farther than %g m, up to %.3g m, and dropped"
         notice(log, "far points", text, where, points - near, points, REACH, reach)
@@ -236,8 +247,9 @@ def _check_order(table: Table, raw: NDArray[Any], where: Path | str) -> None:
     if table.headerless and np.count_nonzero(raw < 0) > _MISREAD * raw.size:
         raise OgmError(
             f"{where} has intensities down to {raw.min():.3g}, wanted none below 0 in rows of {len(table.columns)} "
-            f"float32 ({table.format}): for rows of four values name it .bin (KITTI), for five .pcd.bin (nuScenes); "
-            "if negative intensities are correct, give intensity_max"
+            f"float32 ({table.format}): for rows of four values name it .bin (KITTI), for five .pcd.bin (nuScenes), "
+            'for three numpy.save("scan.npy", numpy.fromfile(NAME, "f4").reshape(-1, 3)); if negative intensities '
+            "are correct, give intensity_max"
         )
 
 

@@ -159,7 +159,7 @@ def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, eg
     try:
         mount = dataset[first].mount
     except _UNREADABLE as error:
-        reasons = list(found.ground_findings(None, ""))
+        reasons = list(found.ground_findings(None, "", recording.axes))
         yield from reasons
         if not any(finding.severity == "wrong map" for finding in reasons):
             yield Finding("wrong map", "height", error_text(error))
@@ -168,7 +168,7 @@ def _sensor_findings(dataset: Dataset, numbers: list[int], found: ScanChecks, eg
     given = recording.sensor_height is not None or recording.setup(dataset.numbers[first]).sensor_height is not None
     stated = "--sensor-height is" if given else "the recording states" if recording.known_height else ""
     height = mount.sensor_height - (recording.sensor_position or (0.0, 0.0, 0.0))[2]
-    yield from found.ground_findings(height, stated)
+    yield from found.ground_findings(height, stated, recording.axes)
     yield from check_tilt_of_poses(dataset, numbers)
     yield from check_direction(dataset)
     x, y = mount.origin[:2] if mount.points_in == "sensor" else (0.0, 0.0)

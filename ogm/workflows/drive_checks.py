@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ogm.datasets import Dataset
 from ogm.datasets.log_scans import PACKET_TYPES, scan_topics
 from ogm.io.logs import LogReader
-from ogm.io.scan_table import rotation_to_flu
+from ogm.io.scan_table import axes_text, rotation_to_flu
 from ogm.pose import pose, tilt_of
 from ogm.workflows.findings import Finding, counted, listed
 
@@ -154,9 +154,8 @@ def check_direction(dataset: Dataset) -> Iterator[Finding]:
         return
     side = math.copysign(1.0, y)
     R = np.array([[0, side, 0], [-side, 0, 0], [0, 0, 1]]) @ rotation_to_flu(recording.axes)
-    axes = ",".join(("-" if row.sum() < 0 else "+") + "xyz"[np.abs(row).argmax()] for row in R)
     text = f"the vehicle moves {math.hypot(x, y):.0f} m by its poses to its {'left' if y > 0 else 'right'}, not along x"
-    yield Finding("wrong map", "axes", text, f"--axes={axes}, or the yaw of the sensor's mount by --sensors")
+    yield Finding("wrong map", "axes", text, f"--axes={axes_text(R)}, or the yaw of the sensor's mount by --sensors")
 
 
 def check_topics(log: LogReader, used: tuple[str, ...]) -> Iterator[Finding]:

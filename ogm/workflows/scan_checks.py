@@ -10,7 +10,9 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.io import Axes
 from ogm.io.ground_plane import SIDES, GroundPlane, ground_plane, ground_side
+from ogm.io.scan_table import axes_text, rotation_to_flu
 from ogm.scan import Scan
 from ogm.workflows.findings import Finding, counted, without_numbers
 from ogm.workflows.value_checks import ValueChecks
@@ -159,7 +161,7 @@ class ScanChecks:
         x, y, z = np.mean(normals, axis=0) if normals else (0.0, 0.0, 1.0)
         return math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
 
-    def ground_findings(self, height: float | None, stated: str) -> Iterator[Finding]:
+    def ground_findings(self, height: float | None, stated: str, used: Axes) -> Iterator[Finding]:
         """Yield findings about tilt and height, by the ground in the scans.
 
         Parameters
@@ -168,6 +170,8 @@ class ScanChecks:
             Used height of the sensor [m]; None if unknown.
         stated : str
             Origin of the height as text; "" for a height estimated from the scans.
+        used : Axes
+            Axes by which the scans were read.
         """
         planes = [plane for plane in self.planes if plane is not None]
         if not self.planes or self.planar > self.count / 2:
@@ -176,7 +180,9 @@ class ScanChecks:
             axes = Counter(self.sides).most_common(1)
             if axes:
                 side = SIDES[axes[0][0]]
-                yield Finding("wrong map", "axes", f"the ground lies {side} the sensor", f"--axes={axes[0][0]}")
+                wanted = axes_text(rotation_to_flu(axes[0][0].split(",")) @ rotation_to_flu(used))
+                remedy = f"--axes={wanted}, of which the last is up; a picture shows which axis is forward"
+                yield Finding("wrong map", "axes", f"the ground lies {side} the sensor", remedy)
             else:
                 count = counted(len(self.planes), len(self.planes))
                 text = f"not found in {count}: heights are relative to --sensor-height"

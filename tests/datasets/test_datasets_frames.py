@@ -1,6 +1,7 @@
 """Logs whose clouds are tilted, registered or mounted unusually, and setups of sensors that the user states."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,11 @@ def test_a_sensor_on_its_side_is_refused_with_the_axes(tmp_path: Path, axes: str
     assert f"--axes={axes}" in text
     mount = open_dataset(tmp_path / "a.npy", axes=axes.split(","))[0].mount
     assert mount.sensor_height == pytest.approx(1.2, abs=0.01)
+    # Axes given already are part of the answer
+    wrong = lambda: open_dataset(tmp_path / "a.npy", axes=("+y", "+z", "+x"))[0].mount  # noqa: E731
+    if axes.split(",")[2] != "+x":
+        wanted = re.search(r"--axes=([^)]*)", refused("give axes", wrong))[1].split(",")
+        assert wanted[2] == axes.split(",")[2]
 
 
 # --- Clouds in other frames than their sensor's ------------------------------------------------------

@@ -249,6 +249,21 @@ def test_an_interrupted_run_counts_its_frames_and_resumes(tmp_path: Path) -> Non
         np.testing.assert_array_equal(result.values[metric], whole.values[metric])
 
 
+def test_a_repaired_model_is_not_scored_with_frames_of_the_broken_one(tmp_path: Path) -> None:
+    """Also without a source file, as in a console."""
+    names = {
+        "SPEC": SPEC,
+        "grid": lambda free: EvidentialGrid(SPEC, np.full((*SPEC.shape, 2), (free, 0.0), np.float32)),
+    }
+    code = "class Mine:\n    spec = SPEC\n    def __call__(self, scan):\n        return grid({})"
+    found = []
+    for free in (0.25, 0.5):
+        exec(code.format(free), names)
+        result = evaluate({"mine": names["Mine"]()}, FRAMES, SPEC, out=tmp_path)
+        found.append(result.macro("mine")["mean_free"])
+    assert found == [0.25, 0.5]
+
+
 def test_what_cannot_be_evaluated_is_refused() -> None:
     for methods, text in (
         ({}, "no methods to evaluate"),
@@ -257,6 +272,9 @@ def test_what_cannot_be_evaluated_is_refused() -> None:
         ({"grids": PrecomputedGrids({})}, "there is no grid for frame 0 and 2 more of 3 frames"),
     ):
         refused(text, evaluate, methods, FRAMES, SPEC)
+    mine = Flat()
+    mine.__class__ = type("Mine", (Flat,), {"__call__": lambda self, scan: np.zeros((*SPEC.shape, 2))})
+    refused("Mine returned ndarray, wanted an EvidentialGrid", evaluate, {"mine": mine}, FRAMES, SPEC, error=TypeError)
     refused(
         "mine must be a callable with a .spec", evaluate, {"mine": lambda scan: scan}, FRAMES, SPEC, error=TypeError
     )

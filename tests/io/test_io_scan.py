@@ -247,6 +247,8 @@ def test_decibels_beside_a_reflectivity_are_not_used(tmp_path):
 
 @each("rows, ending, message", [
         (np.float32([[1, 2, -3, 0.5, 7.5]] * 16), ".bin", "intensities down to -3, .* for five .pcd.bin"),
+        (np.float32([[1, 2, -3]] * 16), ".bin", r"intensities down to -3, .* for three .*reshape\(-1, 3\)"),
+        (np.float64([[-10.7, 20.3, -1.9, 0.3]] * 16), ".bin", "rows of 4 float32 .* such as float64"),
         (np.float32([[1, 2, 3, 0.5, 7]] * 16), ".bin", "integers as every fifth value: .* name it .pcd.bin"),
         (np.float32([[1, 2, 3, 0.5, 0.1, 7]] * 10), ".pcd.bin", "fifth values from 0.1 to 7, wanted rings"),
         (np.float32([[1, 2, -3, 0.5]] * 10), ".pcd.bin", "fifth values from -3 to 2, wanted rings"),

@@ -18,6 +18,7 @@ from ogm.storage.files import OgmError
 __all__ = ["PARSERS", "Table", "parse"]
 
 _NAMES = ("x", "y", "z", "intensity", "ring")
+_FROM_TEXT = 'text becomes .npy by numpy.save("scan.npy", numpy.loadtxt(NAME))'
 
 
 def parse_kitti(data: bytes, path: Path) -> Table:
@@ -52,7 +53,7 @@ def _are_rings(values: np.ndarray) -> bool:
 def _float_rows(data: bytes, path: Path, width: int) -> dict[str, np.ndarray]:
     wanted = f"rows of {width} float32: {', '.join(_NAMES[:width])}"
     if all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in data[:4096]):
-        raise OgmError(f"{path} is text, wanted {wanted}: name it after its format")
+        raise OgmError(f"{path} is text, wanted {wanted}: {_FROM_TEXT}")
     if len(data) % (4 * width):
         raise OgmError(
             f"{path} has {len(data)} bytes, no multiple of {4 * width}, wanted {wanted}: it is cut short, or its rows "
@@ -125,7 +126,9 @@ def parse(data: bytes, path: Path) -> Table:
     """
     if (suffix := next((ending for ending in PARSERS if path.name.lower().endswith(ending)), None)) is None:
         is_map = path.suffix.lower() in _MAPS
-        way_out = "`ogm view` shows maps and pictures of maps" if is_map else "name the file after its format"
+        way_out = (
+            "`ogm view` shows maps and pictures of maps" if is_map else f"name the file after its format; {_FROM_TEXT}"
+        )
         wanted = f"wanted {', '.join(PARSERS)}, also with .xz or .gz"
         raise OgmError(f"{path} ends in {path.suffix or 'no suffix'}, {wanted}; {way_out}")
     for signature, found, suffixes in _SIGNATURES:
