@@ -68,12 +68,7 @@ def combined() -> str:
             differences = [compared[metric]["difference"] for metric in ("nll", "false_free", "brier")]
             rows.append([f"{name}: `{model}` minus `{other}`", *map(change, differences)])
     tables.append(table(["difference (95 %)", "log loss", "false free", "Brier"], rows))
-    both = simulated | found["real"]
-    tables += [
-        _precision(both, kind, model)
-        for kind, model in (("8-bit", "{}"), ("bfloat16", "{}, bfloat16"))
-        if all(f"{kind} masses" in one for one in both.values())
-    ]
+    tables.append(_integers(simulated | found["real"]))
     cost = found["cost [ms]"]
     text = (
         f"Cost on one core, best of many calls ({found.get('cost measured', 'the same run')}): "
@@ -84,17 +79,16 @@ def combined() -> str:
     return with_command("combined", *tables, text)
 
 
-def _precision(found: Mapping[str, Any], kind: str, title: str) -> str:
-    """Return what a precision of the network changes, from float32, by dataset."""
+def _integers(found: Mapping[str, Any]) -> str:
+    """Return what 8-bit integers in the network change, from float32, by dataset."""
     rows, scored = [], [(model, metric) for model in ("lite", "combined") for metric in ("nll", "false_free")]
     for name, one in found.items():
-        masses, means = one[f"{kind} masses"], one["means"]
-        changes = [means[title.format(model)][metric] - means[f"{model}, float32"][metric] for model, metric in scored]
+        masses, means = one["8-bit masses"], one["means"]
+        changes = [means[model][metric] - means[f"{model}, float32"][metric] for model, metric in scored]
         cells = [f"{masses[key]:.4f}" for key in ("mean", "99.9th percentile", "largest")]
         share = f"{100 * masses['cells with another state']:.2f} %"
         rows.append([name, *cells, share, *(f"{value:+.4f}" for value in changes)])
-    words = {"8-bit": "8-bit integers"}.get(kind, kind)
-    heads = [f"{words} minus float32", "masses: mean", "99.9th percentile", "largest", "other state"]
+    heads = ["8-bit integers minus float32", "masses: mean", "99.9th percentile", "largest", "other state"]
     scores = [f"`{model}` {'log loss' if metric == 'nll' else 'false free'}" for model, metric in scored]
     return table([*heads, *scores], rows)
 

@@ -91,6 +91,12 @@ def fuse_drive(
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
     if o.window == "rolling":
         cells = rolling_window(o.spec)
+        extent = float(np.ptp(np.array(known)[:, :2, 3], axis=0).max(initial=0.0)) if known else 0.0
+        if outputs.map is not None and outputs.map.suffix == ".yaml" and extent > cells.length / 2:
+            warn(
+                f"the map is a window of {cells.length:.0f} m around the vehicle, and the drive {extent:.0f} m long: "
+                "`--window fixed --half-life inf` keeps all of it"
+            )
     elif is_planar(dataset):
         cells = echo_window(dataset, o.spec)
     else:
