@@ -63,20 +63,12 @@ def combined() -> str:
     tables = [table(["", "", *titles.values()], rows, left=2)]
     rows = []
     for name, one in simulated.items():  # with intervals; the others can be subtracted
-        for other, compared in one["against"].items():
-            model = "lite" if other == "lite, float32" else "combined"
-            differences = [compared[metric]["difference"] for metric in ("nll", "false_free", "brier")]
-            rows.append([f"{name}: `{model}` minus `{other}`", *map(change, differences)])
+        for other in ("ray", "lite"):
+            differences = [one["against"][other][metric]["difference"] for metric in ("nll", "false_free", "brier")]
+            rows.append([f"{name}: `combined` minus `{other}`", *map(change, differences)])
     tables.append(table(["difference (95 %)", "log loss", "false free", "Brier"], rows))
     tables.append(_integers(simulated | found["real"]))
-    cost = found["cost [ms]"]
-    text = (
-        f"Cost on one core, best of many calls ({found.get('cost measured', 'the same run')}): "
-        f"`ray` {cost['ray']:.1f} ms, `lite` {cost['lite']:.1f} ms (float32 {cost['lite, float32']:.1f}), `combined` "
-        f"{cost['combined']:.1f} ms, of which combining {cost['combining alone']:.2f} ms (copying both grids: "
-        f"{cost['copy of both grids']:.2f} ms)."
-    )
-    return with_command("combined", *tables, text)
+    return with_command("combined", *tables)
 
 
 def _integers(found: Mapping[str, Any]) -> str:
