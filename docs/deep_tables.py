@@ -56,7 +56,7 @@ def combined() -> str:
     for name, one in (simulated | found["real"]).items():
         place = f"{name}, frames: {one['frames']}"
         for model, mean in one["means"].items():
-            if model.endswith(("float32", "bfloat16", "hits kept")):
+            if model not in ("ray", "lite", "combined"):
                 continue
             cells = ["–" if mean[metric] is None else f"{mean[metric]:.3f}" for metric in titles]
             rows.append([place if model == "ray" else "", f"`{model}`" if " " not in model else model, *cells])
