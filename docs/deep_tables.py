@@ -169,18 +169,6 @@ def deep_training() -> str:
     return with_command("deep_training", table(heads, rows))
 
 
-def deep_size() -> str:
-    """Return what the paper's network gives over the small one, trained alike."""
-    found, shown = record("deep_size"), ("nll", "brier", "false_free", "iou_free", "iou_occupied", "auroc_unknown")
-    scores = found["scores"]
-    rows = [["`LITE`", *(f"{scores['means']['LITE'][m]:.3f}" for m in shown)]]
-    titles = {"PAPER": "`PAPER`, minus `LITE`", "lite": "shipped `lite`, minus `LITE`"}
-    rows += [[title, *(change(scores["minus LITE"][name][m]) for m in shown)] for name, title in titles.items()]
-    heads = ["log loss", "Brier", "false free", "IoU free", "IoU occupied", "AUROC of unknown"]
-    extent = f"{scores['frames']} validation frames of {scores['drives']} drives"
-    return with_command("deep_size", table([extent, *heads], rows))
-
-
 def deep_speed() -> str:
     """Return the time of the networks."""
     found = record("deep_speed")
