@@ -19,6 +19,7 @@ from ogm.grid import EvidentialGrid, GridSpec
 
 __all__ = ["PARTICIPANT", "CellState", "LazyTruth", "Motion", "StateShares", "Truth", "predict_state"]
 
+KERB = 15  # [cm] largest height of a kerb
 PARTICIPANT = 255  # in `Truth.height_cm`: the cell belongs to the box of a traffic participant
 EPS_CELL = 1e-9  # [cells] added so that rounding does not decide where the edges of two grids coincide
 
@@ -169,6 +170,39 @@ class Truth:
         """Cells of state `IGNORE`, (nx, ny): losses and metrics leave them out."""
         ignored: NDArray[np.bool_] = self.state == CellState.IGNORE
         return ignored
+
+    @property
+    def kerbs(self) -> NDArray[np.bool_]:
+        """Occupied cells whose obstacle is at most 0.15 m high, as kerbs are, (nx, ny); none without heights."""
+        if self.height_cm is None:
+            return np.zeros(self.spec.shape, np.bool_)
+        kerbs: NDArray[np.bool_] = (self.state == CellState.OCCUPIED) & (self.height_cm <= KERB)
+        return kerbs
+
+    def with_kerbs(self, state: "CellState | str") -> "Truth":
+        """Return the truth with another state in the cells of `kerbs`.
+
+        A car can drive over a kerb, but should not: it is an edge of the road, neither free nor an obstacle.
+
+        Parameters
+        ----------
+        state : CellState or str
+            ``"occupied"`` changes nothing; ``"ignore"`` leaves the cells out of losses and metrics; ``"unknown"``;
+            ``"free"``.
+
+        Raises
+        ------
+        ValueError
+            If there is no such state.
+        """
+        name = state.name if isinstance(state, CellState) else str(state).upper()
+        if name not in CellState.__members__:
+            known = ", ".join(member.lower() for member in CellState.__members__)
+            raise ValueError(f"the state of kerbs must be one of {known}, got {state!r}")
+        if name == "OCCUPIED" or self.height_cm is None:
+            return self
+        changed = np.where(self.kerbs, np.uint8(CellState[name]), self.state)
+        return LazyTruth(self.spec, changed, self.height_cm, lambda: self.motion)
 
     @cached_property
     def grid(self) -> EvidentialGrid:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm import CellState, GridSpec, Truth
-from ogm.state import predict_state
+from ogm.state import PARTICIPANT, predict_state
 
 UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
 SPEC = GridSpec(0.5, (40, 30), (-12.0, -7.0))
@@ -110,6 +110,21 @@ def test_shares_sum_to_one_and_the_grid_holds_what_is_known() -> None:
     assert truth.ignored.tolist() == [[False, False], [False, True]]
     assert truth.grid.mass.tolist() == [[[0, 0], [1, 0]], [[0, 1], [0, 0]]]
     np.testing.assert_array_equal(predict_state(truth.grid.mass)[truth.known], truth.state[truth.known])
+
+
+def test_kerbs_get_the_given_state_and_nothing_else_changes() -> None:
+    state = np.array([[OCCUPIED, OCCUPIED, OCCUPIED, FREE, UNKNOWN]], np.uint8)
+    height = np.array([[15, 16, PARTICIPANT, 0, 0]], np.uint8)
+    truth = Truth(GridSpec(1.0, (1, 5), (0.0, 0.0)), state, height)
+    assert truth.kerbs.tolist() == [[True, False, False, False, False]]
+    for name, want in (("ignore", IGNORE), ("unknown", UNKNOWN), (FREE, FREE), ("occupied", OCCUPIED)):
+        changed = truth.with_kerbs(name)
+        assert changed.state.tolist() == [[want, *state[0, 1:]]]
+        np.testing.assert_array_equal(changed.height_cm, height)
+    plain = random_truth()
+    assert not plain.kerbs.any()
+    assert plain.with_kerbs("ignore") is plain
+    refused("one of unknown, free, occupied, ignore, got 'low'", truth.with_kerbs, "low")
 
 
 def test_what_is_no_truth_is_refused() -> None:

@@ -104,6 +104,10 @@ def evaluate(
         ),
     ] = None,
     truth: TruthSources = None,
+    kerbs: Annotated[
+        Literal["occupied", "ignore", "unknown", "free"],
+        Option(help="State of obstacles up to 0.15 m in a truth with heights, as of simulated data."),
+    ] = "occupied",
     axes: FolderAxes = "flu",
     topic: Topic = None,
     fixed_frame: FixedFrame = None,
@@ -201,6 +205,7 @@ def evaluate(
         dataset,
         spec,
         frames=numbers,
+        kerbs=kerbs,
         out=out_folder,
         workers=workers,
         scheduler=scheduler,

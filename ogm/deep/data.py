@@ -124,6 +124,8 @@ class PillarDataset(Dataset[Any]):
         Seed of the random changes.
     most_pillars, most_points : int
         Limits of pillars per scan and points per pillar, see `ogm.deep.pillars.cap_pillars`; 0 for no limit.
+    kerbs : str
+        State of kerbs in the truth, see `ogm.state.Truth.with_kerbs`.
     rays : bool
         Whether the network takes the masses of `ogm.geometric.RayISM` as input.
     """
@@ -136,6 +138,7 @@ class PillarDataset(Dataset[Any]):
     most_pillars: int = 0
     most_points: int = 0
     rays: bool = False
+    kerbs: str = "occupied"
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -150,7 +153,7 @@ class PillarDataset(Dataset[Any]):
         epoch, i = key if isinstance(key, tuple) else (0, key)
         rng = np.random.default_rng((self.seed, epoch, i))
         frame = self.frames[i]
-        scan, height, state = augment(frame, self.spec, self.augmentation, rng)
+        scan, height, state = augment(frame, self.spec, self.augmentation, rng, self.kerbs)
         _, ego_footprint = to_ground_frame(frame.mount)
         pillars = pillarize(scan.points, self.spec, self.z_range, ego_footprint)
         if self.rays:
@@ -197,7 +200,7 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
 
 
 def augment(
-    frame: Frame, spec: GridSpec, augmentation: Augmentation, rng: np.random.Generator
+    frame: Frame, spec: GridSpec, augmentation: Augmentation, rng: np.random.Generator, kerbs: str = "occupied"
 ) -> tuple[Scan, float, NDArray[np.uint8]]:
     """Return a randomly changed frame, as from another drive, sensor or calibration.
 
@@ -213,6 +216,8 @@ def augment(
     augmentation : Augmentation
         Random changes.
     rng : Generator
+    kerbs : str
+        State of kerbs in the truth, see `ogm.state.Truth.with_kerbs`.
 
     Returns
     -------
@@ -232,7 +237,7 @@ def augment(
     a, scan, truth = augmentation, frame.scan, frame.truth
     if truth is None:
         raise ValueError(f"frame {frame.name!r} has no truth to train on: open a dataset with truth")
-    T, _ = to_ground_frame(frame.mount)
+    truth, (T, _) = truth.with_kerbs(kerbs), to_ground_frame(frame.mount)
     # All numbers are drawn, used or not, so a share of 0 does not change the other random numbers.
     yaw = rng.uniform(-np.pi, np.pi) if rng.random() < a.turn else 0.0
     mirrored = rng.random() < a.mirror

@@ -57,6 +57,8 @@ class Recipe:
         Largest norm of the gradient.
     average : float
         Decay per step of the exponential moving average of the weights; 0 uses the current weights.
+    kerbs : {"unknown", "ignore", "occupied", "free"}
+        State of kerbs in the truth, see `ogm.state.Truth.with_kerbs`.
     augmentation : Augmentation
         Random changes of the training frames.
     most_pillars, most_points : int
@@ -78,6 +80,7 @@ class Recipe:
     final_rate: float = 0.01
     clip: float = 1.0
     average: float = 0.998
+    kerbs: str = "occupied"
     augmentation: Augmentation = Augmentation()
     most_pillars: int = 0
     most_points: int = 0
@@ -85,7 +88,7 @@ class Recipe:
 
 
 LITE_RECIPE = Recipe(  # of the shipped weights, which started from earlier weights with half the learning rate
-    replace(LITE, rays=True), epochs=11, batch=4, augmentation=Augmentation(sector=0.25)
+    replace(LITE, rays=True), epochs=11, batch=4, kerbs="unknown", augmentation=Augmentation(sector=0.25)
 )
 PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; learning rate and dropout of the published code
     replace(PAPER, evidence="relu"),
@@ -104,7 +107,7 @@ PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; learning rate and drop
     most_pillars=10_000,
     most_points=100,
 )
-PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE}
+PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER, kerbs="unknown"), "published": PAPER_RECIPE}
 
 
 def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:

@@ -101,8 +101,9 @@ def train(
         If another process of the training ended; the state after the last step is saved.
     """
     _check_recipe(validation, recipe, out, resume)
-    network, limits = recipe.network, (recipe.most_pillars, recipe.most_points)
-    frames = PillarDataset(training, spec, recipe.augmentation, network.z_range, recipe.seed, *limits, network.rays)
+    network = recipe.network
+    inputs = (recipe.most_pillars, recipe.most_points, network.rays, recipe.kerbs)
+    frames = PillarDataset(training, spec, recipe.augmentation, network.z_range, recipe.seed, *inputs)
     fixed = replace(frames, frames=validation, augmentation=NO_AUGMENTATION)
     fabric = _launch(accelerator, devices, nodes, precision)
     known = {"seen": training_ranges(frames), **(facts or {})}

@@ -8,8 +8,9 @@ from numpy.random import Generator
 
 from ogm.simulation.mesh import Floats, Mask
 from ogm.simulation.mounts import FULL_TURN
-from ogm.simulation.recipe import DataRecipe, Faults, Skies
+from ogm.simulation.recipe import Crowds, DataRecipe, Faults, Skies
 from ogm.simulation.sample import Beams, Weather
+from ogm.simulation.traffic.departure import Density
 
 DUST_REACH = 40.0  # [m] largest distance of dust clouds from the sensor
 FAST = 3.0  # [m/s] speed above which vehicles raise dust
@@ -90,6 +91,12 @@ def draw_conditions(recipe: DataRecipe, beams: Beams, view: float, movers: Float
     if left_out:
         measured &= ~hidden
     return Conditions(weather, bool(in_motion), bool(intensity), measured, hidden, dust)
+
+
+def draw_density(crowds: Crowds, traffic: int) -> Density:
+    """Draw the density of a drive's traffic, of the given seed."""
+    rng = np.random.default_rng([traffic, 7])
+    return Density(*(_log_uniform(pair, rng) for pair in (crowds.vehicles, crowds.people, crowds.bicycles)))
 
 
 def _log_uniform(pair: tuple[float, float], rng: Generator) -> float:

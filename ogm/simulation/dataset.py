@@ -33,7 +33,7 @@ from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_sh
 from ogm.state import Truth
 from ogm.storage.files import FilePath, errors_with_path
 from ogm.storage.locks import locked
-from ogm.truth import TRUTH_SPEC, cells_in_boxes
+from ogm.truth import HEIGHT_LIMITS, TRUTH_SPEC, cells_in_boxes
 from ogm.truth.boxes import boxes_seen_from
 
 try:
@@ -166,7 +166,10 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: Ints, *, salt: int = 
     middle = here.state.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
     ego = cells_in_boxes(boxes_seen_from(inverse(here.T_world_sensor), [middle], [high - low]), TRUTH_SPEC)
     scene, below = here.world.scene, measure_ground(here.world.ground, here.T_world_sensor)
-    known, limits = Known(_boxes(here), returns, ego), Limits(_view(here), here.steepest)
+    known, limits = (
+        Known(_boxes(here), returns, ego),
+        Limits(_view(here), here.steepest, HEIGHT_LIMITS._replace(plant=here.plant)),
+    )
     if plan.truth == "hd":
         return hd_truth(scene, below, hd_directions(here.spec, plan.hd_layers), known, salt=salt, limits=limits)
     ends = (-np.pi / 2, np.pi / 2) if here.spec.kind else (here.spec.elevations[0], here.spec.elevations[-1])

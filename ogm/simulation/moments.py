@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from ogm.pose import inverse, pose, transform_points
-from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
+from ogm.simulation.conditions import Conditions, draw_conditions, draw_density, layer_errors
 from ogm.simulation.mesh import Floats
 from ogm.simulation.mounts import LidarMount
 from ogm.simulation.plan import PERIOD, SEQUENCE, SPLITS, DatasetPlan, Moment, moment, sample_rng
@@ -22,8 +22,9 @@ from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LidarSpec, beams_of
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic.bodies import ego_body
-from ogm.simulation.traffic.departure import Object
+from ogm.simulation.traffic.departure import USUAL, Density, Object
 from ogm.simulation.traffic.motion import Traffic, TrafficState
+from ogm.truth import HEIGHT_LIMITS
 
 REACH = 120.0  # [m] radius around the ego vehicle within which moving objects are placed
 CACHED_DRIVES = 12  # drives with their traffic in memory, to continue them
@@ -53,6 +54,8 @@ class SceneSetup(NamedTuple):
         Conditions of the scan drawn from a recipe.
     steepest : float
         See `ogm.simulation.survey.Limits.steepest`.
+    plant : float
+        Height below which plants are drivable [m].
     """
 
     world: World
@@ -63,6 +66,7 @@ class SceneSetup(NamedTuple):
     T_world_sensor: Floats
     conditions: Conditions | None = None
     steepest: float = np.inf
+    plant: float = HEIGHT_LIMITS.plant
 
 
 # Recent towns and drives are cached: building a town takes seconds, and traffic continues from its last state.
@@ -77,8 +81,8 @@ def _world(seed: int, size: float, country: Country | None, threads: int) -> Wor
 
 
 @lru_cache(maxsize=CACHED_DRIVES)
-def _drive(town: int, size: float, country: Country | None, seed: int, clockwise: bool) -> Traffic:
-    return Traffic(_town(town, size, country), seed, clockwise=clockwise)
+def _drive(town: int, size: float, country: Country | None, seed: int, clockwise: bool, density: Density) -> Traffic:
+    return Traffic(_town(town, size, country), seed, clockwise=clockwise, density=density)
 
 
 def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SceneSetup:
@@ -113,7 +117,8 @@ def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, t
 def traffic_of(plan: DatasetPlan, at: Moment) -> Traffic:
     """Return the traffic of a drive, cached for recent drives."""
     recipe = RECIPES.get(plan.recipe)
-    return _drive(at.town, plan.town_size, recipe and recipe.country, at.traffic, at.clockwise)
+    density = USUAL if recipe is None else draw_density(recipe.crowds, at.traffic)
+    return _drive(at.town, plan.town_size, recipe and recipe.country, at.traffic, at.clockwise, density)
 
 
 def put_in_place(world: World, state: TrafficState) -> tuple[Object, ...]:
@@ -141,6 +146,7 @@ def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator
         spec=replace(spec, elevation_errors=elevation, range_errors=distance),
         conditions=conditions,
         steepest=recipe.steepest,
+        plant=recipe.plant,
     )
 
 

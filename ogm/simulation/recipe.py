@@ -2,7 +2,8 @@
 
 The default of `DatasetPlan` is the paper's recipe: clear weather and intact sensors. ``gen2`` adds conditions that a
 sensor model must handle: other lidars and mounts, calibration errors, sectors, blocked views, lost packets, dead
-layers, fog, rain and dust, and country roads between banks, ditches, high grass and woods.
+layers, fog, rain and dust, and country roads between banks, ditches, high grass and woods. ``gen3`` has more traffic,
+and sensors of which few layers work.
 
 >>> from ogm.simulation.recipe import RECIPES
 >>> RECIPES["gen2"].samples, len({mount.lidar for mount in RECIPES["gen2"].mounts})
@@ -10,11 +11,11 @@ layers, fog, rain and dust, and country roads between banks, ditches, high grass
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ogm.simulation.mounts import LidarMount
 
-__all__ = ["GEN2", "RECIPES", "LayerErrors", "Country", "Faults", "DataRecipe", "Skies"]
+__all__ = ["GEN2", "GEN3", "RECIPES", "Country", "Crowds", "DataRecipe", "Faults", "LayerErrors", "Skies"]
 
 
 _DEGREE = math.pi / 180
@@ -119,6 +120,21 @@ class Skies:
     dust_radius: tuple[float, float] = (0.8, 6.0)
 
 
+@dataclass(frozen=True)
+class Crowds:
+    """Density of each drive's traffic, see `ogm.simulation.traffic.departure.Density`, drawn log-uniformly.
+
+    Parameters
+    ----------
+    vehicles, people, bicycles
+        Lower and upper bounds of the factors.
+    """
+
+    vehicles: tuple[float, float] = (1.0, 1.0)
+    people: tuple[float, float] = (1.0, 1.0)
+    bicycles: tuple[float, float] = (1.0, 1.0)
+
+
 _ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
 _MOUNTS = (
     LidarMount("vlp-32c", 0.08, _ROOF, _MIDDLE, _SLIGHT),
@@ -175,6 +191,9 @@ class DataRecipe:
         Share of scans without intensities: all are 0.
     steepest : float
         Largest slope (height over run) of ground that is not an obstacle.
+    plant : float
+        Height below which plants are drivable [m].
+    crowds : Crowds
     calibration : LayerErrors
         Calibration errors of lidars that `calibrations` does not name.
     calibrations : tuple of (name, LayerErrors)
@@ -193,6 +212,8 @@ class DataRecipe:
     in_motion: float = 0.5
     no_intensity: float = 0.5
     steepest: float = 0.4
+    plant: float = 0.25
+    crowds: Crowds = Crowds()
     calibration: LayerErrors = LayerErrors(elevation=0.02 * _DEGREE, offset=0.05 * _DEGREE, range=0.01)
     calibrations: tuple[tuple[str, LayerErrors], ...] = _CALIBRATIONS
 
@@ -202,4 +223,11 @@ class DataRecipe:
 
 
 GEN2 = DataRecipe()  # further lidars and mounts, faults, bad weather, country roads: see docs/simulation.md
-RECIPES: dict[str, DataRecipe] = {"gen2": GEN2}
+# More people, bicycles and queues, sensors of which few layers work, drivable plants up to 0.3 m
+GEN3 = replace(
+    GEN2,
+    plant=0.3,
+    crowds=Crowds(vehicles=(1.0, 3.0), people=(1.0, 6.0), bicycles=(1.0, 6.0)),
+    faults=Faults(dead=0.2, dead_layers=(0.05, 0.95)),
+)
+RECIPES: dict[str, DataRecipe] = {"gen2": GEN2, "gen3": GEN3}

@@ -21,7 +21,7 @@ from ogm.simulation.mesh import Bytes, Floats32, Mask
 from ogm.simulation.scene import Scene
 from ogm.state import Truth
 from ogm.truth import HEIGHT_LIMITS, Kind
-from ogm.truth.observe import OBSTACLE_SEEN
+from ogm.truth.observe import OBSTACLE_SEEN, HeightLimits
 from ogm.truth.points import finalize_truth
 from ogm.truth.rays import observe_rays
 
@@ -62,10 +62,12 @@ class Limits(NamedTuple):
     steepest : float
         Largest slope (height over run) of ground that is not an obstacle. The height of such an obstacle is its rise
         over three cells.
+    heights : HeightLimits
     """
 
     view: View | None = None
     steepest: float = np.inf
+    heights: HeightLimits = HEIGHT_LIMITS
 
 
 UNLIMITED = Limits()
@@ -159,7 +161,7 @@ class _Observer:
     """Cast rays from one pose and collect the observations of each cell."""
 
     def __init__(self, scene: Scene, below: Below, salt: int, limits: Limits) -> None:
-        self.scene, self.below, self.salt, self.view = scene, below, salt, limits.view
+        self.scene, self.below, self.salt, self.view, self.heights = scene, below, salt, limits.view, limits.heights
         self._rise, self._steep = below.rise, None
         if limits.steepest < np.inf:
             self._steep, climb = steep_cells(below, limits.steepest)
@@ -181,7 +183,7 @@ class _Observer:
                 lose_sight(hits.distance, part, kinds == Kind.GROUND, self.view)
             if self._steep is not None:
                 _steep_is_step(kinds, hits.distance, part, self._steep, (spec.resolution, *spec.origin))
-            observe_rays(self.seen, self.highest, hits.distance, part, kinds, ground, self._rise, spec)
+            observe_rays(self.seen, self.highest, hits.distance, part, kinds, ground, self._rise, spec, self.heights)
         self._number += len(directions)
 
     def truth(self, known: Known) -> Truth:

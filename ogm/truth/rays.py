@@ -26,6 +26,7 @@ def observe_rays(
     ground: NDArray[np.float32],
     rise: NDArray[np.float32],
     spec: GridSpec,
+    heights: HeightLimits = HEIGHT_LIMITS,
 ) -> None:
     """Add hits of rays from the grid's (0, 0) to an observation, in one pass; `observe_points` is the reference.
 
@@ -48,8 +49,9 @@ def observe_rays(
     rise : (nx, ny) float32
         Abrupt rise or drop of the ground in each cell [m], for hits of `Kind.STEP`.
     spec : GridSpec
+    heights : HeightLimits
     """
-    rules = _Rules(spec.resolution, *spec.origin, HEIGHT_LIMITS)
+    rules = _Rules(spec.resolution, *spec.origin, heights)
     _observe_rays(seen, highest, distance, directions, kind, ground, rise, rules)
 
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cases import each
@@ -142,6 +144,15 @@ def test_a_scan_without_rings_keeps_its_layers(frames, small):
     points, _ = _augment(bare, small, only(layers=1.0), np.random.default_rng(0))
     assert len(points) == len(frames[0].scan)
     assert len(_augment(frames[0], small, only(layers=1.0), np.random.default_rng(0))[0]) < len(points)
+
+
+def test_kerbs_have_the_state_of_the_data_set(frames, small):
+    truth = frames[0].truth
+    low = replace(truth, height_cm=np.full(truth.spec.shape, 12, np.uint8))
+    data = PillarDataset([replace(frames[0], truth=low)], small, kerbs="unknown")
+    got, before = data[0].state[0].numpy(), truth.crop(small).state
+    assert (before == CellState.OCCUPIED).any()
+    np.testing.assert_array_equal(got, np.where(before == CellState.OCCUPIED, CellState.UNKNOWN, before))
 
 
 def test_a_frame_without_truth_is_refused(frames, small):

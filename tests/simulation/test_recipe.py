@@ -10,15 +10,16 @@ from cases import each, refused
 
 from ogm.datasets import open_dataset
 from ogm.simulation import dataset, moments
-from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
+from ogm.simulation.conditions import Conditions, draw_conditions, draw_density, layer_errors
 from ogm.simulation.dataset import beams_of, make_sample
 from ogm.simulation.moments import draw_mount
 from ogm.simulation.mounts import FULL_TURN, LidarMount
 from ogm.simulation.plan import SPLITS, DatasetPlan, moment
-from ogm.simulation.recipe import GEN2, RECIPES, DataRecipe
+from ogm.simulation.recipe import GEN2, GEN3, RECIPES, DataRecipe
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.sensors import LIDARS
 from ogm.simulation.store import FORMAT, GAPS, Store
+from ogm.simulation.traffic.departure import Density
 from ogm.state import CellState
 
 pytestmark = pytest.mark.usefixtures("kept_towns")
@@ -46,6 +47,16 @@ def altered(monkeypatch: pytest.MonkeyPatch, recipe: DataRecipe, **changes: obje
     """Return a plan of the recipe with other numbers; the towns stay the same."""
     monkeypatch.setitem(RECIPES, "gen2", replace(recipe, **changes))
     return DatasetPlan.of_recipe("gen2", seed=5)
+
+
+def test_gen3_draws_a_density_for_every_drive_and_gen2_has_the_usual_one() -> None:
+    drawn = np.array([draw_density(GEN3.crowds, traffic) for traffic in range(500)])
+    ends = np.log([GEN3.crowds.vehicles, GEN3.crowds.people, GEN3.crowds.bicycles]).T
+    share = (np.log(drawn) - ends[0]) / (ends[1] - ends[0])
+    assert share.min() >= 0
+    assert share.max() <= 1
+    np.testing.assert_allclose(share.mean(axis=0), 0.5, atol=0.05)
+    assert draw_density(GEN2.crowds, 8) == Density()
 
 
 # --- plans ---

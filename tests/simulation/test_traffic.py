@@ -7,6 +7,7 @@ from cases import each, refused
 from ogm.simulation.materials import Material
 from ogm.simulation.town import Lane
 from ogm.simulation.traffic.bodies import CARS, VANS, car, ego_vehicle
+from ogm.simulation.traffic.departure import Density
 from ogm.simulation.traffic.heavy import bus, trailer, truck
 from ogm.simulation.traffic.motion import Traffic
 from ogm.simulation.traffic.parked import overlap
@@ -239,6 +240,21 @@ def test_corners_of_boxes_move_by_velocity_and_yaw_rate(traffic):
         np.testing.assert_allclose(found, want, atol=0.2)
         farthest = max(farthest, np.abs(want - velocity).max())
     assert farthest > 0.8  # without the yaw rate, corners of what turns would be wrong by this
+
+
+def test_density_multiplies_vehicles_people_and_the_share_of_bicycles(village):
+    def count(density):
+        things = Traffic(village, 3, clockwise=True, density=density).at(50.0).objects
+        moving = [thing.label for thing in things if thing.track < 1000]
+        people = sum(label == "pedestrian" for label in moving)
+        return len(moving) - people, people, sum(label == "bicycle" for label in moving)
+
+    usual, dense = count(Density()), count(Density(vehicles=2, people=5))
+    assert dense[1] == 5 * usual[1] > 0
+    assert 1.6 * usual[0] < dense[0] <= 2 * (usual[0] + 1)
+    same(*(Traffic(village, 3, clockwise=True, **given).at(9.0) for given in ({}, {"density": Density()})))
+    cycling = count(Density(vehicles=2, bicycles=100))
+    assert cycling[2] > 0.7 * cycling[0]
 
 
 def rectangles(frame):

@@ -89,7 +89,27 @@ SPACING = 66.0  # [m] of lane per vehicle
 MAX_VEHICLES = 60
 PER_WALKWAY = 38.0  # [m] of walkway per pedestrian
 MAX_WALKERS = 90
+BICYCLES = 5  # in a hundred vehicles
 HITCH = 0.4  # [m] between a lorry and the drawbar of its trailer
+
+
+class Density(NamedTuple):
+    """Density of the traffic of a scenario, relative to the usual one.
+
+    Attributes
+    ----------
+    vehicles, people : float
+        Factors on the numbers of moving vehicles and of pedestrians.
+    bicycles : float
+        Factor on the share of bicycles among the vehicles.
+    """
+
+    vehicles: float = 1.0
+    people: float = 1.0
+    bicycles: float = 1.0
+
+
+USUAL = Density()
 
 
 class Object(NamedTuple):
@@ -143,13 +163,14 @@ def fill_bays(town: Town, table: LaneTable, walkways: Lines, fleet: Fleet, rng: 
 
 
 def set_out(
-    town: Town, table: LaneTable, loop: tuple[int, ...], fleet: Fleet, rng: Generator
+    town: Town, table: LaneTable, loop: tuple[int, ...], fleet: Fleet, density: Density, rng: Generator
 ) -> tuple[list[Unit], Drivers]:
     """Draw vehicles with their starting positions and routes; the ego vehicle is the first."""
     alive = drivable(town.lanes)
     open_road = np.flatnonzero(alive & ~table.guarded & (table.length > 9.0))
-    count = min(MAX_VEHICLES, 1 + int(table.length[open_road].sum() / SPACING))
-    kinds = ["car"] * 70 + ["van"] * 9 + ["truck"] * 5 + ["bus"] * 4 + ["motorcycle"] * 5 + ["bicycle"] * 5
+    count = int(min(MAX_VEHICLES, 1 + int(table.length[open_road].sum() / SPACING)) * density.vehicles)
+    kinds = ["car"] * 70 + ["van"] * 9 + ["truck"] * 5 + ["bus"] * 4 + ["motorcycle"] * 5
+    kinds += ["bicycle"] * round(BICYCLES * density.bicycles)
     units: list[Unit] = []
     drivers: list[tuple[int, float, float, tuple[float, ...]]] = []  # lane, front and length [m], manners
     taken: dict[int, list[tuple[float, float]]] = {}
@@ -236,13 +257,13 @@ def make_signals(table: LaneTable, rng: Generator) -> Signals:
 
 
 def choose_people(
-    walkways: Lines, crossed: Crossings, fleet: Fleet, rng: Generator
+    walkways: Lines, crossed: Crossings, fleet: Fleet, density: Density, rng: Generator
 ) -> tuple[Walkers, list[list[Body]], Floats]:
     """Draw pedestrians with their walkways, positions and speeds; return their bodies and offsets to the right too."""
     zones, count = crossed.on_walkway, max(crossed.zones, 1)
     lengths = walkways.length
     usable = np.flatnonzero(lengths > 6.0)
-    number = min(MAX_WALKERS, int(lengths[usable].sum() / PER_WALKWAY)) if len(usable) else 0
+    number = int(min(MAX_WALKERS, int(lengths[usable].sum() / PER_WALKWAY)) * density.people) if len(usable) else 0
     share = lengths[usable] * np.where(
         lengths[usable] < 25, 0.5, 1.0
     )  # fewer pedestrians start on short walkways: crossings

@@ -6,7 +6,16 @@ import numpy as np
 
 from ogm.simulation.mesh import Floats
 from ogm.simulation.town import Town
-from ogm.simulation.traffic.departure import Object, choose_people, fill_bays, make_fleet, make_signals, set_out
+from ogm.simulation.traffic.departure import (
+    USUAL,
+    Density,
+    Object,
+    choose_people,
+    fill_bays,
+    make_fleet,
+    make_signals,
+    set_out,
+)
 from ogm.simulation.traffic.graph import Lines, along_lines, along_routes, crossings, lane_table, lines
 from ogm.simulation.traffic.kernels import advance
 from ogm.simulation.traffic.parked import frames
@@ -50,6 +59,7 @@ class Traffic:
         Seed of bodies, parked vehicles, routes and driving parameters; 0 or more.
     clockwise : bool
         Whether the ego vehicle drives ``town.loop`` or ``town.counter_loop``.
+    density : Density
 
     Raises
     ------
@@ -57,7 +67,7 @@ class Traffic:
         If the seed is not a whole number of 0 or more.
     """
 
-    def __init__(self, town: Town, seed: int, *, clockwise: bool) -> None:
+    def __init__(self, town: Town, seed: int, *, clockwise: bool, density: Density = USUAL) -> None:
         if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
             raise ValueError(f"seed must be a whole number >= 0, got {seed!r}")
         loop = town.loop if clockwise else town.counter_loop
@@ -67,9 +77,10 @@ class Traffic:
         self._fleet = make_fleet(draws[0])
         self._walkways = lines(town.walkways)
         self._parked = fill_bays(town, self._table, self._walkways, self._fleet, draws[1])
-        self._units, self._drivers = set_out(town, self._table, loop, self._fleet, draws[2])
+        self._units, self._drivers = set_out(town, self._table, loop, self._fleet, density, draws[2])
         self._crossings = crossings(self._table, self._walkways)
-        self._walkers, self._people, self._sides = choose_people(self._walkways, self._crossings, self._fleet, draws[3])
+        people = choose_people(self._walkways, self._crossings, self._fleet, density, draws[3])
+        self._walkers, self._people, self._sides = people
         self._signals = make_signals(self._table, draws[4])
         steps = int(round((LAST + WARM_UP) / STEP)) + 3
         vehicles, walkers = len(self._drivers.x), len(self._walkers.w)
