@@ -141,7 +141,7 @@ def row(place: str, storage: dict[str, str], count: int, seconds: float, order: 
         return requests(path, [int(where[i]) for _, i in sampler], 640 if order == "shards" else 100, seconds)
     dataset[0]  # compiles kernels
     torch.set_num_threads(1)
-    batches = iter(make_loader(dataset, sampler, BATCH, loaders))
+    batches = iter(make_loader(dataset, sampler, BATCH, loaders, torch.device("cpu")))
     next(batches)  # the loading processes have started
     step = training_step() if order == "training" else lambda batch: None
     step(next(batches))

@@ -25,8 +25,8 @@ def simulate(
     recipe: Annotated[
         str | None,
         Option(
-            help="gen2: 4800 samples in 69 towns with country roads, many lidars, faults, weather; sets all options "
-            "except seed, sizes and truth. [default: the paper's recipe]"
+            help="gen2: 4800 samples in 69 towns with country roads, many lidars, faults, weather; gen3: also crowds, "
+            "sensors of few layers. Sets all options except seed, sizes and truth. [default: the paper's recipe]"
         ),
     ] = None,
     seed: Annotated[int | None, Option(help="Random seed. [default: 1]")] = None,

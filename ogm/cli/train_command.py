@@ -39,9 +39,9 @@ def train_command(
     model: Annotated[
         Preset,
         Option(
-            help="lite: small, for CPUs; the masses of RayISM are inputs. paper: PointPillars, our recipe. published: "
-            "PointPillars, the paper's recipe (100 epochs, batch 5, squared error, occupied cells x 100, rotation "
-            "only)."
+            help="lite: small, for CPUs; the masses of RayISM are inputs. paper: PointPillars with these inputs, our "
+            "recipe. published: PointPillars, the paper's recipe (100 epochs, batch 5, squared error, occupied cells "
+            "x 100, rotation only)."
         ),
     ] = "lite",
     validation: Annotated[

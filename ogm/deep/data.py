@@ -23,7 +23,7 @@ from ogm.geometric import shows_ground
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.scan import Frame, Scan
-from ogm.state import CellState
+from ogm.state import CellState, Truth
 
 __all__ = ["NO_AUGMENTATION", "ROTATION", "Augmentation", "Batch", "PillarDataset", "augment", "training_ranges"]
 
@@ -90,9 +90,9 @@ class Batch(NamedTuple):
     state: torch.Tensor
     numbers: list[int]
 
-    def inputs(self, device: torch.device) -> Pillars:
-        """Return the network's input on a device."""
-        return self.pillars.to(device)
+    def on(self, device: torch.device) -> tuple[Pillars, torch.Tensor]:
+        """Return the network's input and the true states on a device."""
+        return self.pillars.to(device), self.state.to(device, non_blocking=True)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the network's input as arrays to save."""
@@ -237,7 +237,8 @@ def augment(
     a, scan, truth = augmentation, frame.scan, frame.truth
     if truth is None:
         raise ValueError(f"frame {frame.name!r} has no truth to train on: open a dataset with truth")
-    truth, (T, _) = truth.with_kerbs(kerbs), to_ground_frame(frame.mount)
+    truth = Truth(truth.spec, truth.with_kerbs(kerbs).state)  # turned without heights and motion
+    T, _ = to_ground_frame(frame.mount)
     # All numbers are drawn, used or not, so a share of 0 does not change the other random numbers.
     yaw = rng.uniform(-np.pi, np.pi) if rng.random() < a.turn else 0.0
     mirrored = rng.random() < a.mirror

@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from multiprocessing.util import Finalize
@@ -14,15 +14,14 @@ import numpy as np
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import nn
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Sampler
 
 from ogm.deep import losses
 from ogm.deep.data import Batch, PillarDataset
 from ogm.deep.order import EpochSampler, ShardSampler
 from ogm.deep.recipe import Recipe, mean_loss
 from ogm.deep.training_run import TrainingRun
-from ogm.evidence import evidence_to_mass
-from ogm.state import predict_state
+from ogm.state import CellState
 from ogm.storage.locks import locked
 
 _SAVE_EVERY = 120.0  # [s] between saved states
@@ -84,7 +83,9 @@ def run_training(
     order = EpochSampler(len(frames), *place)
     if shards is not None:
         order = ShardSampler(shards, *place, batch=recipe.batch)
-    loader = make_loader(frames, order, recipe.batch, workers)
+    device = fabric.device
+    loader = make_loader(frames, order, recipe.batch, workers, device)
+    checked = make_loader(fixed, range(len(fixed)), recipe.batch, workers, device)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out) if fabric.is_global_zero else nullcontext():
         refuse_other_run(out, resume)
@@ -94,7 +95,7 @@ def run_training(
         with bar as show, _memory_advice(recipe):
             try:
                 pictures = draw if picture_every else None
-                _train_epochs(run, loader, order, fixed, (pictures, picture_every), facts, show)
+                _train_epochs(run, loader, order, checked, (pictures, picture_every), facts, show)
             except KeyboardInterrupt:
                 if run.consistent:  # otherwise the last saved state is kept
                     run.save()
@@ -113,7 +114,7 @@ def _train_epochs(
     run: TrainingRun,
     loader: DataLoader[Any],
     order: EpochSampler,
-    fixed: PillarDataset,
+    checked: DataLoader[Any],
     pictures: tuple[Callable[[Path, Any], None] | None, int],
     facts: Mapping[str, Any],
     show: Callable[..., None],
@@ -131,7 +132,7 @@ def _train_epochs(
                 saved = run.save()
         if fabric.is_global_zero:
             speed = (run.step - first) / (time.monotonic() - began)  # [steps / s]
-            scores = validate(run.average, fixed, recipe, fabric.device)
+            scores = validate(run.average, checked, recipe, fabric.device)
             run.record(scores._asdict(), speed, facts)
             show(scores=scores)
             draw, every = pictures
@@ -143,36 +144,58 @@ def _train_epochs(
 
 
 @torch.no_grad()
-def validate(network: nn.Module, dataset: PillarDataset, recipe: Recipe, device: torch.device) -> ValidationScores:
+def validate(network: nn.Module, batches: Iterable[Batch], recipe: Recipe, device: torch.device) -> ValidationScores:
     """Score a network on frames, with the loss after all annealing, so that epochs are comparable."""
     network.eval()
-    loss = kl = cells = 0.0
-    counts = np.zeros((3, 3))  # true state, predicted state
-    for i in range(len(dataset)):
-        batch = dataset[i]
-        evidence, state = network(batch.inputs(device)), batch.state.to(device)
+    sums = torch.zeros(3, dtype=torch.float64, device=device)  # of the loss, of the KL, and cells
+    counts = torch.zeros(9, dtype=torch.int64, device=device)  # true state, predicted state
+    for batch in batches:
+        inputs, state = batch.on(device)
+        evidence = network(inputs)
         target, valid = losses.targets(state)
-        count = int(valid.sum())
-        loss += count * float(mean_loss(evidence, state, recipe, math.inf))
-        kl += count * float(losses.masked_mean(losses.reverse_kl(evidence, target, recipe.strength), valid))
-        cells += count
-        predicted = predict_state(evidence_to_mass(evidence.cpu().numpy()))
-        pairs = (3 * batch.state.numpy() + predicted)[valid.cpu().numpy()]
-        counts += np.bincount(pairs, minlength=9).reshape(3, 3)
-    iou = np.diag(counts) / np.maximum(counts.sum(0) + counts.sum(1) - np.diag(counts), 1)
+        count = valid.sum()
+        loss = mean_loss(evidence, state, recipe, math.inf)
+        kl = losses.masked_mean(losses.reverse_kl(evidence, target, recipe.strength), valid)
+        sums += count * torch.stack([loss, kl, torch.ones_like(kl)])
+        counts += torch.bincount((3 * state.long() + _predicted(evidence))[valid], minlength=9)
+    (loss, kl, cells), table = sums.tolist(), counts.view(3, 3).cpu().numpy()
+    iou = np.diag(table) / np.maximum(table.sum(0) + table.sum(1) - np.diag(table), 1)
     return ValidationScores(loss / max(cells, 1), kl / max(cells, 1), float(iou[1]), float(iou[2]))
 
 
-def make_loader(frames: PillarDataset, order: EpochSampler, batch: int, workers: int | None) -> DataLoader[Any]:
-    """Return a loader of batches; `workers` is the number of loading processes, by default half the cores."""
+def _predicted(evidence: torch.Tensor) -> torch.Tensor:
+    """Return the predicted state of evidence (..., 2), as `predict_state` of its masses; unknown has the evidence 2."""
+    free, occupied = evidence.double().unbind(-1)
+    is_free, is_occupied = (free > 2) & (free > occupied), (occupied > 2) & (occupied >= free)
+    return is_free * int(CellState.FREE) + is_occupied * int(CellState.OCCUPIED)
+
+
+def make_loader(
+    frames: PillarDataset, order: Sampler[Any] | range, batch: int, workers: int | None, device: torch.device
+) -> DataLoader[Any]:
+    """Return a loader of batches for a device.
+
+    Parameters
+    ----------
+    frames : PillarDataset
+    order : Sampler or range
+        Keys of the frames; an incomplete last batch of a `Sampler` is left out.
+    batch : int
+        Frames of a batch.
+    workers : int, optional
+        Number of loading processes, by default half the cores.
+    device : torch.device
+        Batches for CUDA are copied while the device computes.
+    """
     if workers is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))
     ahead: Any = 4 if workers else None
     options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": Batch.joined}
-    if workers and isinstance(order, ShardSampler):  # connections do not survive a fork
-        options |= {"multiprocessing_context": "spawn", "persistent_workers": True, "worker_init_fn": _end_at_once}
-    options["drop_last"] = True
+    trains = isinstance(order, Sampler)
+    options |= {"pin_memory": device.type == "cuda", "persistent_workers": trains and workers > 0, "drop_last": trains}
+    if workers and frames.shards is not None:  # connections do not survive a fork
+        options |= {"multiprocessing_context": "spawn", "worker_init_fn": _end_at_once}
     given: Any = frames
     return DataLoader(given, batch, sampler=order, **options)
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import torch
 from lightning.fabric import Fabric
-from torch import nn
 
 from ogm.deep.checkpoint import save_network
 from ogm.deep.data import Batch, PillarDataset
@@ -97,12 +96,17 @@ class TrainingRun:
             copy_weights(initial, self.network)
         average = build(spec).to(memory_format=torch.channels_last)
         average.load_state_dict(self.network.state_dict())
-        optimizer = torch.optim.AdamW(self.network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay)
+        rates: Any = {"lr": recipe.learning_rate, "weight_decay": recipe.weight_decay}
+        optimizer = torch.optim.AdamW(self.network.parameters(), **rates, fused=True)
         self._model, self.optimizer = fabric.setup(self.network, optimizer)
         self.average = average.to(fabric.device).eval()
         self.step, self.epoch, self.best = 0, 0, math.inf
         self.consistent = True
         self._losses: list[float] = []  # losses of the last 100 steps
+        states = (module.state_dict().values() for module in (self.average, self.network))
+        pairs = [pair for pair in zip(*states, strict=True) if pair[0].is_floating_point()]
+        self._averaged, self._newest = ([pair[k] for pair in pairs] for k in range(2))
+        self._buffers = [*self.network.buffers()]
 
     @property
     def recent_loss(self) -> float:
@@ -114,34 +118,38 @@ class TrainingRun:
         recipe, fabric = self.recipe, self.fabric
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(recipe, self.step, self.steps)
+        averaged = min(recipe.average, (self.step + 1) / (self.step + 11))
         seed = (recipe.seed * self.steps + self.step) * fabric.world_size + fabric.global_rank
         torch.manual_seed(seed)  # for the dropout
-        inputs, state = batch.inputs(fabric.device), batch.state.to(fabric.device)
+        inputs, state = batch.on(fabric.device)
         with self._buffers_kept():
             loss = mean_loss(self._model(inputs), state, recipe, self.step / self.steps_per_epoch)
-            value = float(loss.detach())
+            self.optimizer.zero_grad()
+            fabric.backward(loss)
+            bad = loss.detach()
+            if math.isfinite(recipe.clip):
+                options: Any = {"max_norm": recipe.clip, "error_if_nonfinite": False}
+                bad = bad + 0 * fabric.clip_gradients(self._model, self.optimizer, **options)
+            value = float(bad)  # waits for the accelerator, which has the whole step to do by now
             finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
             if fabric.all_reduce(finite, reduce_op="mean") != 1:  # all processes stop together
                 raise nonfinite_loss_error(self.out, batch, value, self.step)
-            self.optimizer.zero_grad()
-            fabric.backward(loss)
-            if math.isfinite(recipe.clip):
-                fabric.clip_gradients(self._model, self.optimizer, max_norm=recipe.clip)
             self.consistent = False
         self.optimizer.step()
         self.step += 1
-        _update_ema(self.average, self.network, min(recipe.average, self.step / (self.step + 10)))
+        with torch.no_grad():
+            torch._foreach_lerp_(self._averaged, self._newest, 1 - averaged)
         self._losses = [*self._losses[-99:], value]
         self.consistent = True
 
     @contextmanager
     def _buffers_kept(self) -> Iterator[None]:
         """Restore the network's buffers after an error or interrupt; a forward pass changes batch statistics."""
-        kept = [buffer.clone() for buffer in self.network.buffers()]
+        kept = [buffer.clone() for buffer in self._buffers]
         try:
             yield
         except BaseException:
-            for buffer, before in zip(self.network.buffers(), kept, strict=True):
+            for buffer, before in zip(self._buffers, kept, strict=True):
                 buffer.copy_(before)
             raise
 
@@ -225,16 +233,8 @@ def nonfinite_loss_error(folder: Path, batch: Batch, loss: float, step: int) -> 
         arrays: Any = batch.arrays()
         np.savez_compressed(file, **arrays, state=batch.state.numpy(), numbers=np.array(batch.numbers))
     way_out = "continue from the last saved state by `resume` with a smaller `learning_rate`"
-    return FloatingPointError(f"the loss became {loss} at step {step}, the batch is in {path}: {way_out}")
-
-
-@torch.no_grad()
-def _update_ema(average: nn.Module, network: nn.Module, decay: float) -> None:
-    for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
-        if mean.is_floating_point():
-            mean.lerp_(value, 1 - decay)
-        else:
-            mean.copy_(value)
+    became = f"the loss or its gradient became {loss} at step {step}"
+    return FloatingPointError(f"{became}, the batch is in {path}: {way_out}")
 
 
 def _add_row(path: Path, row: Mapping[str, float]) -> None:

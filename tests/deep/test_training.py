@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 import torch
 from cases import each, fail_call, refused
+from lightning.fabric import Fabric
 
+from ogm.deep import losses
 from ogm.deep.checkpoint import load_network
+from ogm.deep.data import Batch, PillarDataset
 from ogm.deep.network import PAPER
-from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
+from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe, mean_loss
+from ogm.deep.training_loop import make_loader, validate
+from ogm.deep.training_run import TrainingRun, nonfinite_loss_error
+from ogm.evidence import evidence_to_mass
+from ogm.state import CellState, predict_state
 from ogm.storage.locks import locked
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -192,9 +199,6 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_batch(go, recipe, tmp_pat
 
 
 def test_only_the_process_whose_loss_it_was_keeps_its_batch(frames, small, tmp_path):
-    from ogm.deep.data import PillarDataset
-    from ogm.deep.training_run import nonfinite_loss_error
-
     batch = PillarDataset(frames, small)[0]
     assert "another process" in str(nonfinite_loss_error(tmp_path, batch, 0.5, 3))
     assert not list(tmp_path.iterdir())
@@ -208,6 +212,39 @@ def test_the_error_for_too_little_memory_has_the_way_out(go, monkeypatch):
 
     monkeypatch.setattr("ogm.deep.training_run.mean_loss", full)
     refused("`batch`", go, error=MemoryError)
+
+
+def test_validation_in_batches_equals_a_loop_over_frames(frames, small, tiny):
+    cpu, recipe = torch.device("cpu"), Recipe(tiny, loss="log", occupied_weight=3.0)
+    torch.manual_seed(3)
+    network, data = tiny.build(small).eval(), PillarDataset(frames[:7], small)
+    found = validate(network, make_loader(data, range(7), 4, 0, cpu), recipe, cpu)
+    sums, table = np.zeros(3), np.zeros((3, 3))
+    for one in data:
+        with torch.no_grad():
+            evidence, count = network(one.pillars), int((one.state != CellState.IGNORE).sum())
+            target, valid = losses.targets(one.state)
+            kl = losses.reverse_kl(evidence, target, recipe.strength)[valid].mean()
+            sums += count * float(mean_loss(evidence, one.state, recipe, math.inf)), count * float(kl), count
+        np.add.at(table, (one.state[valid].numpy(), predict_state(evidence_to_mass(evidence.numpy()))[valid]), 1)
+    assert (table.sum(axis=0) > 0).sum() > 1
+    iou = np.diag(table) / (table.sum(0) + table.sum(1) - np.diag(table))
+    np.testing.assert_allclose(found, [*sums[:2] / sums[2], *iou[1:]], rtol=1e-5)
+
+
+def test_the_average_follows_the_weights(frames, small, recipe, tmp_path):
+    fabric = Fabric(accelerator="cpu", devices=1, precision="32-true")
+    run = TrainingRun(fabric, recipe, small, tmp_path, 8, 4)
+    batch = Batch.joined([one for one in PillarDataset(frames[:4], small)])
+    want = {name: value.clone() for name, value in run.average.state_dict().items()}
+    for step in range(1, 4):
+        run.do_step(batch)
+        kept = min(recipe.average, step / (step + 10))
+        for name, value in run.network.state_dict().items():
+            want[name] = kept * want[name] + (1 - kept) * value
+    for name, value in run.average.state_dict().items():
+        if value.is_floating_point():
+            np.testing.assert_allclose(value, want[name], rtol=1e-5, atol=1e-6, err_msg=name)
 
 
 def test_every_loss_and_the_published_recipe_can_be_trained_with(go, recipe, tmp_path):
