@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _charts import caption
 
 from ogm import GridSpec
 from ogm.datasets import open_dataset
@@ -28,7 +27,6 @@ from ogm.deep import LITE
 from ogm.deep.recipe import Recipe
 from ogm.deep.training import train
 from ogm.evaluation import evaluate
-from ogm.evaluation.figures import draw_metrics
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.32)
 OTHER: dict[str, Any] = {"uniform_kl": 1.0}
@@ -52,7 +50,7 @@ NOTE = (
 
 
 def main() -> None:
-    parser = run.Parser(__doc__, picture=True)
+    parser = run.Parser(__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--samples", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=10)
@@ -99,8 +97,6 @@ def main() -> None:
     print(result)
     if options.only == list(RECIPES):
         run.write_record(options.out, record)
-        title = f"{len(result.frames)} validation frames: quartiles and 5 to 95 %; dot and number: mean"
-        draw_metrics(options.picture, result, title, note=caption(record))
 
 
 if __name__ == "__main__":
