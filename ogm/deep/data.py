@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
+from ogm.deep.losses import KERB
 from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, ray_masses
 from ogm.deep.points import to_ground_frame
 from ogm.geometric import shows_ground
@@ -81,7 +82,7 @@ class Batch(NamedTuple):
     pillars : Pillars
         Points of the frames, sorted by cell.
     state : (batch, nx, ny) uint8
-        True states, values of `ogm.state.CellState`.
+        True states, values of `ogm.state.CellState`, or `ogm.deep.losses.KERB`.
     numbers : list of int
         Numbers of the frames in their dataset.
     """
@@ -217,7 +218,7 @@ def augment(
         Random changes.
     rng : Generator
     kerbs : str
-        State of kerbs in the truth, see `ogm.state.Truth.with_kerbs`.
+        State of kerbs in the truth, see `ogm.state.Truth.with_kerbs`; "unknown" marks them `ogm.deep.losses.KERB`.
 
     Returns
     -------
@@ -227,7 +228,7 @@ def augment(
     height : float
         Height of the sensor, which is at x = y = 0, above the ground [m].
     state : (nx, ny) uint8
-        Truth on `spec`.
+        Truth on `spec`, values of `CellState` or `KERB`.
 
     Raises
     ------
@@ -237,7 +238,7 @@ def augment(
     a, scan, truth = augmentation, frame.scan, frame.truth
     if truth is None:
         raise ValueError(f"frame {frame.name!r} has no truth to train on: open a dataset with truth")
-    truth = Truth(truth.spec, truth.with_kerbs(kerbs).state)  # turned without heights and motion
+    truth = Truth(truth.spec, truth.state, truth.height_cm)  # turned without its motion
     T, _ = to_ground_frame(frame.mount)
     # All numbers are drawn, used or not, so a share of 0 does not change the other random numbers.
     yaw = rng.uniform(-np.pi, np.pi) if rng.random() < a.turn else 0.0
@@ -265,7 +266,8 @@ def augment(
     matrix[2] = *(T[2, :3] + (-pitch, roll, 0)), height
     _disturb(points, errors, matrix.astype(np.float32), np.float32(gain))
     no_returns = None if scan.no_returns is None else scan.no_returns @ matrix[:, :3].T.astype(np.float32)
-    state = (truth.mirrored() if mirrored else truth).crop(spec, yaw).state
+    turned = (truth.mirrored() if mirrored else truth).crop(spec, yaw)
+    state = np.where(turned.kerbs, KERB, turned.state) if kerbs == "unknown" else turned.with_kerbs(kerbs).state
     if cut:
         outside = ~_in_sector(*spec.cell_centers, middle, half)
         state = state.copy()

@@ -58,7 +58,8 @@ class Recipe:
     average : float
         Decay per step of the exponential moving average of the weights; 0 uses the current weights.
     kerbs : {"unknown", "ignore", "occupied", "free"}
-        State of kerbs in the truth, see `ogm.state.Truth.with_kerbs`.
+        State of kerbs in the truth, see `ogm.state.Truth.with_kerbs`; unknown ones have the weight of
+        `ogm.deep.losses.kerb_weights`.
     augmentation : Augmentation
         Random changes of the training frames.
     most_pillars, most_points : int
@@ -117,7 +118,9 @@ def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> 
     loss = LOSSES[recipe.loss](evidence, target, recipe.strength)
     if recipe.uniform_kl:
         loss = loss + recipe.uniform_kl * min(1.0, epoch / 10) * losses.uniform_kl(evidence, target)
-    weight = None if recipe.occupied_weight == 1 else losses.class_weights(target, recipe.occupied_weight)
+    weight = losses.kerb_weights(state)
+    if recipe.occupied_weight != 1:
+        weight = weight * losses.class_weights(target, recipe.occupied_weight)
     return losses.masked_mean(loss, valid, weight)
 
 

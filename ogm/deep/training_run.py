@@ -18,6 +18,7 @@ from lightning.fabric import Fabric
 
 from ogm.deep.checkpoint import save_network
 from ogm.deep.data import Batch, PillarDataset
+from ogm.deep.losses import KERB
 from ogm.deep.network import PillarNetwork, copy_weights
 from ogm.deep.recipe import Recipe, learning_rate, mean_loss
 from ogm.evidence import evidence_to_mass
@@ -218,7 +219,7 @@ def draw_predictions(path: Path, network: PillarNetwork, dataset: PillarDataset,
         evidence = network(batch.pillars.to(device))[0].cpu().numpy()
         panels += [
             points_panel(batch.pillars.features[:, :4].numpy(), dataset.spec, f"sample {i}", 0.0),
-            mass_panel(Truth(dataset.spec, batch.state[0].numpy()).grid, "truth"),
+            mass_panel(Truth(dataset.spec, batch.state[0].numpy() % KERB).grid, "truth"),
             mass_panel(EvidentialGrid.trusted(dataset.spec, evidence_to_mass(evidence)), "network"),
         ]
     save_picture(path, *panels)

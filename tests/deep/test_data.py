@@ -5,6 +5,7 @@ import pytest
 from cases import each
 
 from ogm.deep.data import NO_AUGMENTATION, ROTATION, Augmentation, Batch, PillarDataset, augment, training_ranges
+from ogm.deep.losses import KERB
 from ogm.deep.order import EpochSampler
 from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState
@@ -152,7 +153,9 @@ def test_kerbs_have_the_state_of_the_data_set(frames, small):
     data = PillarDataset([replace(frames[0], truth=low)], small, kerbs="unknown")
     got, before = data[0].state[0].numpy(), truth.crop(small).state
     assert (before == CellState.OCCUPIED).any()
-    np.testing.assert_array_equal(got, np.where(before == CellState.OCCUPIED, CellState.UNKNOWN, before))
+    np.testing.assert_array_equal(got, np.where(before == CellState.OCCUPIED, KERB, before))
+    ignored = PillarDataset(data.frames, small, kerbs="ignore")[0].state[0].numpy()
+    np.testing.assert_array_equal(ignored, np.where(before == CellState.OCCUPIED, CellState.IGNORE, before))
 
 
 def test_a_frame_without_truth_is_refused(frames, small):

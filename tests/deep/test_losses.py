@@ -12,8 +12,10 @@ from scipy import optimize, special
 from torch import Tensor
 
 from ogm.deep.losses import (
+    KERB,
     class_weights,
     digamma_loss,
+    kerb_weights,
     log_loss,
     masked_mean,
     reverse_kl,
@@ -21,7 +23,10 @@ from ogm.deep.losses import (
     targets,
     uniform_kl,
 )
+from ogm.deep.network import LITE
+from ogm.deep.recipe import Recipe, mean_loss
 from ogm.evidence import dirichlet_kl
+from ogm.state import CellState
 
 
 def paper(evidence: Tensor, target: Tensor) -> Tensor:
@@ -356,6 +361,21 @@ def test_the_optimum_under_class_weights(weight: float, chances: tuple) -> None:
     weighted = torch.from_numpy(optimum(reverse_kl, chances, weights))
     shares = np.multiply(weights, chances)
     assert weighted.numpy() == pytest.approx(10 * shares[:2] / shares.sum(), abs=1e-5)
+
+
+def test_a_kerb_is_unknown_where_it_is_more_probable_than_free() -> None:
+    """Evidence of 2, at which free and unknown are equal, where both are as probable."""
+    weight = float(kerb_weights(torch.tensor([int(KERB)]))[0])
+    assert optimum(reverse_kl, (0.5, 0.0, 0.5), (1, 1, weight)) == pytest.approx([2, 0], abs=1e-5)
+    state = torch.tensor([*map(int, CellState), int(KERB)], dtype=torch.uint8)
+    assert kerb_weights(state).tolist() == [1, 1, 1, 1, weight]
+    target, valid = targets(state)
+    assert (target[4].tolist(), bool(valid[4])) == ([0, 0], True)
+    # A batch of a recipe has the same optimum.
+    evidence = torch.tensor([2.0, 0.0], dtype=torch.float64, requires_grad=True)
+    pair = torch.tensor([int(CellState.FREE), int(KERB)], dtype=torch.uint8)
+    mean_loss(evidence.expand(2, 2), pair, Recipe(LITE), 1.0).backward()
+    assert float(evidence.grad[0]) == pytest.approx(0, abs=1e-9)
 
 
 def test_class_weights_move_the_optimum_of_a_batch() -> None:
