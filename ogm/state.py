@@ -33,6 +33,15 @@ class CellState(IntEnum):
     IGNORE = 3
 
 
+def kerb_state(state: CellState | str) -> CellState:
+    """Return a state of kerbs by name, see `Truth.with_kerbs`; raise ValueError if there is no such state."""
+    name = state.name if isinstance(state, CellState) else str(state).upper()
+    if name not in CellState.__members__:
+        known = ", ".join(member.lower() for member in CellState.__members__)
+        raise ValueError(f"the state of kerbs must be one of {known}, got {state!r}")
+    return CellState[name]
+
+
 class StateShares(NamedTuple):
     """Shares of a grid's cells by state, each in [0, 1]; they sum to one."""
 
@@ -118,9 +127,8 @@ class Truth:
     state : (nx, ny) uint8
         Values of `CellState`. Not copied.
     height_cm : (nx, ny) uint8, optional
-        Height above ground of the highest obstacle hit in each occupied cell [cm], up to the clearance;
-        `PARTICIPANT` in all cells of a traffic participant's box; without meaning in other cells. None if heights
-        are unknown.
+        Height above ground of the highest obstacle hit in each cell [cm], up to the clearance; `PARTICIPANT` in all
+        cells of a traffic participant's box; 0 in other cells. None if heights are unknown.
     motion : Motion, optional
         None if the motion of objects is unknown.
 
@@ -173,10 +181,13 @@ class Truth:
 
     @property
     def kerbs(self) -> NDArray[np.bool_]:
-        """Occupied cells whose obstacle is at most 0.15 m high, as kerbs are, (nx, ny); none without heights."""
+        """Cells whose obstacle is at most 0.15 m high, as kerbs are, whatever their state, (nx, ny) bool.
+
+        False everywhere if heights are unknown.
+        """
         if self.height_cm is None:
             return np.zeros(self.spec.shape, np.bool_)
-        kerbs: NDArray[np.bool_] = (self.state == CellState.OCCUPIED) & (self.height_cm <= KERB)
+        kerbs: NDArray[np.bool_] = (self.height_cm > 0) & (self.height_cm <= KERB)
         return kerbs
 
     def with_kerbs(self, state: "CellState | str") -> "Truth":
@@ -187,21 +198,17 @@ class Truth:
         Parameters
         ----------
         state : CellState or str
-            ``"occupied"`` changes nothing; ``"ignore"`` leaves the cells out of losses and metrics; ``"unknown"``;
-            ``"free"``.
+            ``"occupied"``, as it is observed; ``"ignore"``, left out of losses and metrics; ``"unknown"``; ``"free"``.
 
         Raises
         ------
         ValueError
             If there is no such state.
         """
-        name = state.name if isinstance(state, CellState) else str(state).upper()
-        if name not in CellState.__members__:
-            known = ", ".join(member.lower() for member in CellState.__members__)
-            raise ValueError(f"the state of kerbs must be one of {known}, got {state!r}")
-        if name == "OCCUPIED" or self.height_cm is None:
+        wanted = kerb_state(state)
+        if self.height_cm is None:
             return self
-        changed = np.where(self.kerbs, np.uint8(CellState[name]), self.state)
+        changed = np.where(self.kerbs, np.uint8(wanted), self.state)
         return LazyTruth(self.spec, changed, self.height_cm, lambda: self.motion)
 
     @cached_property

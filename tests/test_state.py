@@ -117,6 +117,7 @@ def test_kerbs_get_the_given_state_and_nothing_else_changes() -> None:
     height = np.array([[15, 16, PARTICIPANT, 0, 0]], np.uint8)
     truth = Truth(GridSpec(1.0, (1, 5), (0.0, 0.0)), state, height)
     assert truth.kerbs.tolist() == [[True, False, False, False, False]]
+    assert truth.with_kerbs("free").with_kerbs("occupied").state.tolist() == state.tolist()
     for name, want in (("ignore", IGNORE), ("unknown", UNKNOWN), (FREE, FREE), ("occupied", OCCUPIED)):
         changed = truth.with_kerbs(name)
         assert changed.state.tolist() == [[want, *state[0, 1:]]]

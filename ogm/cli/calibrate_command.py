@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from ogm.cli.console import complain, number_table, out, report_errors, stderr, ticked
-from ogm.cli.options import First, FolderAxes, TruthSources, check_first, parsed_axes
+from ogm.cli.options import First, FolderAxes, Kerbs, TruthSources, check_first, parsed_axes
 
 if TYPE_CHECKING:
     from ogm.models import Calibration
@@ -32,6 +32,7 @@ def calibrate_command(
     ] = None,
     split: Annotated[str | None, Option(help="Split of simulated data. [default: train]")] = None,
     truth: TruthSources = None,
+    kerbs: Kerbs = "occupied",
     axes: FolderAxes = "flu",
     base_rate: Annotated[
         str, Option(help="P(occupied) of a cell without evidence; data: the share of occupied cells.", metavar="P")
@@ -77,7 +78,7 @@ def calibrate_command(
     if guarantee is not None and fit is not None:
         raise ValueError("--guarantee fits nothing: leave out --fit, and give its earlier result by --ism")
     sources = tuple((truth or "").split(",")) if truth else ()
-    dataset = open_dataset(data, axes=parsed_axes(axes), split=split, default_split="train", truth=sources)
+    dataset = open_dataset(data, axes=parsed_axes(axes), split=split, default_split="train", truth=sources, kerbs=kerbs)
     frames = dataset[:first:every]
     if guarantee is not None:
         fitted = bounded(frames, ism, guarantee[1], confidence, reading=lambda numbers: ticked(numbers, "mapping"))

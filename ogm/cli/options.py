@@ -1,7 +1,7 @@
 """Options of several commands."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from typer import Option
 
@@ -25,6 +25,10 @@ FolderAxes = Annotated[str, Option(help="Axes of a folder of scans: flu, kitti, 
 TruthSources = Annotated[
     str | None,
     Option(help="Sources of truth: boxes, classes, map, aggregated. [default: all]", metavar="SOURCE[,SOURCE]..."),
+]
+Kerbs = Annotated[
+    Literal["occupied", "ignore", "unknown", "free"],
+    Option(help="State of obstacles up to 0.15 m in the truth of simulated data."),
 ]
 IntensityMax = Annotated[float | None, Option(help="Intensity that is scaled to 1. [default: by the format]")]
 TimeUnit = Annotated[float | None, Option(help="Unit of time [s]. [default: 1e-9 for whole numbers, else 1]")]

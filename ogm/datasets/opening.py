@@ -26,6 +26,7 @@ from ogm.grid import GridSpec
 from ogm.io import Axes
 from ogm.io.logs import LOG_ENDINGS
 from ogm.io.scan_table import rotation_to_flu
+from ogm.state import kerb_state
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath, as_path
 
@@ -63,6 +64,7 @@ def open_dataset(
     default_split: str | None = None,
     truth: str | Iterable[str] = (),
     others: str = "all",
+    kerbs: str = "occupied",
     spec: GridSpec | None = None,
     topic: str | Iterable[str] = (),
     frame: str | None = None,
@@ -121,6 +123,9 @@ def open_dataset(
         maps that are fused over time, which must not be evaluated on the scans in the map; the last frames then have
         little truth. With "later", cells without hits are ignored in the truth of a simulated dataset, because the map
         may know them from another frame.
+    kerbs : {"occupied", "ignore", "unknown", "free"}
+        State of obstacles up to 0.15 m in the truth of a simulated dataset, see `ogm.state.Truth.with_kerbs`; the truth
+        of other datasets has no heights.
     spec : GridSpec, optional
         Grid of the states and pictures in a folder of truth grids, which do not state it.
     topic : str or iterable of str
@@ -147,11 +152,12 @@ def open_dataset(
         raise ValueError("got no path to open: give files of scans, or a folder")
     if others not in _OTHERS:
         raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {others!r}")
+    kerb_state(kerbs)
     rotation_to_flu(axes)  # refuses wrong axes before any file is read
     units = {"intensity_max": intensity_max, "time_unit": time_unit, "origin": origin}
     units = {name: unit for name, unit in units.items() if unit is not None}
     options = OpenOptions(
-        *(axes, units, sensor_height, sensor_position, split, default_split, others, spec, frame),
+        *(axes, units, sensor_height, sensor_position, split, default_split, others, kerbs, spec, frame),
         *(_names(truth), _names(topic), _names(sensors)),
         (setups,) if isinstance(setups, SensorSetup) else tuple(setups),
     )

@@ -54,6 +54,7 @@ class SimulatedRecording(Recording):
         self._split, self._numbers, self._radars = store[split], numbers, store.radars
         self.stamped = split == "sequences"
         self._observed, self._unknown_ignored = store.plan.get("truth") != "none", options.others == "later"
+        self._kerbs = options.kerbs
         facts = self._split.facts[numbers]
         poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
         first = FACTS.index("T_world_sensor_00")
@@ -88,6 +89,8 @@ class SimulatedRecording(Recording):
                 f"Simulated: surfaces that {rays} hit; all cells of participants with 50 returns or more; cells "
                 "without a hit are unknown."
             )
+            if self._kerbs != "occupied":
+                self.description += f" Obstacles up to 0.15 m: {self._kerbs}."
             if self._unknown_ignored:
                 self.description += " Maps may know such cells from other frames: they are left out."
 
@@ -176,7 +179,7 @@ class SimulatedRecording(Recording):
         if not self.has_truth(n):
             name = self.frames[n].name
             raise OgmError(f"{name} lies between lidar scans and has no truth: use the frames of `Dataset.with_truth`")
-        truth = self._sample(int(self._numbers[self._sources[n].sample])).truth
+        truth = self._sample(int(self._numbers[self._sources[n].sample])).truth.with_kerbs(self._kerbs)
         return ignore_cells(truth, truth.state == CellState.UNKNOWN) if self._unknown_ignored else truth
 
     def read_boxes(self, n: int) -> Boxes:

@@ -35,7 +35,6 @@ def evaluate(
     spec: GridSpec | None = None,
     *,
     frames: Iterable[int] | None = None,
-    kerbs: str = "occupied",
     out: str | Path | None = None,
     workers: int = 1,
     scheduler: str | None = None,
@@ -60,8 +59,6 @@ def evaluate(
     frames : iterable of int, optional
         Numbers of the evaluated frames; by default all frames with truth. Fused methods also use all earlier frames of
         their sequences.
-    kerbs : {"occupied", "ignore", "unknown", "free"}
-        State of kerbs in a truth with heights, see `ogm.state.Truth.with_kerbs`.
     out : path, optional
         Folder for finished frames, in ``frames/``, with their pictures. An interrupted run in this folder is resumed
         if data, methods and settings are unchanged. A callable is unchanged if its `repr`, or without one its
@@ -99,13 +96,11 @@ def evaluate(
     infos = checked_frames(used, dataset, numbers, truth=True)
     about = {"kind": ("format", "frames in Python"), "name": ("name", "frames"), "truth": ("description", "")}
     data = {key: getattr(dataset, *default) for key, default in about.items()} | getattr(dataset, "facts", {})
-    if kerbs != "occupied":
-        data["truth"] = f"{data['truth']} Obstacles up to 0.15 m: {kerbs}.".strip()
     facts = {
         name: {"description": method.description, "weights": getattr(method, "weights", None)}
         for name, method in used.items()
     }
-    task, alone = FrameTask(used, spec, dataset, draw if out else None, kerbs), workers == 1 and scheduler is None
+    task, alone = FrameTask(used, spec, dataset, draw if out else None), workers == 1 and scheduler is None
     cache: ResultCache | None = None
     missing: Sequence[int] = numbers
     with ExitStack() as stack:

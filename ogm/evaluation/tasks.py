@@ -42,15 +42,12 @@ class FrameTask:
     dataset : sequence of Frame
     draw : function, optional
         Draws the pictures of a frame, see `ogm.evaluation.frame_pictures.draw_frame`.
-    kerbs : str
-        State of kerbs in the truth, see `ogm.state.Truth.with_kerbs`.
     """
 
     methods: Mapping[str, Method]
     spec: GridSpec
     dataset: Sequence[Frame]
     draw: Draw | None
-    kerbs: str = "occupied"
 
     def run(
         self, numbers: Sequence[int], progress: Progress = iter, cache: ResultCache | None = None
@@ -99,7 +96,7 @@ class FrameTask:
         spec = self.spec
         if frame.truth is None:
             raise ValueError(f"frame {frame.name} has no truth to compare with; {NO_TRUTH}")
-        truth = frame.truth.with_kerbs(self.kerbs).crop(spec)
+        truth = frame.truth.crop(spec)
         state = truth.state
         masses = [grid.mass for grid in runner.grids().values()]
         sums = tuple(accumulate(mass, state, away, truth.height_cm) for mass in masses)

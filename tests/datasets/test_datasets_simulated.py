@@ -1,6 +1,7 @@
 """The simulator's store as a data set."""
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,23 @@ def test_for_maps_what_a_frame_cannot_see_is_ignored(store: Path) -> None:
     assert "left out" in maps.description
     assert "left out" not in scans.description
     refused("others must be one of all, later, got 'earlier'", open_dataset, store, others="earlier")
+
+
+def test_kerbs_have_the_state_that_is_asked_for(tmp_path: Path) -> None:
+    one = sample("training", 0)
+    height = np.where(one.truth.state == CellState.OCCUPIED, np.uint8(40), np.uint8(0))
+    height[400:405] = 12
+    made = Store.create(tmp_path, {"seed": 1, "truth": "aimed"}, {"training": 1}, [BEAMS], {"ogm": "0"})
+    made.write("training", 0, [replace(one, truth=replace(one.truth, height_cm=height))])
+    for kerbs, want in (("occupied", CellState.OCCUPIED), ("ignore", CellState.IGNORE)):
+        dataset = open_dataset(tmp_path, kerbs=kerbs)
+        state = dataset[0].truth.state
+        assert (state[400:405] == want).all()
+        np.testing.assert_array_equal(
+            np.delete(state, np.s_[400:405], 0), np.delete(one.truth.state, np.s_[400:405], 0)
+        )
+        assert ("Obstacles up to 0.15 m: ignore." in dataset.description) == (kerbs == "ignore")
+    refused("kerbs must be one of", open_dataset, tmp_path, kerbs="low")
 
 
 def test_what_the_store_states_is_not_given(store: Path, tmp_path: Path) -> None:

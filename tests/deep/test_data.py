@@ -149,7 +149,7 @@ def test_a_scan_without_rings_keeps_its_layers(frames, small):
 
 def test_kerbs_have_the_state_of_the_data_set(frames, small):
     truth = frames[0].truth
-    low = replace(truth, height_cm=np.full(truth.spec.shape, 12, np.uint8))
+    low = replace(truth, height_cm=np.uint8(12) * (truth.state == CellState.OCCUPIED))
     data = PillarDataset([replace(frames[0], truth=low)], small, kerbs="unknown")
     got, before = data[0].state[0].numpy(), truth.crop(small).state
     assert (before == CellState.OCCUPIED).any()

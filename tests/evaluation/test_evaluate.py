@@ -80,16 +80,6 @@ def test_every_method_has_every_metric_in_every_frame() -> None:
     assert result.micro("flat")["mean_free"] == pytest.approx(result.of("flat", "mean_free") @ known / known.sum())
 
 
-def test_kerbs_have_the_state_that_is_asked_for() -> None:
-    heights = np.where(np.arange(81).reshape(9, 9) % 2, 12, 40).astype(np.uint8)
-    one = dataclasses.replace(FRAMES[0], truth=dataclasses.replace(truth(0), height_cm=heights))
-    asked = evaluate({"flat": Flat()}, [one], SPEC, kerbs="ignore")
-    want = one.truth.with_kerbs(CellState.IGNORE).crop(SPEC)
-    np.testing.assert_allclose(asked.truth[0], want.shares()[2:3] + want.shares()[:2] + want.shares()[3:])
-    assert asked.truth[0, 3] > evaluate({"flat": Flat()}, [one], SPEC).truth[0, 3]
-    assert "Obstacles up to 0.15 m: ignore." in asked.data["truth"]
-
-
 def test_a_table_has_means_of_methods_and_leaves_out_rows_without_a_value() -> None:
     result = evaluate({"flat": Flat(), "high": Flat(height=3.0)}, FRAMES, SPEC)
     table = result.table()
