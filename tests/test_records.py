@@ -60,5 +60,12 @@ def test_an_outdated_record_is_marked_with_the_reason(
     assert why({}) == why(same) == why(same, {"own weights": {"fingerprint": other}}) == ""
     assert why(changed) == why(same, changed) == OUTDATED
     assert why(None) == why(same, None) == UNKNOWN
+    monkeypatch.setattr(fingerprints, "same", lambda name, _: False)
+    names = {name: {"fingerprint": numbers} for name in ("lite", "combined")}
+    assert "`combined`, `lite`" in why(names)
+    monkeypatch.setattr(record_tables, "TIMES", (f"{len(list(tmp_path.iterdir()))}",))
+    assert why(names) == ""  # of times: other weights take as long
+    monkeypatch.undo()
+    monkeypatch.setattr(record_tables, "RESULTS", tmp_path)
     assert record_tables.marked("0", "table") == "table"
     assert record_tables.marked("3", "table") == f"table\n\n**Outdated:** {OUTDATED}"

@@ -199,7 +199,7 @@ def _need_torch() -> None:
 
 
 def _quiet() -> None:
-    """Silence warnings and log messages of the training libraries."""
+    """Silence log messages of the training libraries, and those on single scans: training data hold all kinds."""
     warnings.filterwarnings("ignore", module=r"(lightning|torch)(\.|$)")
-    for name in ("lightning", "lightning.fabric", "torch.onnx", "onnxscript", "lightning.pytorch"):
+    for name in ("lightning", "lightning.fabric", "torch.onnx", "onnxscript", "lightning.pytorch", "ogm.geometric"):
         logging.getLogger(name).setLevel(logging.ERROR)
