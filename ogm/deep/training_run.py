@@ -127,14 +127,15 @@ class TrainingRun:
             loss = mean_loss(self._model(inputs), state, recipe, self.step / self.steps_per_epoch)
             self.optimizer.zero_grad()
             fabric.backward(loss)
-            bad = loss.detach()
+            norm = 0.0
             if math.isfinite(recipe.clip):
                 options: Any = {"max_norm": recipe.clip, "error_if_nonfinite": False}
-                bad = bad + 0 * fabric.clip_gradients(self._model, self.optimizer, **options)
-            value = float(bad)  # waits for the accelerator, which has the whole step to do by now
-            finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
+                norm = fabric.clip_gradients(self._model, self.optimizer, **options)
+            value = float(loss.detach())  # waits for the accelerator, which has the whole step to do by now
+            finite = torch.tensor(float(math.isfinite(value + norm)), device=fabric.device)
             if fabric.all_reduce(finite, reduce_op="mean") != 1:  # all processes stop together
-                raise nonfinite_loss_error(self.out, batch, value, self.step)
+                cause = value if fabric.world_size > 1 else value + float(norm)  # gradients are those of all processes
+                raise nonfinite_loss_error(self.out, batch, cause, self.step)
             self.consistent = False
         self.optimizer.step()
         self.step += 1

@@ -198,6 +198,16 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_batch(go, recipe, tmp_pat
         assert len(batch["numbers"]) == 4
 
 
+def test_a_gradient_that_is_not_finite_changes_nothing(frames, small, recipe, tmp_path, monkeypatch):
+    run = TrainingRun(Fabric(accelerator="cpu", devices=1, precision="32-true"), recipe, small, tmp_path, 8, 4)
+    before = {name: value.clone() for name, value in run.network.state_dict().items()}
+    monkeypatch.setattr(run.fabric, "clip_gradients", lambda *_, **__: torch.tensor(math.inf))
+    with pytest.raises(FloatingPointError, match="gradient became inf at step 0"):
+        run.do_step(Batch.joined([one for one in PillarDataset(frames[:4], small)]))
+    for name, value in run.network.state_dict().items():
+        torch.testing.assert_close(value, before[name], rtol=0, atol=0, msg=name)
+
+
 def test_only_the_process_whose_loss_it_was_keeps_its_batch(frames, small, tmp_path):
     batch = PillarDataset(frames, small)[0]
     assert "another process" in str(nonfinite_loss_error(tmp_path, batch, 0.5, 3))
