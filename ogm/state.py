@@ -261,21 +261,21 @@ class Truth:
         ix = _cells(c * x + s * y, self.spec.origin[0], self.spec.resolution)
         iy = _cells(c * y - s * x, self.spec.origin[1], self.spec.resolution)
         inside = (ix >= 0) & (iy >= 0) & (ix < self.spec.shape[0]) & (iy < self.spec.shape[1])
-        at = ix[inside].astype(np.intp), iy[inside].astype(np.intp)
-        state = np.full(spec.shape, np.uint8(CellState.IGNORE))
-        state[inside] = self.state[at]
-        height = None
-        if self.height_cm is not None:
-            height = np.zeros(spec.shape, np.uint8)
-            height[inside] = self.height_cm[at]
+        cell = np.where(inside, ix * self.spec.shape[1] + iy, -1).astype(np.intp)
+
+        def taken(values: NDArray[Any], outside: Any) -> NDArray[Any]:
+            """Return the values (cells, ...) of the original cells."""
+            rows = values.reshape(self.state.size, *values.shape[2:])
+            return np.concatenate([rows, np.full_like(rows[:1], outside)])[cell]
 
         def cut(motion: Motion) -> Motion:
-            velocity, box = np.full((*spec.shape, 2), np.float32(np.nan)), np.full(spec.shape, np.int16(-1))
-            vx, vy = motion.velocity[at].T  # no matrix product: BLAS would wait for its threads
-            velocity[inside] = np.stack([c * vx - s * vy, s * vx + c * vy], axis=1)
-            box[inside] = motion.box[at]
-            return Motion(velocity, box)
+            vx, vy = np.moveaxis(taken(motion.velocity, np.nan), -1, 0)
+            # no matrix product: BLAS would wait for its threads
+            velocity = np.stack([c * vx - s * vy, s * vx + c * vy], axis=-1)
+            return Motion(velocity, taken(motion.box, -1))
 
+        state = taken(self.state, CellState.IGNORE)
+        height = None if self.height_cm is None else taken(self.height_cm, 0)
         return self._changed(spec, state, height, cut)
 
     def mirrored(self) -> "Truth":

@@ -26,8 +26,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from ogm.deep.loss_kernel import fill_reverse_kl
 from ogm.evidence.dirichlet import dirichlet_kl_gradient
 from ogm.state import CellState
+from ogm.threads import shared_threads
 
 __all__ = [
     "KERB", "class_weights", "digamma_loss", "kerb_weights", "log_loss", "masked_mean", "reverse_kl", "sum_of_squares",
@@ -36,7 +38,6 @@ __all__ = [
 
 KERB = np.uint8(4)  # a true state of kerbs for training: unknown, with a greater weight
 _KERB_WEIGHT = 4.0
-_CHUNK_CELLS = 32768  # cells computed together on a CPU, so that intermediate results fit in its caches
 
 
 def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tensor:
@@ -148,8 +149,9 @@ def targets(state: Tensor) -> tuple[Tensor, Tensor]:
     """
     if state.dtype != torch.uint8:
         raise TypeError(f"state must be uint8, got {state.dtype}: convert it with .to(torch.uint8)")
-    target = torch.stack([state == CellState.FREE, state == CellState.OCCUPIED], -1)
-    return target.float(), state != CellState.IGNORE
+    dim = min(state.ndim, 1)  # in memory the states are after the batch, like a network's evidence
+    target = torch.stack([state == CellState.FREE, state == CellState.OCCUPIED], dim).float().movedim(dim, -1)
+    return target, state != CellState.IGNORE
 
 
 def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Tensor:
@@ -207,17 +209,13 @@ class _ReverseKL(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, evidence: Tensor, target: Tensor, strength: float) -> Tensor:
-        e, t = (tensor.movedim(-1, 0).reshape(2, -1) for tensor in (evidence, target))
-        loss, slope = torch.empty_like(e[0]), torch.empty_like(e)
-        size = _CHUNK_CELLS if e.device.type == "cpu" else max(len(loss), 1)
-        for start in range(0, len(loss), size):
-            chunk = slice(start, start + size)
-            value, force = dirichlet_kl_gradient(e[:, chunk].T + 1, t[:, chunk].T * strength + 1)
-            loss[chunk], slope[:, chunk] = value / strength, force.T / strength
-        gradient = torch.empty_like(evidence)  # with the memory layout of the evidence, which may be states first
-        gradient.copy_(slope.view(2, *evidence.shape[:-1]).movedim(0, -1))
+        if evidence.device.type == "cpu" and evidence.dtype == torch.float32:
+            loss, gradient = _compiled_reverse_kl(evidence, target, strength)
+        else:
+            divergence = dirichlet_kl_gradient(evidence + 1, target * strength + 1)
+            loss, gradient = (part / strength for part in divergence)
         ctx.save_for_backward(gradient)
-        return loss.view(evidence.shape[:-1])
+        return loss
 
     @staticmethod
     @once_differentiable
@@ -225,6 +223,17 @@ class _ReverseKL(torch.autograd.Function):
         (gradient,) = ctx.saved_tensors
         outer = outer[..., None]
         return torch.where(outer == 0, 0, gradient * outer), None, None
+
+
+def _compiled_reverse_kl(evidence: Tensor, target: Tensor, strength: float) -> tuple[Tensor, Tensor]:
+    """Return loss and gradient, by a compiled kernel; the gradient has the states first in memory, like a network's."""
+    shape = evidence.shape[:-1]
+    batch, cells = math.prod(shape[:1]), math.prod(shape[1:])
+    e, t = (tensor.detach().reshape(batch, cells, 2).mT.contiguous().numpy() for tensor in (evidence, target))
+    loss, gradient = torch.empty(batch, cells), torch.empty(batch, 2, cells)
+    arrays = e, t, strength, loss.numpy(), gradient.numpy()
+    shared_threads(torch.get_num_threads()).divide(cells, lambda span: fill_reverse_kl(*arrays, *span))
+    return loss.view(shape), gradient.mT.view(evidence.shape)
 
 
 def _checked(evidence: Tensor, target: Tensor) -> list[Tensor]:

@@ -156,11 +156,12 @@ class PillarNetwork(nn.Module):
         features: torch.Tensor = self.pillar(pillars.features, pillars.lengths)
         width = self.config.pillar
         x = features.new_zeros(pillars.batch * nx * ny, width + 2 * self.config.rays)
-        x[:, :width].index_copy_(0, pillars.cells, features)
         if self.config.rays:
             if pillars.rays is None:
                 raise ValueError("this network takes masses of rays, got Pillars without rays: add `Pillars.rays`")
             x[:, width:] = pillars.rays.reshape(-1, 2)
+            features = torch.cat([features, x[pillars.cells, width:]], dim=1)  # whole rows: cheap to differentiate
+        x.index_copy_(0, pillars.cells, features)
         return x.view(pillars.batch, nx, ny, -1).permute(0, 3, 1, 2)  # channels last in memory
 
     def evidence(self, feature_map: torch.Tensor) -> torch.Tensor:

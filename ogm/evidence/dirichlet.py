@@ -5,7 +5,7 @@ With sums S = sum alpha, S' = sum other, and D(x, y) = ln Gamma(x) - ln Gamma(y)
     KL[Dir(alpha) || Dir(other)]  =  sum D(other, alpha) - D(S', S),
     its gradient in alpha         =  (alpha - other) trigamma(alpha) - (S - S') trigamma(S).
 
-There are three implementations:
+There are four implementations:
 
 * `dirichlet_kl`, exact. The plain formula subtracts numbers of the size of ln Gamma(alpha), 1e7 for alpha = 1e6, for
   a result that may be 1e-13. Here ln Gamma and digamma are split into Stirling's part and a small remainder (Binet's
@@ -16,6 +16,7 @@ There are three implementations:
   the large parts cancel analytically, and the terms that remain are about as small as the result. The computation is
   in float64, and the result has the dtype of the input.
 * `dirichlet_kl_gradient`, value and gradient for training; in float32 by a short series, much faster.
+* `ogm.deep.loss_kernel`, the same for two states as a compiled kernel, for training on processors.
 * `ogm.metrics.divergence`, with tables of ln Gamma and digamma, for sums over the cells of a grid.
 """
 

@@ -312,11 +312,14 @@ class SimulatedSample:
     @cached_property
     def points(self) -> Floats32:
         """Returns (N, 4) float32: x, y, z in the sensor's frame [m], intensity [0, 1]; layer by layer."""
-        layer, column = np.nonzero(self.steps)
-        distance = (self.steps[layer, column] * RANGE_STEP).astype(np.float32)
-        result = np.empty((len(layer), 4), np.float32)
-        result[:, :3] = self.beams.origins[layer] + distance[:, None] * self.beams.directions[layer, column]
-        result[:, 3] = self.intensities[layer, column] * np.float32(1 / 255)
+        beam = np.flatnonzero(self.steps)
+        distance = (self.steps.ravel()[beam] * RANGE_STEP).astype(np.float32)
+        result = np.empty((len(beam), 4), np.float32)
+        xyz = self.beams.directions.reshape(-1, 3).take(beam, axis=0)
+        xyz *= distance[:, None]
+        xyz += np.repeat(self.beams.origins, np.count_nonzero(self.steps, axis=1), axis=0)
+        result[:, :3] = xyz
+        result[:, 3] = self.intensities.ravel()[beam] * np.float32(1 / 255)
         return result
 
     @property
