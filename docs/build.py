@@ -154,7 +154,11 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": deep.headline()},
     "docs/lite.md": lambda: {"results": deep.headline()},
-    "docs/deep.md": lambda: {"training": deep.deep_training(), "combined": deep.combined()},
+    "docs/deep.md": lambda: {
+        "generations": deep.generations(),
+        "training": deep.deep_training(),
+        "combined": deep.combined(),
+    },
     "docs/dynamic.md": lambda: {"dynamic": with_command("dynamic", *dynamic_tables(record("dynamic")))},
     "docs/evidence.md": lambda: evidence_tables(record("evidence")),
     "docs/fusion.md": lambda: {"planar_odometry": with_command("planar_odometry", maps.planar_odometry())},

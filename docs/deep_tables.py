@@ -5,6 +5,8 @@ from typing import Any
 
 from record_tables import change, marked, record, table, with_command
 
+from ogm.metrics import METRICS
+
 MODELS = {  # and titles in the README; the released baseline predicts no cell
     "height-band": "paper's baseline", "ray": "`RayISM`", "lite": "`lite`", "combined": "**`combined`, the default**",
 }  # fmt: skip
@@ -114,6 +116,26 @@ def deep_occupied() -> str:
         shares = ([f"{100 * found[model][kind][key]:.1f}" for key in keys] for model in models)
         rows.append([title, *map(", ".join, shares)])
     return table(["occupied cells, predicted free, occupied [%]", *(f"`{model}`" for model in models)], rows)
+
+
+def generations() -> str:
+    """Return the scores of all generations of the network, and the shares of occupied cells by what is there."""
+    found = record("generations")
+    titles = {"ray": "`ray`", "first": "first", "second": "second, `lite`", "third": "third", "combined": "`combined`"}
+    metrics = ("nll", "false_free", "iou_free", "iou_occupied", "ece_relative", "auroc_unknown")
+    heads, rows, kinds = [METRICS[metric].title for metric in metrics], [], []
+    for name, one in found["data"].items():
+        place = f"`{name}`, frames: {one['frames']}"
+        for model in (model for model in titles if model in one["means"]):
+            scores = (f"{one['means'][model][metric]:.3f}" for metric in metrics)
+            rows.append(["" if model != "ray" else place, titles[model], *scores])
+    models = [model for model in titles if model in found["data"][name]["means"]]
+    for kind, shares in found["data"][name]["occupied cells"].items():
+        cells = (f"{100 * shares[model]['free']:.0f}, {100 * shares[model]['occupied']:.0f}" for model in models)
+        kinds.append([kind, f"{100 * shares['share']:.0f} %", *cells])
+    first = f"occupied cells of `{name}`: predicted free, occupied [%]"
+    shown = table([first, "share", *(titles[model] for model in models)], kinds)
+    return with_command("generations", table(["", "", *heads], rows, left=2), shown)
 
 
 def deep_losses() -> str:
