@@ -4,6 +4,8 @@ import importlib
 import logging
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -99,21 +101,22 @@ def train_command(
         parts["training"] = parts["training"][:samples]
     _quiet()
     try:
-        path = train(
-            parts["training"],
-            parts["validation"],
-            spec,
-            folder,
-            recipe,
-            initial=_network(initial),
-            resume=resume,
-            accelerator=accelerator,
-            devices=devices,
-            nodes=nodes,
-            precision=precision,
-            workers=workers,
-            facts={"data": {name: _provenance(part) for name, part in parts.items()}},
-        )
+        with _scans_unlogged():
+            path = train(
+                parts["training"],
+                parts["validation"],
+                spec,
+                folder,
+                recipe,
+                initial=_network(initial),
+                resume=resume,
+                accelerator=accelerator,
+                devices=devices,
+                nodes=nodes,
+                precision=precision,
+                workers=workers,
+                facts={"data": {name: _provenance(part) for name, part in parts.items()}},
+            )
     except KeyboardInterrupt:
         saved = "the run is saved: the same command with --resume continues"
         state = saved if (folder / "state.pt").exists() else "nothing was saved yet"
@@ -198,8 +201,20 @@ def _need_torch() -> None:
     importlib.import_module("ogm.deep").PillarNetwork  # noqa: B018
 
 
+@contextmanager
+def _scans_unlogged() -> Iterator[None]:
+    """Keep the messages of `RayISM` on single scans out of the log: training data hold scans of all kinds."""
+    logger = logging.getLogger("ogm.geometric")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
 def _quiet() -> None:
-    """Silence log messages of the training libraries, and those on single scans: training data hold all kinds."""
+    """Silence warnings and log messages of the training libraries."""
     warnings.filterwarnings("ignore", module=r"(lightning|torch)(\.|$)")
-    for name in ("lightning", "lightning.fabric", "torch.onnx", "onnxscript", "lightning.pytorch", "ogm.geometric"):
+    for name in ("lightning", "lightning.fabric", "torch.onnx", "onnxscript", "lightning.pytorch"):
         logging.getLogger(name).setLevel(logging.ERROR)
