@@ -59,7 +59,9 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=RECIPES, default=list(RECIPES))
     options = parser.parse_args()
     record = run.environment()
-    training, validation = (open_dataset(options.data, split=name) for name in ("training", "validation"))
+    training, validation = (
+        open_dataset(options.data, split=name, kerbs="occupied") for name in ("training", "validation")
+    )
     # Spread over all drives; weights are chosen by other validation frames than those that are evaluated.
     chosen = np.linspace(0, len(training) - 1, options.samples).astype(int)
     frames = np.linspace(0, len(validation) - 1, options.frames).astype(int).tolist()

@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/size"))
     given = parser.parse_args()
     training = open_dataset(given.data, split="training")
-    validation = open_dataset(given.validation, split="validation")
+    validation = open_dataset(given.validation, split="validation", kerbs="occupied")
     weights, curves = {}, {}
     for name, network in NETWORKS.items():
         recipe, out = replace(LITE_RECIPE, network=network, epochs=given.epochs, seed=1), given.runs / name.lower()
@@ -45,10 +45,10 @@ def main() -> None:
         weights[name] = train(training[: given.samples], validation[:CHOOSING], SPEC, out, recipe, **options)
         with (out / "log.csv").open() as log:
             curves[name] = list(csv.DictReader(log))
-    models = {name: SingleScanMethod.named(str(path), SPEC) for name, path in (("lite", "lite"), *weights.items())}
+    models = {name: SingleScanMethod.named(str(path), SPEC) for name, path in weights.items()}
     result = evaluate(models, validation, SPEC)
     record = {
-        "environment": run.environment("ray", "lite", **weights),
+        "environment": run.environment("ray", **weights),
         "samples": given.samples,
         "epochs": given.epochs,
         "learning curves": curves,

@@ -69,7 +69,7 @@ def trained(name: str, data: Mapping[str, Path], folder: Path, samples: int, epo
     """Train an arm, or go on, and return its weights."""
     truth, rays = ARMS[name]
     recipe = replace(LITE_RECIPE, network=replace(LITE_RECIPE.network, rays=rays), epochs=epochs, seed=1)
-    parts = [open_dataset(data[truth], split=split) for split in ("training", "validation")]
+    parts = [open_dataset(data[truth], split=split, kerbs="occupied") for split in ("training", "validation")]
     out = folder / "runs" / name.replace(" ", "-")
     return train(parts[0][:samples], parts[1][:CHOOSING], SPEC, out, recipe, resume=True, picture_every=0)
 
@@ -88,7 +88,7 @@ def main() -> None:
     record: dict[str, Any] = {"environment": environment, "samples": given.samples, "epochs": given.epochs}
     record["truth of validation"] = {}
     for name, path in data.items():
-        validation = open_dataset(path, split="validation")
+        validation = open_dataset(path, split="validation", kerbs="occupied")
         result = evaluate(models, validation, SPEC, frames=range(given.validation))
         record["truth of validation"][name] = compared(result, "aimed", METRICS)
         run.write_record(given.out, record)

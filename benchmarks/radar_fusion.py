@@ -133,7 +133,7 @@ def scores_of(sums: Any, compared: Compared, drive: Sequence[Snapshot]) -> dict[
 
 def drives(path: Path, first: int | None) -> Iterator[tuple[str, list[Frame]]]:
     """Yield the drives of a data set with the scans of all sensors."""
-    dataset = open_dataset(path, split="sequences", sensors=("lidar", "radar"), others="later")
+    dataset = open_dataset(path, split="sequences", sensors=("lidar", "radar"), others="later", kerbs="occupied")
     for name, numbers in list(dataset.sequences.items())[:first]:
         yield name, list(dataset.select(numbers))
 

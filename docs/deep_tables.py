@@ -121,7 +121,7 @@ def deep_occupied() -> str:
 def generations() -> str:
     """Return the scores of all generations of the network, and the shares of occupied cells by what is there."""
     found = record("generations")
-    titles = {"ray": "`ray`", "first": "first", "second": "second, `lite`", "third": "third", "combined": "`combined`"}
+    titles = {"ray": "`ray`", "first": "first", "second": "second", "lite": "third, `lite`", "combined": "`combined`"}
     metrics = ("nll", "false_free", "iou_free", "iou_occupied", "ece_relative", "auroc_unknown")
     heads, rows, kinds = [METRICS[metric].title for metric in metrics], [], []
     for name, one in found["data"].items():

@@ -32,7 +32,7 @@ def calibrate_command(
     ] = None,
     split: Annotated[str | None, Option(help="Split of simulated data. [default: train]")] = None,
     truth: TruthSources = None,
-    kerbs: Kerbs = "occupied",
+    kerbs: Kerbs = "ignore",
     axes: FolderAxes = "flu",
     base_rate: Annotated[
         str, Option(help="P(occupied) of a cell without evidence; data: the share of occupied cells.", metavar="P")

@@ -105,7 +105,7 @@ def evaluate(
         ),
     ] = None,
     truth: TruthSources = None,
-    kerbs: Kerbs = "occupied",
+    kerbs: Kerbs = "ignore",
     axes: FolderAxes = "flu",
     topic: Topic = None,
     fixed_frame: FixedFrame = None,

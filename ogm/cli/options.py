@@ -27,8 +27,8 @@ TruthSources = Annotated[
     Option(help="Sources of truth: boxes, classes, map, aggregated. [default: all]", metavar="SOURCE[,SOURCE]..."),
 ]
 Kerbs = Annotated[
-    Literal["occupied", "ignore", "unknown", "free"],
-    Option(help="State of obstacles up to 0.15 m in the truth of simulated data."),
+    Literal["ignore", "occupied", "unknown", "free"],
+    Option(help="State of obstacles up to 0.15 m in the truth of simulated data; ignore leaves them out."),
 ]
 IntensityMax = Annotated[float | None, Option(help="Intensity that is scaled to 1. [default: by the format]")]
 TimeUnit = Annotated[float | None, Option(help="Unit of time [s]. [default: 1e-9 for whole numbers, else 1]")]

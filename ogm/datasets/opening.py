@@ -64,7 +64,7 @@ def open_dataset(
     default_split: str | None = None,
     truth: str | Iterable[str] = (),
     others: str = "all",
-    kerbs: str = "occupied",
+    kerbs: str = "ignore",
     spec: GridSpec | None = None,
     topic: str | Iterable[str] = (),
     frame: str | None = None,
@@ -123,9 +123,9 @@ def open_dataset(
         maps that are fused over time, which must not be evaluated on the scans in the map; the last frames then have
         little truth. With "later", cells without hits are ignored in the truth of a simulated dataset, because the map
         may know them from another frame.
-    kerbs : {"occupied", "ignore", "unknown", "free"}
-        State of obstacles up to 0.15 m in the truth of a simulated dataset, see `ogm.state.Truth.with_kerbs`; the truth
-        of other datasets has no heights.
+    kerbs : {"ignore", "occupied", "unknown", "free"}
+        State of obstacles up to 0.15 m in the truth of a simulated dataset, see `ogm.state.Truth.with_kerbs`. By
+        default they are left out; the paper counts them as occupied. The truth of other datasets has no heights.
     spec : GridSpec, optional
         Grid of the states and pictures in a folder of truth grids, which do not state it.
     topic : str or iterable of str

@@ -58,7 +58,7 @@ class OpenOptions(NamedTuple):
     split: str | None = None
     default_split: str | None = None
     others: str = "all"
-    kerbs: str = "occupied"
+    kerbs: str = "ignore"
     spec: GridSpec | None = None
     frame: str | None = None
     truth: tuple[str, ...] = ()

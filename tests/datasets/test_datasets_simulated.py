@@ -160,6 +160,7 @@ def test_kerbs_have_the_state_that_is_asked_for(tmp_path: Path) -> None:
             np.delete(state, np.s_[400:405], 0), np.delete(one.truth.state, np.s_[400:405], 0)
         )
         assert ("Obstacles up to 0.15 m: ignore." in dataset.description) == (kerbs == "ignore")
+    assert (open_dataset(tmp_path)[0].truth.state[400:405] == CellState.IGNORE).all()
     refused("kerbs must be one of", open_dataset, tmp_path, kerbs="low")
 
 
