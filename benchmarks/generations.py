@@ -5,7 +5,8 @@
 Evaluated are the validation frames of data sets that `ogm simulate` made; kerbs are left out. The weights of the
 first and the second generation come from the history of this repository. `ray` and the default model are beside them.
 Occupied cells are also counted by what is there, and by whether the scan has a return in the cell or next to it,
-between 0.1 and 2 m above the ground: cells without one can only be guessed. Writes benchmarks/results/generations.json.
+between 0.1 and 2 m above the ground: cells without one can only be guessed. Writes benchmarks/results/generations.json
+and a picture of the worst frames of the last data set.
 """
 
 import _run as run  # first: it sets the number of threads
@@ -14,6 +15,7 @@ from _evaluation_record import compared
 # isort: split
 import subprocess
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,11 +23,13 @@ from typing import Any
 import numpy as np
 from deep_training import METRICS
 from numpy.typing import NDArray
+from quality import draw_some
 from scipy.ndimage import binary_dilation
 
 from ogm import Frame, GridSpec
 from ogm.datasets import Dataset, open_dataset
-from ogm.evaluation import SingleScanMethod, evaluate
+from ogm.evaluation import Evaluation, SingleScanMethod, evaluate
+from ogm.evaluation.figures import draw_frames, frame_panels
 from ogm.metrics.motion import KINDS, object_kinds
 from ogm.pose import transform_points
 from ogm.scan import run_model
@@ -35,6 +39,7 @@ from ogm.truth.boxes import MIN_RETURNS, count_returns
 
 SPEC = GridSpec.centered()
 HISTORY = {"first": "f76b9628", "second": "be532603"}  # commits with the weights of a generation
+DRAWN, WORST = ("second", "lite", "combined"), 3  # methods in the picture, and frames of as many drives
 NAMES = ("vehicles", "people and cyclists", "else, with a return", "else, without a return")
 HEIGHTS = (0.1, 2.0)  # [m] of the returns
 
@@ -81,8 +86,21 @@ def by_kind(dataset: Dataset, methods: Mapping[str, SingleScanMethod]) -> dict[s
     }
 
 
+def draw_worst(path: Path, result: Evaluation, name: str) -> None:
+    """Draw the frames of greatest log loss of a method, one of a drive, with its grid and the default model's."""
+    order = np.argsort(-np.nan_to_num(result.of(name, "nll")), kind="stable").tolist()
+    first = dict(reversed([(result.frames[k].sequence, k) for k in order]))  # the last entry stays: the worst
+    few = result.select(DRAWN)
+    rows = [
+        (result.frames[k].name, frame_panels(result.pictures(k), few, k))
+        for k in sorted(first.values(), key=order.index)[:WORST]
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draw_frames(path, rows, f"Worst frames of {name} in simulated validation towns")
+
+
 def main() -> None:
-    parser = run.Parser(__doc__)
+    parser = run.Parser(__doc__, picture=True)
     parser.add_argument("data", nargs="+", type=Path)
     parser.add_argument("--new", nargs="*", default=[], metavar="NAME=WEIGHTS", help="further weights")
     parser.add_argument("--first", type=int, help="evaluate the first N frames")
@@ -94,8 +112,11 @@ def main() -> None:
         for path in given.data:
             dataset = open_dataset(path, split="validation", kerbs="ignore")[: given.first]
             methods = {name: SingleScanMethod.named(model, SPEC) for name, model in weights.items()}
-            scores = compared(evaluate(methods, dataset, SPEC), "second", METRICS)
+            draw = partial(draw_some, [list(methods).index(one) for one in DRAWN])
+            result = evaluate(methods, dataset, SPEC, out=Path(folder) / path.name, draw=draw)
+            scores = compared(result, "lite", METRICS)
             record["data"][path.name] = scores | {"occupied cells": by_kind(dataset, methods)}
+            draw_worst(given.picture, result, "lite")
     run.write_record(given.out, record)
 
 

@@ -57,6 +57,11 @@ class DeepISM:
         Output grid in the vehicle frame.
     engine : OnnxEngine or TorchEngine
         Engine that runs the network.
+    ground_needed : bool
+        Whether a scan that does not show the ground, such as from a lidar with few layers, gives the masses of rays, or
+        an unknown grid if the network does not take rays. By default the entry of that name in the description, else
+        True if the training had no such scans. `lite` needs the ground, except as a part of ``"combined"``, where rays
+        have to support free cells.
 
     Raises
     ------
@@ -75,8 +80,7 @@ class DeepISM:
     * A scan with more than 1.2 times the largest number of points in training is thinned to that number, with a fixed
       random seed.
     * A scan with at most a tenth of the smallest number of points in training gives an unknown grid.
-    * A scan that does not show the ground, such as from a lidar with few layers, gives the masses of rays, or an
-      unknown grid if the network does not take rays. This does not apply if the training had such scans.
+    * A scan that does not show the ground may give the masses of rays, see `ground_needed`.
     """
 
     mount: Mount | None
@@ -101,7 +105,8 @@ class DeepISM:
         self.spec = _shifted(self.engine.spec, x, y) if spec is None else spec
         ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf), "ground": (1.0, 1.0)}
         ranges |= self.description.get("seen", {})
-        self._point_range, self._intensity_range, self._height_range, self._ground_range = ranges.values()
+        self._point_range, self._intensity_range, self._height_range, ground_range = ranges.values()
+        self.ground_needed = bool(self.description.get("ground_needed", ground_range[0] > 0))
         self._placed: dict[Mount, _Placed] = {}
         if mount is not None:
             self._at(mount)
@@ -195,9 +200,8 @@ class DeepISM:
         elif rays is None:
             rays = [placed.rays(scan).mass for scan in given]
         mass = placed.engine.masses(pillars, rays)
-        # Scans that do not show the ground, unlike the training data: masses of rays, or unknown
         for k, scan in enumerate(given):
-            if self._ground_range[0] > 0 and not shows_ground(scan, mounts[0]):
+            if self.ground_needed and not shows_ground(scan, mounts[0]):
                 mass[k] = 0 if rays is None else rays[k]
         # Cells under the ego vehicle and scans without points: unknown
         mass[:, *placed.ego_cells] = 0
