@@ -116,7 +116,7 @@ def main() -> None:
             result = evaluate(methods, dataset, SPEC, out=Path(folder) / path.name, draw=draw)
             scores = compared(result, "lite", METRICS)
             record["data"][path.name] = scores | {"occupied cells": by_kind(dataset, methods)}
-            draw_worst(given.picture, result, "lite")
+            draw_worst(given.picture, result, "combined")
     run.write_record(given.out, record)
 
 

@@ -156,6 +156,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/lite.md": lambda: {"results": deep.headline()},
     "docs/deep.md": lambda: {
         "generations": deep.generations(),
+        "levers": deep.levers(),
         "training": deep.deep_training(),
         "combined": deep.combined(),
     },

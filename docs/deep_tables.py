@@ -138,6 +138,27 @@ def generations() -> str:
     return with_command("generations", table(["", "", *heads], rows, left=2), shown)
 
 
+def levers() -> str:
+    """Return what data, rays, size and combination each change."""
+    shown, found = (
+        ("nll", "false_free", "iou_free", "iou_occupied"),
+        record("generations")["data"]["GEN3"]["minus lite"],
+    )
+    rays = record("deep_training")["truth of validation"]["aimed"]["minus aimed"]["no rays"]
+
+    def reversed_signs(changes: Mapping[str, Any]) -> dict[str, Any]:
+        return {metric: [-value, -high, -low] for metric, (value, low, high) in changes.items()}
+
+    rows = {
+        "data: `GEN3`, third minus second": reversed_signs(found["second"]),
+        "combination: `GEN3`, `combined` minus third": found["combined"],
+        "rays as inputs: minus none": reversed_signs(rays),
+        "size: the paper's minus `LITE`": record("deep_size")["scores"]["minus LITE"]["PAPER"],
+    }
+    heads = ["lever", *(METRICS[metric].title for metric in shown)]
+    return table(heads, [[name, *(change(one[m]) for m in shown)] for name, one in rows.items()])
+
+
 def deep_losses() -> str:
     """Return the scores of networks that were trained alike with other losses."""
     scores = record("deep_losses")["scores"]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ogm.deep.engines import load_engine
 from ogm.deep.points import to_ground_frame
 from ogm.deep.runtimes import default_threads
-from ogm.geometric import RayISM, shows_ground
+from ogm.geometric import RayISM, points_down, shows_ground
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.scan import Mount, Scan, as_scan, check_mount
 
@@ -57,11 +57,6 @@ class DeepISM:
         Output grid in the vehicle frame.
     engine : OnnxEngine or TorchEngine
         Engine that runs the network.
-    ground_needed : bool
-        Whether a scan that does not show the ground, such as from a lidar with few layers, gives the masses of rays, or
-        an unknown grid if the network does not take rays. By default the entry of that name in the description, else
-        True if the training had no such scans. `lite` needs the ground, except as a part of ``"combined"``, where rays
-        have to support free cells.
 
     Raises
     ------
@@ -80,7 +75,9 @@ class DeepISM:
     * A scan with more than 1.2 times the largest number of points in training is thinned to that number, with a fixed
       random seed.
     * A scan with at most a tenth of the smallest number of points in training gives an unknown grid.
-    * A scan that does not show the ground may give the masses of rays, see `ground_needed`.
+    * A scan that does not show the ground gives the masses of rays, or an unknown grid if the network does not take
+      rays. If the training had such scans, this applies only to scans without beams that point down, as of lidars with
+      few level layers; if it had no others, never. Fog and spray hide the ground from beams that point down.
     """
 
     mount: Mount | None
@@ -105,8 +102,7 @@ class DeepISM:
         self.spec = _shifted(self.engine.spec, x, y) if spec is None else spec
         ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf), "ground": (1.0, 1.0)}
         ranges |= self.description.get("seen", {})
-        self._point_range, self._intensity_range, self._height_range, ground_range = ranges.values()
-        self.ground_needed = bool(self.description.get("ground_needed", ground_range[0] > 0))
+        self._point_range, self._intensity_range, self._height_range, self._ground_range = ranges.values()
         self._placed: dict[Mount, _Placed] = {}
         if mount is not None:
             self._at(mount)
@@ -201,12 +197,19 @@ class DeepISM:
             rays = [placed.rays(scan).mass for scan in given]
         mass = placed.engine.masses(pillars, rays)
         for k, scan in enumerate(given):
-            if self.ground_needed and not shows_ground(scan, mounts[0]):
+            if self._is_unlike_training(scan, mounts[0]):
                 mass[k] = 0 if rays is None else rays[k]
         # Cells under the ego vehicle and scans without points: unknown
         mass[:, *placed.ego_cells] = 0
         mass[[self._has_too_few(scan_pillars) for scan_pillars in pillars]] = 0
         return [EvidentialGrid.trusted(self.spec, scan_mass) for scan_mass in mass]
+
+    def _is_unlike_training(self, scan: Scan, mount: Mount) -> bool:
+        """Return whether a scan shows no ground, and the training had no such scans; see the notes of the class."""
+        least, most = self._ground_range
+        if not most or shows_ground(scan, mount):
+            return False
+        return bool(least) or not points_down(scan, mount)
 
     def __repr__(self) -> str:
         return f"DeepISM({self.engine!r}, {self.spec}, {self.mount})"

@@ -14,7 +14,7 @@ The kernels are compiled by numba at their first call in a new environment and c
 """
 
 from ogm.geometric.doppler import moving_detections, sensor_velocity
-from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground, shows_ground
+from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground, points_down, shows_ground
 from ogm.geometric.height_band import HeightBandISM
 from ogm.geometric.heights import VehicleLimits, height_layers, traversability
 from ogm.geometric.planar import PlanarISM, plane_text
@@ -23,6 +23,6 @@ from ogm.geometric.ray import RayISM
 
 __all__ = [
     "HeightBandISM", "PlanarISM", "RadarISM", "RayISM", "VehicleLimits", "flat_ground", "ground_height",
-    "height_layers", "local_ground", "moving_detections", "patchwork_ground", "plane_text", "sensor_velocity",
-    "shows_ground", "traversability",
+    "height_layers", "local_ground", "moving_detections", "patchwork_ground", "plane_text", "points_down",
+    "sensor_velocity", "shows_ground", "traversability",
 ]  # fmt: skip

@@ -5,6 +5,7 @@ and the ground under the sensor. `RayISM` takes any; this module has `flat_groun
 `patchwork_ground`.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -25,6 +26,7 @@ MAX_SLOPE = 0.25  # greatest rise over run of ground; public roads reach 0.15, r
 MAX_DESCENT = 0.15  # greatest mean descent from the vehicle; lower returns are taken for multipath
 LOW_TOLERANCE = 0.4  # [m] greatest depth of a cell below its surroundings, in addition to that descent
 BAND = 0.25  # [m] thickness of the layer of returns that is averaged into a cell's ground height
+STEEP, STEEP_SHARE = math.radians(10), 0.02  # angle and share of returns by which a lidar points down
 SENSOR_HEIGHT = 1.8  # [m] sensor height in the frame of the points passed to Patchwork++
 
 
@@ -118,6 +120,16 @@ def shows_ground(scan: Scan, mount: Mount) -> bool:
     """Return whether a scan shows the ground, see `kernels.evidence.ground_evidence`; True without points."""
     xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
     return not len(ground_evidence(Points(*xyz.T), mount.origin.astype(np.float32), mount.sensor_height))
+
+
+def points_down(scan: Scan, mount: Mount) -> bool:
+    """Return whether `STEEP_SHARE` of the returns come from more than `STEEP` below the horizon; False without points.
+
+    Beams that point down reach the ground within six times the sensor's height, unless something hides it.
+    """
+    x, y, z = (to_vehicle_frame(scan.points, mount, mount.ego_footprint)[:, :3] - mount.origin).T
+    steep = -z > math.tan(STEEP) * np.hypot(x, y)
+    return bool(steep.sum() > STEEP_SHARE * len(steep))
 
 
 def ground_height(height: NDArray[np.float32], spec: GridSpec, xyz: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -147,9 +147,7 @@ def _load(
         from ogm.geometric import RayISM
 
         rays = RayISM(spec, mount, threads=min(default_threads(), 2))
-        network: Any = load_model(LITE, spec, mount, device=device)
-        network.ground_needed = False  # the gate on its free keeps what no ray supports below 1/2
-        return CombinedISM([rays, network], **COMBINATION)
+        return CombinedISM([rays, load_model(LITE, spec, mount, device=device)], **COMBINATION)
     if name in GEOMETRIC:
         if name == HEIGHT_BAND:
             parameters["drop_ego_returns"] = drop_ego_returns

@@ -79,6 +79,18 @@ def test_walls_are_occupied_for_all_models(name: str) -> None:
         assert not broken_laws(model, height, itertools.product(scenes, layers))
 
 
+@each("name", ["lite", "combined"])
+def test_the_network_maps_scans_whose_ground_is_hidden(name: str) -> None:
+    """Beams that point down end at walls or people; where none points down, `lite` gives the masses of rays."""
+    pytest.importorskip("onnxruntime")
+    model, rays, scene = load_model(name, SPEC, mount_at(2.0)), RayISM(SPEC, mount_at(2.0)), "room of 8 x 6 m"
+    points, _ = cast(SCENES[scene], LAYERS["16"], 2.0)
+    assert np.abs(model(points).mass - rays(points).mass).max() > 0.3
+    assert not broken_laws(model, 2.0, [(scene, "16"), ("crowd", "16")], 0.02 if name == "lite" else 0.0)
+    level, _ = cast(SCENES[scene], LAYERS["8, narrow"], 2.0)
+    assert name == "combined" or (model(level).mass == rays(level).mass).all()
+
+
 @each(("layers", "height", "slope"), [("8", 1.0, 0.1), ("8", 1.0, 0.2), ("16", 0.3, 0.2), ("16", 1.8, 0.2)])
 def test_a_slope_that_beams_meet_one_behind_another_is_ground(layers: str, height: float, slope: float) -> None:
     points, is_ground = cast(Scene([], slope=slope), LAYERS[layers], height)
