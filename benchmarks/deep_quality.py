@@ -89,7 +89,7 @@ def missed_by_kind(methods: Mapping[str, SingleScanMethod], dataset: Dataset, sa
     """Split the truly occupied cells by what stands there, and count how each model predicts them.
 
     Participants are traffic participants of 50 returns and more; all else is thick where a square of three by three
-    occupied cells fits, and thin (kerbs, fences, poles, edges) where none does.
+    occupied cells fits, and thin (fences, poles, edges) where none does.
     """
     kinds = ("participants", "thick", "thin")
     counts = {name: np.zeros((len(kinds), 3)) for name in methods}  # cells, false free, predicted occupied

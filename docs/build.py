@@ -127,7 +127,6 @@ def results() -> dict[str, str]:
         "live": with_command("live", verdicts("live", "`ogm serve`, a viewer receives all")),
         "truth": with_command("truth_modes", truth_modes()),
         "samples": with_command("simulation", simulation()),
-        "losses": with_command("deep_losses", deep.deep_losses()),
     }
     return made | quality_tables(record("quality")) | reliability_tables()
 

@@ -14,10 +14,6 @@ QUALITY = (
     *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "false_free", "missed_occupied", "ece"),
     *("ece_relative", "auroc_unknown"),
 )
-LOSSES = (  # titles of what is compared of trainings; the last is what the reverse KL minimises
-    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known"),
-    *("false_free", "missed_occupied", "ece", "auroc_unknown", "kl_e10"),
-)
 OLD_EXTENT = "100 frames of 10 drives in 1 town"  # of records that do not say it
 
 
@@ -69,22 +65,7 @@ def combined() -> str:
             differences = [one["against"][other][metric]["difference"] for metric in ("nll", "false_free", "brier")]
             rows.append([f"{name}: `combined` minus `{other}`", *map(change, differences)])
     tables.append(table(["difference (95 %)", "log loss", "false free", "Brier"], rows))
-    tables.append(_integers(simulated | found["real"]))
     return with_command("combined", *tables)
-
-
-def _integers(found: Mapping[str, Any]) -> str:
-    """Return what 8-bit integers in the network change, from float32, by dataset."""
-    rows, scored = [], [(model, metric) for model in ("lite", "combined") for metric in ("nll", "false_free")]
-    for name, one in found.items():
-        masses, means = one["8-bit masses"], one["means"]
-        changes = [means[model][metric] - means[f"{model}, float32"][metric] for model, metric in scored]
-        cells = [f"{masses[key]:.4f}" for key in ("mean", "99.9th percentile", "largest")]
-        share = f"{100 * masses['cells with another state']:.2f} %"
-        rows.append([name, *cells, share, *(f"{value:+.4f}" for value in changes)])
-    heads = ["8-bit integers minus float32", "masses: mean", "99.9th percentile", "largest", "other state"]
-    scores = [f"`{model}` {'log loss' if metric == 'nll' else 'false free'}" for model, metric in scored]
-    return table([*heads, *scores], rows)
 
 
 def deep_quality() -> str:
@@ -108,7 +89,7 @@ def deep_occupied() -> str:
     found = record("deep_quality")["occupied cells by what stands there, pooled"]
     kinds = {
         "participants": "traffic participants with 50 returns or more",
-        "thick": "all else, where 3 x 3 cells fit", "thin": "all else, thinner (kerbs, fences, poles, edges)",
+        "thick": "all else, where 3 x 3 cells fit", "thin": "all else, thinner (fences, poles, edges)",
     }  # fmt: skip
     models, rows = _models(found), []
     for kind, title in kinds.items():
@@ -157,15 +138,6 @@ def levers() -> str:
     }
     heads = ["lever", *(METRICS[metric].title for metric in shown)]
     return table(heads, [[name, *(change(one[m]) for m in shown)] for name, one in rows.items()])
-
-
-def deep_losses() -> str:
-    """Return the scores of networks that were trained alike with other losses."""
-    scores = record("deep_losses")["scores"]
-    metrics = [metric for metric in LOSSES if metric in scores["reverse KL"]]
-    titles = [record("deep_quality")["metrics"][metric]["title"] for metric in metrics]
-    rows = [[name, *(f"{one[metric]['value']:.3f}" for metric in metrics)] for name, one in scores.items()]
-    return table(["loss, one seed each", *titles], rows)
 
 
 def divergences() -> str:
