@@ -31,14 +31,16 @@ def test_commands_name_programs_and_data_sets_that_exist() -> None:
 
 
 def test_data_sets_are_made_once_and_their_paths_are_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "OLD").mkdir()
-    (tmp_path / "OLD/contact-sheet.png").touch()
+    for name in ("GEN3", "OLD"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "contact-sheet.png").touch()
     (tmp_path / "GEN2").mkdir()
     calls: list[list[str]] = []
     monkeypatch.setattr(remake, "python", lambda *words: calls.append([*map(str, words)]) or len(calls) < 4)
     assert remake.remake("combined_fit", tmp_path)
     assert calls[0] == ["-m", "ogm.cli", "simulate", str(tmp_path / "GEN2"), *DATA["GEN2"], "--resume"]
-    assert calls[1][1:] == [f"{tmp_path}/GEN2=0,1,4,5,8,9", f"{tmp_path}/OLD=0,2,5"]
+    drives = (f"{tmp_path}/GEN2=0,1,4,5,8,9", f"{tmp_path}/GEN3=0,2,4,6,8,10", f"{tmp_path}/OLD=0,2,5")
+    assert calls[1][1:] == [*drives, "--occupied", "0.8"]
     del calls[1:]
     assert remake.remake("realism", tmp_path)
     assert [call[0] for call in calls[1:]] == ["benchmarks/realism.py", "docs/realism_tables.py"]
