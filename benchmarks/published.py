@@ -1,6 +1,6 @@
 """Train a network by the paper's own recipe for as long as one can, and draw its curve beside the published value.
 
-    python benchmarks/published.py DATA VALIDATION [--samples 240] [--epochs 12] [--runs runs/published]
+    python benchmarks/published.py DATA VALIDATION [--samples 240] [--epochs 8] [--runs runs/published]
 
 The recipe is `ogm train --model published`: the paper's network, loss, annealing, weights and augmentation. The KL of
 validation is to labels of evidence 1, as the paper's code computes it. An interrupted training goes on. Writes
@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("validation", type=Path)
     parser.add_argument("--samples", type=int, default=240, help="training frames")
-    parser.add_argument("--epochs", type=int, default=12)
+    parser.add_argument("--epochs", type=int, default=8)
     parser.add_argument("--runs", type=Path, default=Path("runs/published"))
     given = parser.parse_args()
     training = open_dataset(given.data, split="training", kerbs="occupied")[: given.samples]
