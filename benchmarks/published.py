@@ -29,13 +29,13 @@ CHOOSING = 40  # validation frames
 
 def draw(path: Path, record: dict[str, Any]) -> None:
     """Draw the KL of validation by epoch."""
-    figure = Figure(figsize=(6, 3.2), layout="constrained")
+    figure = Figure(figsize=(9, 3.2), layout="constrained")
     axes = figure.subplots()
     axes.plot([row["epoch"] for row in record["curve"]], [row["kl"] for row in record["curve"]], "o-", label="ours")
     axes.axhline(PAPERS_KL, color="0.4", linestyle="--", label=f"the paper's, best of {PAPERS_EPOCHS} epochs")
     axes.set(xlabel="epoch", ylabel="KL to labels of evidence 1 [nats]", ylim=(0, None))
     axes.legend(frameon=False)
-    save_picture(figure, path, caption(record), dpi=110)
+    save_picture(figure, path, caption(record["environment"]), dpi=110)
 
 
 def main() -> None:

@@ -182,7 +182,7 @@ def test_the_shipped_weights_read_a_real_scan(caplog):
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
         scan = read_scan(path, axes=("+y", "-x", "+z"))
     deep = DeepISM.load("lite", mount=Mount(1.98))
-    assert set(deep.description["seen"]) == {"height", "points", "intensity"}
+    assert set(deep.description["seen"]) == {"height", "points", "intensity", "ground"}
     grid = deep(scan)
     assert not caplog.records  # within what training saw
     assert grid.spec.shape == (512, 352)
