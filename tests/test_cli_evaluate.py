@@ -390,6 +390,7 @@ def test_a_folder_that_is_given_as_a_dot_has_a_name(folders: Path, monkeypatch: 
     assert record_of(folders / "other")["data"]["name"] == "truth"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Glyph")
 def test_frames_may_have_any_name(folders: Path) -> None:
     given = ["a\nb", "<b>&", "=1+1", "漢", os.fsdecode(b"\xff")]

@@ -74,6 +74,7 @@ def test_film_picture_and_page_show_it(drive: tuple[object, ...], tmp_path: Path
     assert '"arrows":[[' in text
 
 
+@pytest.mark.slow
 @each("ending, message, whole", [("mcap", "grid-map", True), ("mcap", None, False), ("nc", None, True)])
 def test_layers_are_kept_where_the_format_holds_them(
     drive: tuple[object, ...], tmp_path: Path, ending: str, message: str | None, whole: bool

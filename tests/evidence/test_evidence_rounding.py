@@ -90,6 +90,7 @@ def test_the_librarys_own_results_are_not_negative() -> None:
     assert evidence.probability_to_mass(probability, unknown).min() >= 0
 
 
+@pytest.mark.slow
 @each("name", ["dempster", "yager", "cumulative"])
 def test_kernels_read_negative_numbers_as_none(name: str) -> None:
     dtype, t = np.float32, 0.9 * tolerance_of(np.zeros(2, np.float32))

@@ -144,6 +144,7 @@ def test_calibration_errors_are_bounded_and_belong_to_the_unit(name: str) -> Non
 # --- conditions ---
 
 
+@pytest.mark.slow
 def test_conditions_come_by_their_shares() -> None:
     draws = [draw(i) for i in range(3000)]
     weather = [one.weather for one in draws]
